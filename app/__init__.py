@@ -1,0 +1,1 @@
+"""The application: what chooses, schedules, stores and shows."""

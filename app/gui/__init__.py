@@ -1,0 +1,1 @@
+"""The Qt window: it shows results and emits intents; it computes nothing."""

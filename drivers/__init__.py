@@ -1,0 +1,1 @@
+"""The device interface and the drivers of real devices."""

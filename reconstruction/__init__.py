@@ -1,0 +1,1 @@
+"""Pure numerics: from pixels to wavefronts. No device, no file, no Qt."""

@@ -1,0 +1,161 @@
+"""Where things are: the sensor, the lattice of its lenslets on the camera, and the field of view.
+
+The lattice frame is the frame of the whole instrument: pupil positions (u, v) and field positions (x, y) are
+measured along the lattice's columns and rows, from its middle, in metres. `Lattice` alone says how that frame
+lies on the camera. Every vector has (x, y) as its last axis; every image is [row, column] with pixel centres at
+integers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def require(conditions: Mapping[str, bool]) -> None:
+    """Raise `ValueError` with the first sentence whose condition does not hold."""
+    for sentence, holds in conditions.items():
+        if not holds:
+            raise ValueError(sentence)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """A lenslet array in front of a camera."""
+
+    lenslet_rows: int
+    lenslet_columns: int
+    lenslet_pitch_m: float
+    lenslet_focal_length_m: float
+    wavelength_m: float
+    pixel_pitch_m: float
+
+    def __post_init__(self) -> None:
+        require(
+            {
+                "lenslet_rows must be 2 ... 1000": 2 <= self.lenslet_rows <= 1000,
+                "lenslet_columns must be 2 ... 1000": 2 <= self.lenslet_columns <= 1000,
+                "lenslet_pitch_m must be positive": self.lenslet_pitch_m > 0,
+                "lenslet_focal_length_m must be positive": self.lenslet_focal_length_m > 0,
+                "wavelength_m must lie between 100e-9 and 20e-6": 100e-9 <= self.wavelength_m <= 20e-6,
+                "pixel_pitch_m must be positive": self.pixel_pitch_m > 0,
+                "lenslet_pitch_m must be at least 8 pixels": self.lenslet_pitch_m >= 8 * self.pixel_pitch_m,
+            }
+        )
+
+    @property
+    def wavenumber_rad_per_m(self) -> float:
+        """k = 2 pi / wavelength."""
+        return 2 * math.pi / self.wavelength_m
+
+    @property
+    def lenslet_pitch_px(self) -> float:
+        """The lenslet pitch in camera pixels, as designed; `Lattice.pitch_px` is the measured one."""
+        return self.lenslet_pitch_m / self.pixel_pitch_m
+
+    @property
+    def slope_per_px(self) -> float:
+        """Wavefront slope (rad/m) that moves the light by one pixel: displacement = (f/k) dphi/du."""
+        return self.pixel_pitch_m * self.wavenumber_rad_per_m / self.lenslet_focal_length_m
+
+    @property
+    def pupil_half_width_m(self) -> tuple[float, float]:
+        """Half the width of the whole lattice along x and along y: where the normalised pupil reaches 1."""
+        return self.lenslet_columns * self.lenslet_pitch_m / 2, self.lenslet_rows * self.lenslet_pitch_m / 2
+
+    @property
+    def pupil_x_m(self) -> Floats:
+        """Pupil position of the lenslet columns' centres, (lenslet_column,)."""
+        return centered_steps(self.lenslet_columns) * self.lenslet_pitch_m
+
+    @property
+    def pupil_y_m(self) -> Floats:
+        """Pupil position of the lenslet rows' centres, (lenslet_row,)."""
+        return centered_steps(self.lenslet_rows) * self.lenslet_pitch_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lattice:
+    """Where the lenslets lie on the camera; a positive rotation turns +x towards +y."""
+
+    center_x_px: float
+    center_y_px: float
+    pitch_px: float
+    rotation_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        require(
+            {
+                "center_x_px must be finite": math.isfinite(self.center_x_px),
+                "center_y_px must be finite": math.isfinite(self.center_y_px),
+                "pitch_px must be at least 8": 8 <= self.pitch_px < math.inf,
+                "rotation_rad must lie between -0.8 and 0.8": abs(self.rotation_rad) <= 0.8,
+            }
+        )
+
+    def to_camera_px(self, position_px: Floats) -> Floats:
+        """Turn positions (..., xy) in the lattice frame, in pixels from its middle, into camera positions."""
+        cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
+        turn = np.array([[cosine, sine], [-sine, cosine]])
+        return position_px @ turn + [self.center_x_px, self.center_y_px]
+
+    def from_camera_px(self, position_px: Floats) -> Floats:
+        """Turn camera positions (..., xy) into positions in the lattice frame, in pixels from its middle."""
+        cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
+        turn_back = np.array([[cosine, -sine], [sine, cosine]])
+        return (position_px - [self.center_x_px, self.center_y_px]) @ turn_back
+
+    def lenslet_centers_px(self, lenslet_rows: int, lenslet_columns: int) -> Floats:
+        """Camera position of every lenslet's centre, (lenslet_row, lenslet_column, xy)."""
+        y, x = np.meshgrid(centered_steps(lenslet_rows), centered_steps(lenslet_columns), indexing="ij")
+        return self.to_camera_px(np.stack([x, y], axis=-1) * self.pitch_px)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """The field of view in the front focal plane of the collimator, and the views of it that are shown."""
+
+    collimator_focal_length_m: float
+    half_width_m: float
+    view_rows: int = 3
+    view_columns: int = 3
+    view_spacing_m: float = 0.5e-3
+
+    def __post_init__(self) -> None:
+        reach_m = (max(self.view_rows, self.view_columns) - 1) / 2 * self.view_spacing_m
+        require(
+            {
+                "collimator_focal_length_m must be positive": self.collimator_focal_length_m > 0,
+                "half_width_m must be positive": self.half_width_m > 0,
+                "view_rows must be 1 ... 99": 1 <= self.view_rows <= 99,
+                "view_columns must be 1 ... 99": 1 <= self.view_columns <= 99,
+                "view_spacing_m must be positive": self.view_spacing_m > 0,
+                "view_spacing_m places views outside the field's half_width_m": reach_m <= self.half_width_m * 1.0001,
+            }
+        )
+
+    @property
+    def view_x_m(self) -> Floats:
+        """Field position of the view columns, (view_column,)."""
+        return centered_steps(self.view_columns) * self.view_spacing_m
+
+    @property
+    def view_y_m(self) -> Floats:
+        """Field position of the view rows, (view_row,)."""
+        return centered_steps(self.view_rows) * self.view_spacing_m
+
+    def half_width_px(self, sensor: Sensor) -> float:
+        """Half the width of the field as each lenslet images it: x_o f / f1, in pixels."""
+        magnification = sensor.lenslet_focal_length_m / self.collimator_focal_length_m
+        return self.half_width_m * magnification / sensor.pixel_pitch_m
+
+
+def centered_steps(count: int) -> Floats:
+    """`count` whole steps about zero: -1, 0, 1 for three; -0.5, 0.5 for two."""
+    return np.arange(count) - (count - 1) / 2

@@ -1,0 +1,1 @@
+"""The bench as physics: screens, sources, the forward model, the detector, and devices made of them."""
