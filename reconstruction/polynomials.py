@@ -60,7 +60,8 @@ def _order_arrays(count: int) -> tuple[list[int], list[int], int]:
 
 def _values(x: ArrayLike, degree: int) -> Floats:
     """P_0 ... P_degree at x: (degree + 1, *shape of x)."""
-    return np.moveaxis(series.legvander(np.asarray(x, np.float64), degree), -1, 0)
+    x = np.asarray(x, np.float64)
+    return np.moveaxis(series.legvander(x.ravel(), degree), -1, 0).reshape(degree + 1, *x.shape)
 
 
 def _derivatives(x: ArrayLike, degree: int) -> Floats:
