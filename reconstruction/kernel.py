@@ -1,0 +1,132 @@
+"""The compiled inner loop of the registration: Gauss-Newton steps of one lenslet after another.
+
+It releases the interpreter's lock, so that threads can share the lenslets; the mathematics is in `registration`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar, cast
+
+import numba
+import numpy as np
+
+from reconstruction.geometry import Floats
+from reconstruction.spline import Image
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile with Numba on the first call and keep the result on disk; a typed face for an untyped decorator."""
+    options = {"nogil": True, "cache": True, "fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
+    return cast("Callable[P, R]", numba.njit(**options)(function))
+
+
+@compiled
+def _interpolate(coefficients: Image, x: np.float32, y: np.float32) -> np.float32:
+    """Cubic B-spline value at (x, y); beyond the border the nearest inner position is taken."""
+    one, half, sixth, two_thirds = np.float32(1.0), np.float32(0.5), np.float32(1 / 6), np.float32(2 / 3)
+    x = min(max(x, one), np.float32(coefficients.shape[1] - 3))
+    y = min(max(y, one), np.float32(coefficients.shape[0] - 3))
+    column, row = int(x), int(y)
+    t, v = x - np.float32(column), y - np.float32(row)
+    s, w = one - t, one - v
+    x0, x1 = sixth * s * s * s, two_thirds - t * t * (one - half * t)
+    x2, x3 = two_thirds - s * s * (one - half * s), sixth * t * t * t
+    weights = (sixth * w * w * w, two_thirds - v * v * (one - half * v), two_thirds - w * w * (one - half * w), sixth * v * v * v)
+    total = np.float32(0.0)
+    for i in range(4):
+        line = coefficients[row + i - 1]
+        total += weights[i] * (
+            x0 * line[column - 1] + x1 * line[column] + x2 * line[column + 1] + x3 * line[column + 2]
+        )
+    return total
+
+
+@compiled
+def align(
+    coefficients: Image,
+    first: int,
+    last: int,
+    center_px: Floats,
+    offset_px: Image,
+    turn: Image,
+    basis: Image,
+    template: Image,
+    inverse: Image,
+    conserve_flux: bool,
+    iterations: int,
+    tolerance_px: float,
+    displacement: Image,
+    contrast: Image,
+    residual_rms: Image,
+    last_step_px: Image,
+) -> None:
+    """Fit the displacement of lenslets `first` ... `last - 1`, in place.
+
+    Shapes, for L lenslets, N pixels a window and Q field modes: coefficients (row, column) of the frame; center_px
+    (L, xy); offset_px (N, xy) window positions about the centre in the lattice frame; turn (cosine, sine) of the
+    lattice; basis (3, Q, N) the field modes and their derivatives along x and y per pixel; template (L, N);
+    inverse (L, 2Q + 2, N) the pseudo-inverse of each lenslet's steepest-descent images (x modes, y modes, gain,
+    offset); displacement (L, xy, Q), px, start in and fit out; contrast (L,), the standard deviation of the frame's
+    subimage at the start, residual_rms (L,) and last_step_px (L,), the largest change of a coefficient in the last
+    iteration, out. Gain and offset start from the two subimages' means and contrasts.
+    """
+    modes, pixels = basis.shape[1], basis.shape[2]
+    one = np.float32(1.0)
+    warp = np.empty((6, pixels), np.float32)  # dx, dy, and their derivatives xx, xy, yx, yy
+    residual = np.empty(pixels, np.float32)
+    gain, offset = one, np.float32(0.0)
+    for lenslet in range(first, last):
+        for iteration in range(iterations + 1):
+            warp[:] = 0
+            for q in range(modes):
+                along_x, along_y = displacement[lenslet, 0, q], displacement[lenslet, 1, q]
+                for n in range(pixels):
+                    warp[0, n] += along_x * basis[0, q, n]
+                    warp[1, n] += along_y * basis[0, q, n]
+                if conserve_flux:
+                    for n in range(pixels):
+                        warp[2, n] += along_x * basis[1, q, n]
+                        warp[3, n] += along_x * basis[2, q, n]
+                        warp[4, n] += along_y * basis[1, q, n]
+                        warp[5, n] += along_y * basis[2, q, n]
+            center_x, center_y = np.float32(center_px[lenslet, 0]), np.float32(center_px[lenslet, 1])
+            square = np.float32(0.0)
+            for n in range(pixels):
+                x, y = offset_px[n, 0] + warp[0, n], offset_px[n, 1] + warp[1, n]
+                light = _interpolate(
+                    coefficients, center_x + turn[0] * x - turn[1] * y, center_y + turn[1] * x + turn[0] * y
+                )
+                stretch = (one + warp[2, n]) * (one + warp[5, n]) - warp[3, n] * warp[4, n]
+                residual[n] = light * stretch
+            if iteration == 0:
+                contrast[lenslet] = residual.std()
+                gain = template[lenslet].std() / max(contrast[lenslet], np.float32(1e-30))
+                offset = template[lenslet].mean() - gain * residual.mean()
+            for n in range(pixels):
+                residual[n] = gain * residual[n] + offset - template[lenslet, n]
+                square += residual[n] * residual[n]
+            residual_rms[lenslet] = np.sqrt(square / np.float32(pixels))
+            if iteration == iterations or (iteration > 0 and last_step_px[lenslet] < tolerance_px):
+                break
+            step = np.float32(0.0)
+            for q in range(modes):
+                for axis in range(2):
+                    change = np.float32(0.0)
+                    row = inverse[lenslet, axis * modes + q]
+                    for n in range(pixels):
+                        change += row[n] * residual[n]
+                    displacement[lenslet, axis, q] -= change
+                    step = max(step, abs(change))
+            gain_change, offset_change = np.float32(0.0), np.float32(0.0)
+            for n in range(pixels):
+                gain_change += inverse[lenslet, 2 * modes, n] * residual[n]
+                offset_change += inverse[lenslet, 2 * modes + 1, n] * residual[n]
+            gain *= one - gain_change
+            offset -= offset_change
+            last_step_px[lenslet] = step
+            if not np.isfinite(residual_rms[lenslet]):
+                break

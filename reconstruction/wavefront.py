@@ -1,0 +1,69 @@
+"""The result: the wavefront at every position of the field, with its error bars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from reconstruction.geometry import Field, Floats
+from reconstruction.polynomials import legendre
+from reconstruction.registration import Displacement
+
+
+class Solution(Protocol):
+    """What zonal and modal reconstruction leave behind: the wavefront of any combination of field modes."""
+
+    def wavefront(self, field_modes: Floats) -> Floats:
+        """Wavefront, rad, without piston, where the field modes T_q have the values `field_modes` (..., field_mode).
+
+        Shape (..., lenslet_row, lenslet_column); NaN where nothing is known.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wavefront:
+    """What one frame says about the wavefront at every position of the field."""
+
+    field: Field
+    displacement: Displacement
+    views: Floats  # the wavefront of each view, rad, (view_row, view_column, lenslet_row, lenslet_column)
+    solution: Solution
+
+    def at(self, x_m: float, y_m: float) -> Floats:
+        """Wavefront at the field position (x, y) in m, at the lenslet centres: (lenslet_row, lenslet_column), rad."""
+        x, y = x_m / self.field.half_width_m, y_m / self.field.half_width_m
+        if not max(abs(x), abs(y)) <= 1:
+            raise ValueError(f"({x_m:g}, {y_m:g}) m lies outside the field of +-{self.field.half_width_m:g} m")
+        return self.solution.wavefront(legendre(self.displacement.coefficients.shape[2], x, y))
+
+
+def without_piston(phase: Floats) -> Floats:
+    """The wavefronts (..., lenslet_row, lenslet_column) minus the mean of each, NaN left out."""
+    return phase - _mean(phase)[..., None, None]
+
+
+def rms(phase: Floats) -> Floats:
+    """Root mean square about the mean of each wavefront (..., lenslet_row, lenslet_column), NaN left out: (...)."""
+    return np.sqrt(_mean(without_piston(phase) ** 2))
+
+
+def peak_to_valley(phase: Floats) -> Floats:
+    """Highest minus lowest value of each wavefront (..., lenslet_row, lenslet_column), NaN left out: (...)."""
+    highest = np.max(phase, axis=(-2, -1), initial=-np.inf, where=~np.isnan(phase))
+    lowest = np.min(phase, axis=(-2, -1), initial=np.inf, where=~np.isnan(phase))
+    return np.where(highest >= lowest, highest - lowest, np.nan)
+
+
+def strehl(phase: Floats) -> Floats:
+    """Strehl ratio |mean exp(i phase)|^2 of each wavefront over its valid lenslets, tilt included: (...)."""
+    return np.asarray(np.abs(_mean(np.cos(phase)) + 1j * _mean(np.sin(phase))) ** 2)
+
+
+def _mean(values: Floats) -> Floats:
+    """Mean over the lenslets, NaN left out; NaN when nothing is left."""
+    known = ~np.isnan(values)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sum(values, axis=(-2, -1), where=known) / np.count_nonzero(known, axis=(-2, -1)))
