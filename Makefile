@@ -1,0 +1,62 @@
+# Everything happens in .venv, made from requirements.lock. Nothing is needed before: on Debian 12, python3, python3-venv and make.
+PYTHON ?= python3
+
+# Qt's wheels leave these to the system: to start at all, then to open a window under X11.
+QT_LIBRARIES := libglib2.0-0 libgl1 libegl1 libxkbcommon0 libdbus-1-3 libfontconfig1 \
+    libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-randr0 libxcb-render-util0 libxcb-shape0 \
+    libxcb-shm0 libxcb-sync1 libxcb-xfixes0 libxcb-xkb1 libxkbcommon-x11-0 libx11-xcb1
+
+# What Numba compiles and Matplotlib remembers stays here: the home need not be writable.
+export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
+export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help setup run test lint lock clean qt-libraries
+
+help:
+	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
+
+setup: qt-libraries .venv/ready ## make .venv; with root, install the system libraries of Qt
+
+run: setup ## the live window on the simulated bench
+	.venv/bin/svwfs live
+
+test: setup ## every test, without a screen
+	QT_QPA_PLATFORM=offscreen .venv/bin/python -m pytest
+
+lint: .venv/ready ## style, types, and who may import whom
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+
+# hatchling and editables install the project itself; uv sees to the lock and is not in it.
+lock: .venv/bin/pip ## pin the dependencies again after pyproject.toml has changed
+	.venv/bin/pip install -qq uv
+	printf 'hatchling\neditables\n' | .venv/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+	    --no-emit-index-url --custom-compile-command 'make lock' --group dev --output-file requirements.lock pyproject.toml -
+
+clean: ## remove .venv and every cache
+	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+.venv/ready: requirements.lock pyproject.toml | .venv/bin/pip
+	@echo 'filling .venv, about a minute the first time'
+	@.venv/bin/pip install -qq --require-hashes --requirement requirements.lock
+	@.venv/bin/pip install -qq --no-deps --no-build-isolation --editable .
+	@missing=$$(.venv/bin/pip check) || { printf '%s\nrequirements.lock does not follow pyproject.toml: make lock\n' "$$missing" >&2; exit 1; }
+	@touch $@
+
+.venv/bin/pip:
+	@$(PYTHON) -m venv .venv
+
+# Silent and quick when all are there, or where there is no apt.
+qt-libraries:
+	@command -v apt-get >/dev/null || exit 0; \
+	installed=" $$(dpkg-query -Wf '$${db:Status-Abbrev} $${Package} $${Provides}\n' | sed -n 's/^.i//p' | tr ',\n' '  ') "; \
+	missing=; for name in $(QT_LIBRARIES); do case "$$installed" in *" $$name "*) ;; *) missing="$$missing $$name" ;; esac; done; \
+	if [ -z "$$missing" ]; then exit 0; fi; \
+	install="apt-get install --no-install-recommends --yes$$missing"; \
+	if [ "$$(id -u)" != 0 ]; then echo "Qt needs system libraries: sudo apt-get update && sudo $$install" >&2; exit 1; fi; \
+	echo "installing the system libraries of Qt:$$missing"; \
+	export DEBIAN_FRONTEND=noninteractive DEBCONF_NOWARNINGS=yes; apt-get update -qq; $$install >/dev/null
