@@ -1,0 +1,218 @@
+"""The acquisition loop: one worker thread that owns the devices.
+
+Everybody else sends it commands, which it executes between frames, and takes results: every `Measurement` goes to the
+sinks in order, the newest one also lies in a one-slot mailbox for whoever only looks from time to time. No wait is
+longer than a tenth of a second, so that a stop takes effect at once. When a device fails the devices are closed, the
+light first, and the failure is there to be read.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from app.config import Bench
+from app.devices import Devices
+from app.instrument import Instrument, Status
+from app.routines import WAIT_SLICE_S, Cancelled, next_frame
+from drivers.interface import BadValue, DeviceError, Frame, WrongState
+from reconstruction.errors import ReconstructionError
+from reconstruction.wavefront import Wavefront
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What has become of the frames since the loop began."""
+
+    acquired: int = 0
+    reconstructed: int = 0
+    lost: int = 0  # overwritten in the camera before they were read
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """One frame and what became of it."""
+
+    frame: Frame
+    wavefront: Wavefront | None
+    problem: str  # why there is no wavefront; empty when there is one
+    counts: Counts
+    latency_s: float  # from the frame's arrival to this result
+
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """What the worker is busy with beside taking frames; empty text when with nothing."""
+
+    text: str = ""
+    progress: float = 0.0
+
+
+class Acquisition:
+    """The worker thread; `open_devices(bench, progress)` is called on it, and so is everything that touches a device."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        open_devices: Callable[[Bench, Callable[[float], None]], Devices],
+        sinks: tuple[Callable[[Measurement], None], ...] = (),
+    ) -> None:
+        self._bench, self._open_devices, self._sinks = bench, open_devices, sinks
+        self._commands: queue.Queue[tuple[Callable[[Instrument], None], Future[Any]]] = queue.Queue()
+        self._stopping = threading.Event()
+        self._cancelling = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
+        self._ending = threading.Lock()  # so that no command slips in between the last look and the end
+        self._ended = False
+        self._counts = Counts()
+        self._next_index = 0
+        self.newest: Measurement | None = None  # the mailbox: written by the worker, read by anybody
+        self.status: Status | None = None  # None until the devices are open
+        self.activity = Activity("opening the devices")
+        self.failure = ""  # why the worker has ended, when it was not asked to
+
+    def start(self) -> None:
+        """Open the devices and begin to execute commands."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop at once, turn the light off, close the devices and wait for the worker to end."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the worker still runs."""
+        return self._thread.is_alive()
+
+    def submit(self, command: Callable[[Instrument], T]) -> Future[T]:
+        """Have the worker execute `command` between two frames; its result or error comes by the future."""
+        future: Future[T] = Future()
+
+        def execute(instrument: Instrument) -> None:
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(command(instrument))
+                except _HARMLESS as error:
+                    future.set_exception(error)
+                except BaseException as error:
+                    future.set_exception(error)
+                    raise
+
+        with self._ending:
+            if self._ended:
+                future.set_exception(WrongState(self.failure or "the acquisition has ended"))
+            else:
+                self._commands.put((execute, future))
+        return future
+
+    def take_dark(self, frames: int) -> Future[None]:
+        """Have a dark taken, with its progress shown as activity."""
+        return self._routine(f"taking the dark, {frames} frames", lambda instrument: instrument.take_dark, frames)
+
+    def take_reference(self, frames: int) -> Future[None]:
+        """Have a reference taken, with its progress shown as activity."""
+        return self._routine(
+            f"taking the reference, {frames} frames", lambda instrument: instrument.take_reference, frames
+        )
+
+    def cancel(self) -> None:
+        """End the routine that is under way, if any; it leaves the devices as it found them."""
+        self._cancelling.set()
+
+    def _routine(self, text: str, routine: Callable[[Instrument], Callable[..., None]], frames: int) -> Future[None]:
+        def command(instrument: Instrument) -> None:
+            self._cancelling.clear()
+            self.activity = Activity(text)
+            try:
+                routine(instrument)(
+                    frames,
+                    progress=lambda fraction: setattr(self, "activity", Activity(text, fraction)),
+                    should_stop=lambda: self._stopping.is_set() or self._cancelling.is_set(),
+                )
+            finally:
+                self.activity = Activity()
+
+        return self.submit(command)
+
+    def _work(self) -> None:
+        try:
+            with self._open_devices(self._bench, self._prepare) as devices:
+                self.activity = Activity()
+                instrument = Instrument(devices, self._bench)
+                self.status = instrument.status()
+                while not self._stopping.is_set():
+                    self._execute_commands(instrument, wait=not devices.camera.is_running)
+                    if devices.camera.is_running:
+                        self._acquire(instrument)
+        except Cancelled:
+            pass
+        except DeviceError as error:
+            self.failure = str(error)
+        except Exception as error:
+            self.failure = f"{type(error).__name__}: {error}"
+            raise
+        finally:
+            self._end()
+
+    def _prepare(self, fraction: float) -> None:
+        """Show how far the devices are; opening them is given up here when the loop is to stop."""
+        if self._stopping.is_set():
+            raise Cancelled
+        self.activity = Activity("preparing the devices", fraction)
+
+    def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
+        """Execute what lies in the queue; `wait` a moment for something to come."""
+        try:
+            execute, _ = self._commands.get(block=wait, timeout=WAIT_SLICE_S)
+            while True:
+                execute(instrument)
+                self.status = instrument.status()
+                execute, _ = self._commands.get_nowait()
+        except queue.Empty:
+            return
+
+    def _acquire(self, instrument: Instrument) -> None:
+        """Take one frame, reconstruct it and pass it on."""
+        try:
+            frame = next_frame(instrument.devices.camera, lambda: self._stopping.is_set() or not self._commands.empty())
+        except Cancelled:
+            return
+        wavefront, problem = None, ""
+        try:
+            wavefront = instrument.measure(frame)
+        except ReconstructionError as error:
+            problem = str(error)
+        skipped = max(frame.index - self._next_index, 0) if frame.index else 0
+        self._next_index = frame.index + 1
+        self._counts = Counts(
+            acquired=self._counts.acquired + 1,
+            reconstructed=self._counts.reconstructed + (wavefront is not None),
+            lost=self._counts.lost + skipped,
+        )
+        latency_s = time.perf_counter() - frame.host_time_s
+        measurement = Measurement(frame, wavefront, problem, self._counts, latency_s)
+        for sink in self._sinks:
+            sink(measurement)
+        self.newest = measurement
+
+    def _end(self) -> None:
+        """Refuse all commands that nobody will execute any more."""
+        with self._ending:
+            self._ended = True
+        while not self._commands.empty():
+            _, future = self._commands.get()
+            if future.set_running_or_notify_cancel():
+                future.set_exception(WrongState(self.failure or "the acquisition has ended"))
+        self.activity = Activity()
+
+
+_HARMLESS = (Cancelled, ReconstructionError, BadValue, WrongState)  # the caller's business; the loop goes on

@@ -1,0 +1,141 @@
+"""One TOML file is one bench: read into frozen dataclasses, each owned by the package that understands it.
+
+Whatever is wrong with the file is one line that names the key and what would be right.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import cattrs
+import tomli_w
+
+from app.errors import InputError
+from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.registration import RegistrationSettings
+from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
+
+T = TypeVar("T")
+
+PRESETS = ("live_demo", "paper_simulation", "paper_experiment")
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """A whole configuration: the sections of the TOML file by their names."""
+
+    sensor: Sensor
+    field: Field
+    lattice: Lattice | None = None  # found from the reference
+    registration: RegistrationSettings = RegistrationSettings()
+    reconstruction: ReconstructionSettings = ReconstructionSettings()
+    camera: SimulatedCameraSettings = SimulatedCameraSettings()
+    light: SimulatedLightSettings = SimulatedLightSettings()
+    simulation: Simulation = Simulation()
+
+
+def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
+    """Read a bench from a TOML file, or a preset by its name; `overrides` are "section.key=value" in TOML's spelling."""
+    name = str(source)
+    if name in PRESETS and not Path(name).exists():
+        text = resources.files("app").joinpath("presets", f"{name}.toml").read_text("utf-8")
+    else:
+        try:
+            text = Path(source).read_text("utf-8")
+        except UnicodeDecodeError as error:
+            raise InputError(f"{name}: not a text file") from error
+        except OSError as error:
+            known = ", ".join(PRESETS)
+            raise InputError(f"{name}: {error.strerror}; give a bench TOML or a preset ({known})") from error
+    return parse_bench(text, name, overrides)
+
+
+def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
+    """Turn TOML text into a bench; `name` is what errors call it."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{name}: not valid TOML: {error}") from error
+    for override in overrides:
+        _override(tree, override)
+    try:
+        return _converter().structure(tree, Bench)
+    except cattrs.BaseValidationError as error:
+        first = cattrs.transform_error(error, format_exception=_sentence)[0]
+        sentence, _, path = first.rpartition(" @ $")
+        raise InputError(f"{name}: [{path.lstrip('.') or 'the file'}] {sentence}") from error
+
+
+def write_bench(bench: Bench) -> str:
+    """Return the bench as TOML text that `parse_bench` reads back to the same bench."""
+    return tomli_w.dumps(_without_none(dataclasses.asdict(bench)))
+
+
+def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
+    """TOML has no null: what is not set is left out."""
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in tree.items()
+        if value is not None
+    }
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    path, equals, value = override.partition("=")
+    *sections, key = path.strip().split(".")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"] if equals else None
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()  # a bare word is the string it looks like
+    if parsed is None or not sections or not key:
+        raise InputError(f"--set {override}: write section.key=value, for example registration.warp=affine")
+    for section in sections:
+        tree = tree.setdefault(section, {})
+        if not isinstance(tree, dict):
+            raise InputError(f"--set {override}: {section} is no section")
+    tree[key] = parsed
+
+
+def _converter() -> cattrs.Converter:
+    """A converter that takes TOML's types as they are: no text for a number, no true for a 1, no NaN."""
+    converter = cattrs.Converter(forbid_extra_keys=True)
+    converter.register_structure_hook(int, _exactly(int, "a whole number"))
+    converter.register_structure_hook(bool, _exactly(bool, "true or false"))
+    converter.register_structure_hook(str, _exactly(str, "text in quotes"))
+    converter.register_structure_hook(float, lambda value, _: _number(value))
+    return converter
+
+
+def _exactly(kind: type[T], what: str) -> Callable[[Any, Any], T]:
+    def take(value: Any, _: Any) -> T:
+        if type(value) is not kind:
+            raise TypeError(f"must be {what}, not {value!r}")
+        return value
+
+    return take
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError(f"must be a finite number, not {value!r}")
+    return float(value)
+
+
+def _sentence(error: BaseException, kind: type | None) -> str:
+    """What is wrong, in words; cattrs adds the path of the key."""
+    if isinstance(error, cattrs.ForbiddenExtraKeysError):
+        extra = ", ".join(sorted(error.extra_fields))
+        known = ", ".join(field.name for field in dataclasses.fields(error.cl))
+        return f"unknown key {extra}; known are {known}"
+    if isinstance(error, KeyError):
+        return "is missing"
+    if dataclasses.is_dataclass(kind) and not isinstance(error, ValueError):
+        return "must be a section"
+    return str(error)

@@ -1,0 +1,63 @@
+"""The one place that knows which devices a bench has, and whether they are real or simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import platformdirs
+
+from app.config import Bench
+from drivers.interface import Camera, LightSource, Stage
+from simulated_devices.bench import SimulatedBench
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.light import SimulatedLight
+from simulated_devices.stage import SimulatedStage
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Devices:
+    """The devices of one bench, open; closing turns the light off first."""
+
+    camera: Camera
+    light: LightSource
+    stage: Stage
+    _closing: ExitStack = field(default_factory=ExitStack)
+
+    def close(self) -> None:
+        """Close all of them, each even if another fails."""
+        self._closing.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
+    """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
+    with ExitStack() as stack:
+        simulated = SimulatedBench(
+            bench.sensor,
+            bench.lattice,
+            bench.field,
+            bench.simulation,
+            bench.camera,
+            bench.light,
+            cache_folder=cache_folder(),
+            progress=progress,
+        )
+        stack.callback(simulated.close)
+        camera = stack.enter_context(SimulatedCamera(simulated))
+        stage = stack.enter_context(SimulatedStage(simulated))
+        light = stack.enter_context(SimulatedLight(simulated))
+        return Devices(camera, light, stage, stack.pop_all())
+
+
+def cache_folder() -> Path:
+    """Where rendered irradiances are kept from one run to the next."""
+    return Path(platformdirs.user_cache_dir("svwfs")) / "irradiance"

@@ -1,0 +1,9 @@
+"""How a command ends when it cannot go on: one sentence, and the exit status that tells scripts whose fault it was."""
+
+
+class InputError(Exception):
+    """What was given cannot be used: a file, a setting, a frame. Exit status 2."""
+
+
+class RunError(Exception):
+    """Something failed while running: a device, the disk. Exit status 1."""

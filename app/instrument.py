@@ -1,0 +1,152 @@
+"""The instrument: devices, dark, reference and the reconstructor made of them.
+
+It has no thread of its own; whoever holds it owns the devices. `Status` is the frozen view of it that others may see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from app.config import Bench
+from app.devices import Devices
+from app.routines import Average, Progress, ShouldStop, take_dark, take_reference
+from drivers.interface import CameraCapabilities, Frame, Range
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Lattice
+from reconstruction.lattice import find_lattice
+from reconstruction.pipeline import Reconstructor
+from reconstruction.wavefront import Wavefront
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How the instrument stands at one moment, for a window or a report."""
+
+    bench: Bench
+    camera_name: str
+    light_name: str
+    capabilities: CameraCapabilities
+    is_running: bool
+    exposure_s: float
+    amplifier: str
+    em_gain: float
+    current_range_a: Range
+    current_a: float
+    is_light_on: bool
+    masks: tuple[str, ...]
+    mask: str
+    is_sample_in: bool
+    has_dark: bool
+    has_reference: bool
+    lattice: Lattice | None
+    warning: str  # why the wavefronts are missing or doubtful; empty when they are not
+
+
+class Instrument:
+    """Devices and what has been measured with them so far."""
+
+    def __init__(self, devices: Devices, bench: Bench) -> None:
+        self.devices = devices
+        self._bench = bench
+        self._dark: Average | None = None
+        self._reference: Average | None = None
+        self._reference_mask = ""
+        self._lattice = bench.lattice
+        self._reconstructor: Reconstructor | None = None
+        self._problem = "no reference yet: take the sample out and take one"
+
+    @property
+    def dark(self) -> Average | None:
+        """The dark in force."""
+        return self._dark
+
+    @property
+    def reference(self) -> Average | None:
+        """The reference in force."""
+        return self._reference
+
+    def status(self) -> Status:
+        """Ask the devices how they stand."""
+        camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
+        return Status(
+            bench=self._bench,
+            camera_name=camera.name,
+            light_name=light.name,
+            capabilities=camera.capabilities,
+            is_running=camera.is_running,
+            exposure_s=camera.exposure_s,
+            amplifier=camera.amplifier,
+            em_gain=camera.em_gain,
+            current_range_a=light.current_range_a,
+            current_a=light.current_a,
+            is_light_on=light.is_on,
+            masks=stage.masks,
+            mask=stage.mask,
+            is_sample_in=stage.is_sample_in,
+            has_dark=self._dark is not None,
+            has_reference=self._reference is not None,
+            lattice=self._lattice,
+            warning=self._warning(),
+        )
+
+    def take_dark(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
+        """Take a dark and use it from now on."""
+        self._dark = take_dark(self.devices, frames, progress=progress, should_stop=should_stop)
+        self._prepare()
+
+    def take_reference(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
+        """Take a reference, find the lattice in it if the bench does not say where it is, and use it from now on."""
+        self._reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
+        self._reference_mask = self.devices.stage.mask
+        self._prepare()
+
+    def change_settings(self, change: Callable[[Bench], Bench]) -> None:
+        """Replace the settings of registration and reconstruction by what `change` makes of the bench."""
+        self._bench = change(self._bench)
+        self._prepare()
+
+    def measure(self, frame: Frame) -> Wavefront:
+        """Reconstruct a frame; raises `ReconstructionError` when it cannot be done."""
+        if self._reconstructor is None:
+            raise ReconstructionError(self._problem)
+        return self._reconstructor(frame.pixels)
+
+    def _prepare(self) -> None:
+        """Make the reconstructor anew; what stands in the way becomes the warning that everybody sees."""
+        self._reconstructor = None
+        if self._reference is None:
+            return
+        bench, reference = self._bench, self._reference.mean
+        dark = None if self._dark is None else self._dark.mean
+        try:
+            self._lattice = bench.lattice or find_lattice(reference, bench.sensor)
+            self._reconstructor = Reconstructor(
+                reference,
+                sensor=bench.sensor,
+                lattice=self._lattice,
+                field=bench.field,
+                registration=bench.registration,
+                reconstruction=bench.reconstruction,
+                dark=dark,
+                full_scale=self.devices.camera.capabilities.full_scale,
+            )
+        except ReconstructionError as error:
+            self._problem = str(error)
+
+    def _warning(self) -> str:
+        if self._reconstructor is None:
+            return self._problem
+        camera = self.devices.camera
+        for what, average in (("dark", self._dark), ("reference", self._reference)):
+            if average is None:
+                return f"no {what} yet: the background is a guess"
+            if (average.amplifier, average.em_gain) != (camera.amplifier, camera.em_gain):
+                return f"the {what} was taken with another amplifier or gain: take it again"
+            if not np.isclose(average.exposure_s, camera.exposure_s, rtol=1e-3):
+                return f"the {what} was taken at {average.exposure_s * 1e3:.1f} ms: take it again"
+        if self._reference_mask != self.devices.stage.mask:
+            return f"the reference was taken with the mask {self._reference_mask}: take it again"
+        return ""
