@@ -1,0 +1,201 @@
+"""The forward model against a plain, slow Fourier sum, and against closed forms of optics."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import numpy as np
+import pytest
+
+from reconstruction.geometry import Field, Floats, Lattice, Sensor
+from simulated_devices import source
+from simulated_devices.forward_model import ForwardModel, RenderingStopped
+from simulated_devices.phase_screen import PhaseScreen, smooth_screen
+from simulated_devices.ray_map import RayMap
+from simulated_devices.settings import Source
+from simulated_devices.source import SourcePoints
+
+SENSOR = Sensor(  # not square, so that an exchange of x and y cannot hide
+    lenslet_rows=7,
+    lenslet_columns=9,
+    lenslet_pitch_m=500e-6,
+    lenslet_focal_length_m=46.7e-3,
+    wavelength_m=462e-9,
+    pixel_pitch_m=16e-6,
+)
+LATTICE = Lattice(center_x_px=151.3, center_y_px=118.9, pitch_px=31.25, rotation_rad=0.03)
+FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
+ROWS, COLUMNS = 240, 300
+SAMPLES = 12
+RAY_MAP = RayMap.near_pupil(distance_m=0.195, collimator_focal_length_m=0.2)
+POINTS = SourcePoints(
+    position_m=np.array([[0.2e-3, -0.45e-3], [0.2e-3, 0.1e-3], [-0.55e-3, 0.3e-3]]),
+    area_m2=np.array([1.0, 0.5, 2.0]) * 1e-9,
+)
+
+
+def model(**changes: float) -> ForwardModel:
+    options: dict[str, object] = {"rows": ROWS, "columns": COLUMNS, "pupil_samples": SAMPLES, "pixel_fill_factor": 0.0}
+    return ForwardModel(SENSOR, LATTICE, FIELD, **(options | changes))  # type: ignore[arg-type] # options by name
+
+
+def screen() -> PhaseScreen:
+    generator = np.random.default_rng(3)
+    samples = smooth_screen(generator, samples=241, sample_spacing_m=25e-6, correlation_length_m=0.8e-3)
+    return PhaseScreen(samples * (6.0 / samples.std()), 25e-6)
+
+
+def direct_irradiance(phase_screen: PhaseScreen, points: SourcePoints, offsets_px: Floats) -> Floats:
+    """Every pixel's Fourier sum written out, one lenslet and one object point after the other; mean over offsets."""
+    total = np.zeros((ROWS, COLUMNS))
+    cosine, sine = math.cos(LATTICE.rotation_rad), math.sin(LATTICE.rotation_rad)
+    k, f = 2 * math.pi / SENSOR.wavelength_m, SENSOR.lenslet_focal_length_m
+    local = (np.arange(SAMPLES) + 0.5) / SAMPLES * 500e-6 - 250e-6
+    row, column = np.mgrid[:ROWS, :COLUMNS].astype(float)
+
+    def in_lattice_px(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        x, y = x - LATTICE.center_x_px, y - LATTICE.center_y_px
+        return cosine * x + sine * y, -sine * x + cosine * y
+
+    x_px, y_px = in_lattice_px(column, row)
+    for i in range(SENSOR.lenslet_rows):
+        for j in range(SENSOR.lenslet_columns):
+            u, v = (j - 4) * 500e-6, (i - 3) * 500e-6
+            here = (np.abs(x_px / 31.25 - (j - 4)) < 0.5) & (np.abs(y_px / 31.25 - (i - 3)) < 0.5)
+            for (x_o, y_o), area in zip(points.position_m, points.area_m2, strict=True):
+                phase = phase_screen.at(u + local[None, :] + 0.975 * x_o, v + local[:, None] + 0.975 * y_o)
+                phase = phase + k / 0.2 * (local[None, :] * x_o + local[:, None] * y_o)
+                for dx, dy in offsets_px:
+                    x, y = in_lattice_px(column[here] + dx, row[here] + dy)
+                    x, y = (x - (j - 4) * 31.25) * 16e-6, (y - (i - 3) * 31.25) * 16e-6
+                    along_x = np.exp(-1j * k / f * np.outer(local, x))
+                    along_y = np.exp(-1j * k / f * np.outer(local, y))
+                    amplitude = np.einsum("vp,vu,up->p", along_y, np.exp(1j * phase), along_x, optimize=True)
+                    total[here] += area * np.abs(amplitude) ** 2 / len(offsets_px)
+    period = SENSOR.wavelength_m * f * SAMPLES / 500e-6
+    return total * (16e-6 / period) ** 2 / SAMPLES**2
+
+
+def test_agrees_with_the_plain_fourier_sum() -> None:
+    phase_screen = screen()
+    fast = model()
+    image = fast.irradiance(POINTS, fast.screen_phase(phase_screen, RAY_MAP))
+    truth = direct_irradiance(phase_screen, POINTS, np.zeros((1, 2)))
+    assert image.dtype == np.float32
+    np.testing.assert_allclose(image, truth, rtol=0, atol=1e-5 * truth.max())
+
+
+def test_a_pixel_averages_over_its_own_turned_square() -> None:
+    phase_screen = screen()
+    fast = model(pixel_fill_factor=1.0)
+    point = SourcePoints(position_m=POINTS.position_m[:1], area_m2=POINTS.area_m2[:1])
+    image = fast.irradiance(point, fast.screen_phase(phase_screen, RAY_MAP))
+    nodes, weights = np.polynomial.legendre.leggauss(3)  # exact to the sixth power over half a pixel either way
+    truth = sum(
+        (
+            direct_irradiance(phase_screen, point, np.array([[x / 2, y / 2]])) * (p * q / 4)
+            for x, p in zip(nodes, weights, strict=True)
+            for y, q in zip(nodes, weights, strict=True)
+        ),
+        start=np.zeros((ROWS, COLUMNS)),
+    )
+    np.testing.assert_allclose(image, truth, rtol=0, atol=2e-5 * truth.max())
+
+
+def test_the_reference_is_the_image_behind_a_flat_screen() -> None:
+    flat = PhaseScreen(np.zeros((241, 241)), 25e-6)
+    fast = model(pixel_fill_factor=1.0)
+    behind = fast.irradiance(POINTS, fast.screen_phase(flat, RAY_MAP))
+    np.testing.assert_allclose(fast.irradiance(POINTS), behind, rtol=0, atol=1e-5 * behind.max())
+
+
+def centroids_px(image: Floats, lattice: Lattice, *, radius_px: float = 13.0) -> Floats:
+    """Centroid of the light around each lenslet's centre in the lattice frame, (lenslet_row, lenslet_column, xy)."""
+    row, column = np.mgrid[: image.shape[0], : image.shape[1]]
+    position = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(float))
+    centers = (np.stack(np.meshgrid(np.arange(9) - 4, np.arange(7) - 3), axis=-1)) * lattice.pitch_px
+    found = np.empty_like(centers, dtype=float)
+    for index in np.ndindex(7, 9):
+        offset = position - centers[index]
+        near = (np.abs(offset) < radius_px).all(axis=-1)
+        light = image[near] * (image[near] > 0.3 * image[near].max())
+        found[index] = (offset[near] * light[:, None]).sum(axis=0) / light.sum()
+    return found
+
+
+def test_a_tilt_moves_the_light_towards_positive_x_by_f_over_k_times_the_slope() -> None:
+    slope_x, slope_y = 9000.0, -5000.0  # rad/m
+    along_m = (np.arange(241) - 120) * 25e-6
+    tilted = PhaseScreen(slope_y * along_m[:, None] + slope_x * along_m[None, :], 25e-6)
+    fast = model()
+    axis = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.ones(1))
+    moved = centroids_px(fast.irradiance(axis, fast.screen_phase(tilted, RAY_MAP)), LATTICE)
+    expected = np.array([slope_x, slope_y]) * 46.7e-3 * 462e-9 / (2 * math.pi) / 16e-6
+    assert expected[0] > 1.5
+    np.testing.assert_allclose(moved.mean(axis=(0, 1)), expected, atol=0.02)
+    np.testing.assert_allclose(moved, np.broadcast_to(expected, moved.shape), atol=0.2)  # coarse pixels
+
+
+def test_the_screen_moves_with_its_shift() -> None:
+    along_m = (np.arange(281) - 140) * 25e-6
+    curved = PhaseScreen(np.broadcast_to(4e6 * along_m**2 / 2, (281, 281)), 25e-6)  # slope 4e6 x along x only
+    fast = model()
+    axis = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.ones(1))
+    images = [fast.irradiance(axis, fast.screen_phase(curved, RAY_MAP, shift)) for shift in ((0.0, 0.0), (2e-4, 1e-4))]
+    step = centroids_px(images[1], LATTICE) - centroids_px(images[0], LATTICE)
+    expected = -4e6 * 2e-4 * 46.7e-3 * 462e-9 / (2 * math.pi) / 16e-6
+    np.testing.assert_allclose(step.mean(axis=(0, 1)), [expected, 0.0], atol=0.01)
+
+
+def test_an_object_point_lands_at_its_place_in_every_subimage() -> None:
+    fast = model()
+    for x_o, y_o in ((0.5e-3, -0.2e-3), (-0.3e-3, 0.4e-3)):
+        point = SourcePoints(position_m=np.array([[x_o, y_o]]), area_m2=np.ones(1))
+        found = centroids_px(fast.irradiance(point), LATTICE)
+        expected = np.array([x_o, y_o]) * 46.7e-3 / 0.2 / 16e-6
+        np.testing.assert_allclose(found.mean(axis=(0, 1)), expected, atol=0.05)
+
+
+def test_the_light_of_a_lenslet_is_the_emitting_area() -> None:
+    square = source.square(Source(), object_samples=13)
+    image = model().irradiance(square)
+    per_lenslet = image.sum() / (7 * 9)
+    area = (2 * 0.6e-3) ** 2
+    assert 0.95 * area < per_lenslet < area  # a few per cent are diffracted beyond the cell
+
+
+def test_border_lenslets_are_lit_and_change_nothing_inside() -> None:
+    plain, bordered = model().irradiance(POINTS), model(border_lenslets=1).irradiance(POINTS)
+    assert not plain[0].any()
+    lit = plain > 0
+    np.testing.assert_array_equal(plain[lit], bordered[lit])
+    assert (bordered > 0).sum() > 1.1 * lit.sum()
+
+
+def test_the_answer_does_not_depend_on_threads_beyond_rounding() -> None:
+    square = source.square(Source(), object_samples=5)
+    phase_screen = screen()
+    one, two = model(threads=1), model(threads=2)
+    image = one.irradiance(square, one.screen_phase(phase_screen, RAY_MAP))
+    np.testing.assert_allclose(
+        two.irradiance(square, two.screen_phase(phase_screen, RAY_MAP)), image, rtol=0, atol=2e-6 * image.max()
+    )
+
+
+def test_a_ray_beside_the_screen_is_an_error_before_any_light_is_traced() -> None:
+    small = PhaseScreen(np.zeros((100, 300)), 25e-6)
+    with pytest.raises(ValueError, match="at y = "):
+        model().screen_phase(small, RAY_MAP)
+
+
+def test_progress_runs_from_low_to_one_and_a_stop_is_obeyed() -> None:
+    square = source.square(Source(), object_samples=7)
+    heard: list[float] = []
+    model().irradiance(square, progress=heard.append)
+    assert heard[0] < 0.5
+    assert max(heard) == pytest.approx(1.0, abs=0.3)
+    stop = threading.Event()
+    stop.set()
+    with pytest.raises(RenderingStopped):
+        model().irradiance(square, should_stop=stop.is_set)
