@@ -56,7 +56,7 @@ class Activity:
 
 
 class Acquisition:
-    """The worker thread; `open_devices(bench, progress)` is called on it, and so is everything that touches a device."""
+    """The worker thread; `open_devices(bench, progress)` is called on it, as is everything that touches a device."""
 
     def __init__(
         self,

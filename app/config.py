@@ -42,7 +42,7 @@ class Bench:
 
 
 def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
-    """Read a bench from a TOML file, or a preset by its name; `overrides` are "section.key=value" in TOML's spelling."""
+    """Read a bench from a TOML file, or a preset by its name; `overrides` are "section.key=value" as in TOML."""
     name = str(source)
     if name in PRESETS and not Path(name).exists():
         text = resources.files("app").joinpath("presets", f"{name}.toml").read_text("utf-8")

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Self
 
 import platformdirs
-
-from app.config import Bench
-from drivers.interface import Camera, LightSource, Stage
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light import SimulatedLight
 from simulated_devices.stage import SimulatedStage
+
+from app.config import Bench
+from drivers.interface import Camera, LightSource, Stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)

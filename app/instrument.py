@@ -6,7 +6,7 @@ It has no thread of its own; whoever holds it owns the devices. `Status` is the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 

@@ -24,7 +24,7 @@ WAIT_SLICE_S = 0.1  # no wait is longer, so that a stop takes effect at once eve
 _MARGIN_S = 3.0  # beyond the exposure, before a missing frame counts as a fault
 
 
-class Cancelled(Exception):  # noqa: N818 - it is no error
+class Cancelled(Exception):
     """Somebody asked the routine to stop."""
 
 

@@ -1,4 +1,4 @@
-"""What every camera, light and stage offers, whoever made it: the only view that the rest of the program has of a device.
+"""What every camera, light and stage offers, whoever made it: all that the rest of the program sees of a device.
 
 Units are SI (s, A, m). A setter returns the value that the device really took, which may be rounded. Only one
 thread calls a device. Every fault that a device can have leaves it as one of the `DeviceError` family below.

@@ -103,13 +103,13 @@ class Lattice:
         """Turn positions (..., xy) in the lattice frame, in pixels from its middle, into camera positions."""
         cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         turn = np.array([[cosine, sine], [-sine, cosine]])
-        return position_px @ turn + [self.center_x_px, self.center_y_px]
+        return np.asarray(position_px @ turn + [self.center_x_px, self.center_y_px])
 
     def from_camera_px(self, position_px: Floats) -> Floats:
         """Turn camera positions (..., xy) into positions in the lattice frame, in pixels from its middle."""
         cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         turn_back = np.array([[cosine, -sine], [sine, cosine]])
-        return (position_px - [self.center_x_px, self.center_y_px]) @ turn_back
+        return np.asarray((position_px - [self.center_x_px, self.center_y_px]) @ turn_back)
 
     def lenslet_centers_px(self, lenslet_rows: int, lenslet_columns: int) -> Floats:
         """Camera position of every lenslet's centre, (lenslet_row, lenslet_column, xy)."""
@@ -158,4 +158,4 @@ class Field:
 
 def centered_steps(count: int) -> Floats:
     """`count` whole steps about zero: -1, 0, 1 for three; -0.5, 0.5 for two."""
-    return np.arange(count) - (count - 1) / 2
+    return np.arange(count, dtype=np.float64) - (count - 1) / 2

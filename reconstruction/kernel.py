@@ -20,8 +20,8 @@ R = TypeVar("R")
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile with Numba on the first call and keep the result on disk; a typed face for an untyped decorator."""
-    options = {"nogil": True, "cache": True, "fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
-    return cast("Callable[P, R]", numba.njit(**options)(function))
+    compile_function = numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+    return cast("Callable[P, R]", compile_function(function))
 
 
 @compiled
@@ -35,7 +35,9 @@ def _interpolate(coefficients: Image, x: np.float32, y: np.float32) -> np.float3
     s, w = one - t, one - v
     x0, x1 = sixth * s * s * s, two_thirds - t * t * (one - half * t)
     x2, x3 = two_thirds - s * s * (one - half * s), sixth * t * t * t
-    weights = (sixth * w * w * w, two_thirds - v * v * (one - half * v), two_thirds - w * w * (one - half * w), sixth * v * v * v)
+    y0, y1 = sixth * w * w * w, two_thirds - v * v * (one - half * v)
+    y2, y3 = two_thirds - w * w * (one - half * w), sixth * v * v * v
+    weights = (y0, y1, y2, y3)
     total = np.float32(0.0)
     for i in range(4):
         line = coefficients[row + i - 1]
@@ -46,7 +48,7 @@ def _interpolate(coefficients: Image, x: np.float32, y: np.float32) -> np.float3
 
 
 @compiled
-def align(
+def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain arrays is what compiles to fast code
     coefficients: Image,
     first: int,
     last: int,

@@ -1,9 +1,9 @@
-"""From a camera frame to the wavefront: everything is prepared once per bench and reference, then frames pass through."""
+"""From a camera frame to the wavefront: what bench and reference determine is prepared once, then frames pass."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from reconstruction.registration import FIELD_MODES, Registration, RegistrationS
 from reconstruction.spline import Image, spline_coefficients
 from reconstruction.wavefront import Solution, Wavefront
 from reconstruction.zonal import ZonalSolution
+
+Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 
 _SATURATED_FRACTION = 0.01  # of the frame's pixels; above it the frame as a whole is refused
 _BACKGROUND_PERCENT = 1.0  # where no dark was given, the darkest pixels that stand for the background
@@ -38,14 +40,14 @@ class Reconstructor:
 
     def __init__(
         self,
-        reference: NDArray[np.generic],
+        reference: Counts,
         *,
         sensor: Sensor,
         lattice: Lattice,
         field: Field,
         registration: RegistrationSettings,
         reconstruction: ReconstructionSettings,
-        dark: NDArray[np.generic] | None = None,
+        dark: Counts | None = None,
         full_scale: float = np.inf,
     ) -> None:
         """Prepare for a reference and a dark (row, column) in counts; `full_scale` is the count of saturation.
@@ -63,7 +65,7 @@ class Reconstructor:
         self._view_modes = np.moveaxis(legendre(FIELD_MODES[registration.warp], x, y), 0, -1)
         self._modal = ModalSolver(sensor, reconstruction.pupil_modes) if reconstruction.method == "modal" else None
 
-    def __call__(self, frame: NDArray[np.generic]) -> Wavefront:
+    def __call__(self, frame: Counts) -> Wavefront:
         """Measure the wavefront that a frame (row, column), counts, shows against the reference."""
         light = self._light(frame, "frame")
         saturated = frame >= self._full_scale
@@ -79,7 +81,7 @@ class Reconstructor:
             solution = self._modal(slopes, displacement.variance * self._sensor.slope_per_px**2, valid)
         return Wavefront(self._field, displacement, solution.wavefront(self._view_modes), solution)
 
-    def _light(self, image: NDArray[np.generic], what: str) -> Image:
+    def _light(self, image: Counts, what: str) -> Image:
         """Check an image and return it as float32 (row, column) counts above the dark or the background."""
         light = _checked(image, what, self._shape)
         if np.count_nonzero(image >= self._full_scale) > _SATURATED_FRACTION * image.size:
@@ -88,7 +90,7 @@ class Reconstructor:
         return np.asarray(light - background, np.float32)
 
 
-def _checked(image: NDArray[np.generic], what: str, shape: tuple[int, ...]) -> Image:
+def _checked(image: Counts, what: str, shape: tuple[int, ...]) -> Image:
     """Return an image as float32 if it is a finite one of the right shape, else say what it is."""
     if image.ndim != 2 or image.shape != shape:
         raise ReconstructionError(f"the {what} has {_size(image.shape)} pixels, but the reference has {_size(shape)}")

@@ -72,7 +72,7 @@ def _derivatives(x: ArrayLike, degree: int) -> Floats:
 
 def _cell_means(cells: int, degree: int) -> tuple[Floats, Floats]:
     """Means of P_0 ... P_degree and of their derivatives over `cells` equal parts of [-1, 1]: (degree + 1, cells)."""
-    edges = np.linspace(-1.0, 1.0, cells + 1)
+    edges = np.linspace(-1.0, 1.0, cells + 1, dtype=np.float64)
     width = 2.0 / cells
-    integrals = np.stack([series.legval(edges, series.legint(unit)) for unit in np.eye(degree + 1)])
+    integrals: Floats = np.stack([series.legval(edges, series.legint(unit)) for unit in np.eye(degree + 1)])
     return np.diff(integrals, axis=1) / width, np.diff(_values(edges, degree), axis=1) / width

@@ -63,7 +63,7 @@ class Displacement:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Which lenslets have converged, (lenslet_row, lenslet_column)."""
-        return self.outcome == Outcome.CONVERGED
+        return np.asarray(self.outcome == Outcome.CONVERGED)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

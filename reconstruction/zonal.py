@@ -1,4 +1,4 @@
-"""Zonal reconstruction: Southwell's equations for the wavefront at the lenslet centres (J. Opt. Soc. Am. 70, 998, 1980).
+"""Zonal reconstruction: Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980) for the lenslet centres.
 
 Between two neighbouring lenslets a pitch apart the wavefront rises by the mean of their slopes times the pitch. The
 least-squares solution over all pairs of valid lenslets is found by one sparse factorisation, which depends on the
@@ -40,8 +40,8 @@ class _Southwell:
     """The equations for one set of lenslets, factorised; nodes are the lenslets that hang together."""
 
     node: NDArray[np.intp]  # flat index of every lenslet with an equation, (node,)
-    mean: tuple[sparse.csr_array, sparse.csr_array]  # means of x slopes, of y slopes, over their pairs: (pair, lenslet)
-    difference: sparse.csr_array  # differences over all pairs, x pairs first; the first node is held at zero: (pair, node - 1)
+    mean: tuple[sparse.csr_array, sparse.csr_array]  # of x slopes, of y slopes, over their pairs: (pair, lenslet)
+    difference: sparse.csr_array  # over all pairs, x pairs first; the first node is held at zero: (pair, node - 1)
     factors: SuperLU  # of difference^T difference
 
 
