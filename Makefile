@@ -44,7 +44,8 @@ clean: ## remove .venv and every cache
 	@echo 'filling .venv, about a minute the first time'
 	@.venv/bin/pip install -qq --require-hashes --requirement requirements.lock
 	@.venv/bin/pip install -qq --no-deps --no-build-isolation --editable .
-	@missing=$$(.venv/bin/pip --no-cache-dir check) || { printf '%s\nrequirements.lock does not follow pyproject.toml: make lock\n' "$$missing" >&2; exit 1; }
+	@missing=$$(.venv/bin/pip --no-cache-dir check) || \
+	    { printf '%s\nrequirements.lock does not follow pyproject.toml: make lock\n' "$$missing" >&2; exit 1; }
 	@touch $@
 
 .venv/bin/pip:
