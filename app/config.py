@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import cattrs
 import tomli_w
@@ -23,6 +23,8 @@ from reconstruction.registration import RegistrationSettings
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
 T = TypeVar("T")
+
+_UNKNOWN = "unknown key"
 
 PRESETS = ("live_demo", "paper_simulation", "paper_experiment")
 
@@ -68,9 +70,10 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
     try:
         return _converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
-        first = cattrs.transform_error(error, format_exception=_sentence)[0]
-        sentence, _, path = first.rpartition(" @ $")
-        raise InputError(f"{name}: [{path.lstrip('.') or 'the file'}] {sentence}") from error
+        faults = cattrs.transform_error(error, format_exception=_sentence)
+        faults.sort(key=lambda fault: not fault.startswith(_UNKNOWN))  # a misspelt key first, then what it leaves missing
+        sentence, _, path = faults[0].rpartition(" @ $")
+        raise InputError(f"{name}: {path.lstrip('.')}{': ' if path else ''}{sentence}") from error
 
 
 def write_bench(bench: Bench) -> str:
@@ -133,9 +136,11 @@ def _sentence(error: BaseException, kind: type | None) -> str:
     if isinstance(error, cattrs.ForbiddenExtraKeysError):
         extra = ", ".join(sorted(error.extra_fields))
         known = ", ".join(field.name for field in dataclasses.fields(error.cl))
-        return f"unknown key {extra}; known are {known}"
+        return f"{_UNKNOWN} {extra}; known are {known}"
     if isinstance(error, KeyError):
         return "is missing"
+    if get_origin(kind) is Literal:
+        return "must be one of " + ", ".join(f'"{value}"' for value in get_args(kind))
     if dataclasses.is_dataclass(kind) and not isinstance(error, ValueError):
         return "must be a section"
     return str(error)

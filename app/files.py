@@ -1,0 +1,53 @@
+"""Images in, and files that appear under their name only when they are whole."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from app.errors import InputError, RunError
+
+
+def read_image(path: Path) -> NDArray[Any]:
+    """Read a grey image (row, column) from a TIFF or NPY file; whatever is wrong with it is one sentence."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it says of a damaged file is said below
+    try:
+        image = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else tifffile.imread(path)
+    except Exception as error:  # noqa: BLE001 - a damaged file can make a decoder raise anything
+        raise InputError(f"{path}: cannot be read as TIFF or NPY: {error}") from error
+    if not isinstance(image, np.ndarray) or image.ndim != 2 or 0 in image.shape:
+        shape = " x ".join(str(length) for length in np.shape(image)) or "nothing"
+        raise InputError(f"{path}: holds {shape}; one grey image is needed (rows x columns)")
+    if image.dtype.kind not in "uif":
+        raise InputError(f"{path}: holds {image.dtype} values; a grey image is needed")
+    return image
+
+
+@contextmanager
+def appearing_whole(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; it takes the name `path` if all goes well and vanishes otherwise."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_image(path: Path, image: NDArray[Any]) -> None:
+    """Write an image (row, column) as TIFF."""
+    with appearing_whole(path) as temporary:
+        tifffile.imwrite(temporary, image)
