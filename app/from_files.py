@@ -1,0 +1,55 @@
+"""From image files to a wavefront: what `svwfs reconstruct` does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.config import Bench
+from app.errors import InputError
+from app.files import read_image
+from reconstruction.errors import ReconstructionError
+from reconstruction.lattice import find_lattice
+from reconstruction.pipeline import Reconstructor
+from reconstruction.wavefront import Wavefront
+
+
+def reconstruct_files(frame: Path, *, reference: Path, dark: Path | None, bench: Bench) -> Wavefront:
+    """Reconstruct one frame from image files; whatever is wrong with them is an `InputError` that names the file."""
+    frame_image, reference_image = read_image(frame), read_image(reference)
+    dark_image = None if dark is None else read_image(dark)
+    for path, image in ((frame, frame_image), (dark, dark_image)):
+        if image is not None and image.shape != reference_image.shape:
+            raise InputError(
+                f"{path}: has {_size(image)} pixels (rows x columns), but the reference {reference} has"
+                f" {_size(reference_image)}"
+            )
+    try:
+        reconstructor = Reconstructor(
+            reference_image,
+            sensor=bench.sensor,
+            lattice=bench.lattice or find_lattice(reference_image, bench.sensor),
+            field=bench.field,
+            registration=bench.registration,
+            reconstruction=bench.reconstruction,
+            dark=dark_image,
+            full_scale=_full_scale(reference_image),
+        )
+    except ReconstructionError as error:
+        raise InputError(f"{reference}: {error}") from error
+    try:
+        return reconstructor(frame_image)
+    except ReconstructionError as error:
+        raise InputError(f"{frame}: {error}") from error
+
+
+def _full_scale(image: NDArray[Any]) -> float:
+    """The count at which the camera that took an integer image saturates; a float image has no such count."""
+    return float(np.iinfo(image.dtype).max) if image.dtype.kind in "ui" else np.inf
+
+
+def _size(image: NDArray[Any]) -> str:
+    return " x ".join(str(length) for length in image.shape)
