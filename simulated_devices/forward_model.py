@@ -6,7 +6,7 @@ its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2
 What makes it fast: the image of n samples is exactly a trigonometric polynomial with 2n - 1 terms a side and period
 lambda f n / D, so that 2n positions a side carry all of it, whatever the camera's pixels are. Every object
 point is therefore accumulated on one grid, symmetric about the lenslet's axis; the camera's pixels, wherever they lie,
-turned or not, are evaluated once, at the end. On symmetric grids the transform splits into even and odd, real cosines and sines.
+turned or not, are evaluated once, at the end. On symmetric grids the transform splits into real cosines and sines.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
 
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, centered_steps, require
 from simulated_devices.image_sum import ImageSum, unfold
@@ -31,7 +31,7 @@ PointPhase: TypeAlias = Callable[[float, float], Images]
 """Phase that the light of the object point (x_m, y_m) has at the pupil samples: (sample_row, sample_column), rad."""
 
 
-class RenderingStopped(Exception):  # noqa: N818 - it reports a wish that was obeyed, not an error
+class RenderingStopped(Exception):
     """The caller's `should_stop` asked for an end."""
 
 
@@ -172,5 +172,5 @@ class ForwardModel:
             local_y_m = local_y_m.reshape(2, half, -1)[:, :, 0].ravel()
         tilt_x = (self._tilt_per_m * x_m * local_x_m).astype(np.float32)
         tilt_y = (self._tilt_per_m * y_m * local_y_m).astype(np.float32)
-        screen = np.float32(0) if phase is None else phase(x_m, y_m)
-        return np.asarray(screen + tilt_y[:, None] + tilt_x[None, :], np.float32)
+        tilt: Images = tilt_y[:, None] + tilt_x[None, :]
+        return tilt if phase is None else np.add(phase(x_m, y_m), tilt)

@@ -5,22 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+import math
+from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Images = NDArray[np.float32]
+from simulated_devices.compiled import compiled
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def _compiled(function: _Function) -> _Function:
-    """Compile with Numba, free of the interpreter's lock; typed here because Numba's decorators are not."""
-    compiled: _Function = numba.njit(nogil=True, fastmath=True, cache=True)(function)
-    return compiled
+Images: TypeAlias = NDArray[np.float32]
 
 
 class ImageSum:
@@ -65,7 +58,7 @@ class ImageSum:
         _add_squares(self._transform.reshape(2, 2, 2, -1), np.float32(weight), self.folded)
 
 
-@_compiled
+@compiled
 def _add_squares(transform: Images, weight: np.float32, folded: Images) -> None:
     """Add weight * |F|^2 at the four positions (+-y, +-x), as four sums, from the parts a, b, c, d of even/odd y and x.
 
@@ -84,7 +77,7 @@ def _add_squares(transform: Images, weight: np.float32, folded: Images) -> None:
 
 def unfold(folded: Images, lenslet_rows: int, lenslet_columns: int) -> Images:
     """Turn the four sums into images on the whole grid: (lenslet_row, lenslet_column, y, x), each side 2n positions."""
-    n = int(round((folded.shape[1] / (lenslet_rows * lenslet_columns)) ** 0.5))
+    n = math.isqrt(folded.shape[1] // (lenslet_rows * lenslet_columns))
     squares, both, only_x, only_y = folded.reshape(4, n, lenslet_rows, lenslet_columns, n).transpose(0, 2, 3, 1, 4)
     images = np.empty((lenslet_rows, lenslet_columns, 2 * n, 2 * n), np.float32)
     for sign_y, along_y in ((-1, slice(n - 1, None, -1)), (1, slice(n, None))):

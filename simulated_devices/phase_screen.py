@@ -40,9 +40,10 @@ class PhaseScreen:
         y_m, x_m = (centered_steps(count) * sample_spacing_m for count in samples_rad.shape)
         self.half_width_m = float(x_m[-1]), float(y_m[-1])  # (x, y)
         self._spline = RectBivariateSpline(y_m, x_m, samples_rad)
-        # The spline's coefficients as fitpack holds them: knots along its first axis (y), its second (x), and a flat array.
-        self._knots_y, self._knots_x, coefficients = self._spline.tck
-        self.coefficients = coefficients.reshape(len(self._knots_y) - _CUBIC - 1, len(self._knots_x) - _CUBIC - 1)
+        self._knots_y, self._knots_x = self._spline.get_knots()  # of the spline's first and second axis
+        self.coefficients: Floats = np.reshape(
+            self._spline.get_coeffs(), (len(self._knots_y) - _CUBIC - 1, len(self._knots_x) - _CUBIC - 1)
+        )
 
     def at(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
         """Phase (rad) at positions in m, element by element; x and y broadcast against each other."""
@@ -50,15 +51,15 @@ class PhaseScreen:
         self._check(x_m, y_m)
         return np.asarray(self._spline.ev(y_m, x_m), np.float64)
 
-    def basis_x(self, x_m: Floats) -> sparse.csr_array:
+    def basis_x(self, x_m: Floats) -> sparse.csr_array[np.float32]:
         """Values of the spline's basis at x (m): sparse (position, coefficient column), four entries a row."""
         self._check(x_m, np.zeros(1))
-        return sparse.csr_array(BSpline.design_matrix(x_m, self._knots_x, _CUBIC), dtype=np.float32)
+        return _basis(x_m, self._knots_x)
 
-    def basis_y(self, y_m: Floats) -> sparse.csr_array:
+    def basis_y(self, y_m: Floats) -> sparse.csr_array[np.float32]:
         """Values of the spline's basis at y (m): sparse (position, coefficient row), four entries a row."""
         self._check(np.zeros(1), y_m)
-        return sparse.csr_array(BSpline.design_matrix(y_m, self._knots_y, _CUBIC), dtype=np.float32)
+        return _basis(y_m, self._knots_y)
 
     def scaled(self, factor: float) -> PhaseScreen:
         """Return the screen with every phase multiplied by `factor`."""
@@ -74,6 +75,10 @@ class PhaseScreen:
                 )
 
 
+def _basis(position_m: Floats, knots_m: Floats) -> sparse.csr_array[np.float32]:
+    return BSpline.design_matrix(position_m, knots_m, _CUBIC).astype(np.float32)
+
+
 def smooth_screen(
     generator: np.random.Generator, *, samples: int, sample_spacing_m: float, correlation_length_m: float
 ) -> Floats:
@@ -83,7 +88,7 @@ def smooth_screen(
     recipe of the project's ensemble, number for number: `numpy.random.default_rng(seed)` is the generator.
     """
     sigma = correlation_length_m / sample_spacing_m
-    # Not int(4 * sigma): the ensemble divides last, and the rounding of the two differs.
+    # Not int(4 * sigma), which rounds differently now and then: the ensemble divides last.
     margin = int(4 * correlation_length_m / sample_spacing_m)
     noise = generator.standard_normal((samples + 2 * margin, samples + 2 * margin))
     smooth = ndimage.gaussian_filter(noise, sigma)[margin : margin + samples, margin : margin + samples]
@@ -101,9 +106,8 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float) -
 
     def mapped(bend: float) -> Floats:
         if abs(bend) < 1e-9:
-            return z
-        # Normalised by the largest |z| before sinh, so that a large bend cannot overflow.
-        return np.sinh(bend * z) if bend > 0 else np.arcsinh(-bend * z)
+            return np.asarray(z, np.float64)
+        return np.asarray(np.sinh(bend * z) if bend > 0 else np.arcsinh(-bend * z), np.float64)
 
     def excess(bend: float) -> float:
         shaped = mapped(bend)

@@ -18,7 +18,7 @@ class PixelGrid:
     A pixel belongs to the lenslet in whose cell its centre falls; pixels outside the lattice stay dark.
     """
 
-    def __init__(  # noqa: PLR0913 - the numbers of two grids and how they meet
+    def __init__(
         self,
         sensor: Sensor,
         lattice: Lattice,

@@ -53,7 +53,7 @@ def truth_wavefront(
     x_m = _meeting_points(ray_map, sensor.pupil_x_m, field.view_x_m) - shift_m[0]  # (view_column, lenslet_column)
     y_m = _meeting_points(ray_map, sensor.pupil_y_m, field.view_y_m) - shift_m[1]  # (view_row, lenslet_row)
     wavefront = screen.at(x_m[None, :, None, :], y_m[:, None, :, None])
-    return wavefront - wavefront.mean(axis=(2, 3), keepdims=True)
+    return np.asarray(wavefront - wavefront.mean(axis=(2, 3), keepdims=True), np.float64)
 
 
 def _meeting_points(ray_map: RayMap, pupil_m: Floats, view_m: Floats) -> Floats:

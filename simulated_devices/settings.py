@@ -25,7 +25,7 @@ _EXPOSURE_RANGE_S: dict[tuple[Amplifier, int], Range] = {
 
 
 def exposure_range_s(amplifier: Amplifier, readout_speed: int) -> Range:
-    """Exposure times (s) that the C9100-23B allows; its normal amplifier has one read-out speed, 1, whatever is asked."""
+    """Exposure times (s) that the C9100-23B allows; its normal amplifier has read-out speed 1, whatever is asked."""
     return _EXPOSURE_RANGE_S["normal", 1] if amplifier == "normal" else _EXPOSURE_RANGE_S["em", readout_speed]
 
 
@@ -136,6 +136,7 @@ class SimulatedCameraSettings:
     electrons_per_count: float = 5.8
     offset_counts: float = 500.0
     bits: int = 16
+    pixel_fill_factor: float = 1.0  # width of the sensitive square over the pixel pitch; 0 samples at the centres
 
     def __post_init__(self) -> None:
         speed_is_known = self.readout_speed in {1, 2, 3}
@@ -147,7 +148,7 @@ class SimulatedCameraSettings:
                 "columns must be 8 ... 8192": 8 <= self.columns <= 8192,
                 'amplifier must be "normal" or "em"': self.amplifier in {"normal", "em"},
                 "readout_speed must be 1, 2 or 3": speed_is_known,
-                f"exposure_s must be {allowed.minimum:g} ... {allowed.maximum:g} with this amplifier and readout_speed": (
+                f"exposure_s must be {allowed.minimum:g} ... {allowed.maximum:g} with this amplifier and speed": (
                     allowed.minimum <= self.exposure_s <= allowed.maximum
                 ),
                 "maximum_em_gain must be at least 1": 1 <= self.maximum_em_gain < math.inf,
@@ -160,6 +161,7 @@ class SimulatedCameraSettings:
                 "full_well_e must be positive": 0 < self.full_well_e < math.inf,
                 "register_full_well_e must be positive": 0 < self.register_full_well_e < math.inf,
                 "electrons_per_count must be positive": 0 < self.electrons_per_count < math.inf,
+                "pixel_fill_factor must be 0 ... 1": 0 <= self.pixel_fill_factor <= 1,
                 "bits must be 8 ... 16": 8 <= self.bits <= 16,
                 "offset_counts must lie on the camera's scale": 0 <= self.offset_counts < 2**self.bits,
             }

@@ -1,0 +1,197 @@
+"""The simulated bench: light, mask, sample and optics as one physical thing that the three devices act on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.geometry import Field, Floats, Lattice, Sensor
+from simulated_devices.background import BackgroundRendering
+from simulated_devices.clock import Clock, SystemClock
+from simulated_devices.playback import Playback
+from simulated_devices.rendering import MASKS, ImageCache, Renderer, Scene
+from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
+
+PHOTONS_PER_S_M2_A = 1.2e15
+"""Photons per second that one lenslet collects from one square metre of lit mask at one ampere.
+
+Chosen so that both exposures of the paper come near 70 % of full scale at 0.35 A: the brightest pixels of the
+reference reach 57 % with the square and 150 ms, 86 % with the 50 um pinholes and 3.8 s (EM amplifier, gain 1). One
+lamp cannot give 70 % twice: optics alone makes the pinholes' exposure 1.5 times the brighter one. A lenslet is seen
+under 6.25e-6 sr, so that this is a radiance of 29 W/(m^2 sr) at 0.35 A: an LED behind a diffuser."""
+
+_POLL_S = 0.2
+_Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condition:
+    """How the bench stands."""
+
+    current_a: float
+    is_light_on: bool = False
+    mask: str = MASKS[0]
+    is_sample_in: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Exposed:
+    """What an exposure received."""
+
+    photons: NDArray[np.float32]  # (row, column), mean number that meets each pixel
+    state: int | None  # of the sample, None where it was out of the beam at the end
+
+
+class SimulatedBench:
+    """One bench; its images are rendered once and then only played.
+
+    The first state is rendered here, heard by `progress` (0 ... 1), unless the cache holds it; the others by a process
+    in the background. Used by one thread.
+    """
+
+    def __init__(  # noqa: PLR0913 - one section of the bench's TOML each
+        self,
+        sensor: Sensor,
+        lattice: Lattice,
+        field: Field,
+        simulation: Simulation,
+        camera_settings: SimulatedCameraSettings,
+        light_settings: SimulatedLightSettings,
+        *,
+        cache_folder: Path,
+        clock: Clock | None = None,
+        progress: _Progress | None = None,
+    ) -> None:
+        self.camera_settings, self.light_settings, self.simulation = camera_settings, light_settings, simulation
+        self.sensor = sensor
+        self.clock = clock or SystemClock()
+        self._scene = Scene(
+            sensor=sensor,
+            lattice=lattice,
+            field=field,
+            simulation=simulation,
+            rows=camera_settings.rows,
+            columns=camera_settings.columns,
+            pixel_fill_factor=camera_settings.pixel_fill_factor,
+        )
+        self._cache_folder = cache_folder
+        self._renderer = Renderer(self._scene)
+        self._renderer.check_rays()
+        self._cache = ImageCache(cache_folder, self._scene)
+        self._references: dict[str, NDArray[np.float32]] = {}
+        self._films: dict[str, list[NDArray[np.float32]]] = {}
+        self._playbacks: dict[str, Playback] = {}
+        self._background: BackgroundRendering | None = None
+        self._next_poll_s = self.clock.now()
+        condition = Condition(current_a=light_settings.current_a)
+        self._history: deque[tuple[float, Condition]] = deque([(self.clock.now(), condition)], maxlen=256)
+        self._prepare(condition.mask, progress)
+
+    @property
+    def condition(self) -> Condition:
+        """How the bench stands now."""
+        return self._history[-1][1]
+
+    def change(self, **changes: float | bool | str) -> None:
+        """Change one or more fields of `condition`, from now on."""
+        condition = dataclasses.replace(self.condition, **changes)  # type: ignore[arg-type] # fields by name
+        if condition.mask != self.condition.mask:
+            self._prepare(condition.mask, None)
+        self._history.append((self.clock.now(), condition))
+
+    def render_reference(self, mask: str, progress: _Progress | None = None) -> NDArray[np.float32]:
+        """Irradiance (row, column), m^2, without the sample; rendered once."""
+        if mask not in self._references:
+            image = self._cache.load(mask, "reference")
+            if image is None:
+                image = self._renderer.reference(mask, progress)
+                self._cache.save(mask, "reference", image)
+            self._references[mask] = image
+        return self._references[mask]
+
+    def current_state(self, time_s: float) -> int:
+        """Which state the sample is in at that time of the bench's clock."""
+        self._look_for_states()
+        return self._playbacks[self.condition.mask].state_at(time_s)
+
+    def truth_wavefront(self, state: int) -> Floats:
+        """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad."""
+        return self._renderer.truth_wavefront(state)
+
+    @property
+    def states_rendered(self) -> int:
+        """How many states of the sample can be seen so far with the present mask."""
+        return len(self._films[self.condition.mask])
+
+    def expose(self, start_s: float, end_s: float) -> Exposed:
+        """Photons on the camera from `start_s` to `end_s`; a change in between counts for its part of the time."""
+        self._look_for_states()
+        photons = np.zeros((self._scene.rows, self._scene.columns), np.float32)
+        state = None
+        for begin_s, finish_s, condition in self._pieces(start_s, end_s):
+            image, state = self._image(condition, (begin_s + finish_s) / 2)
+            if condition.is_light_on and finish_s > begin_s:
+                dose = PHOTONS_PER_S_M2_A * condition.current_a * (finish_s - begin_s)
+                photons += image * np.float32(dose)
+        return Exposed(photons=photons, state=state)
+
+    def close(self) -> None:
+        """End the rendering in the background; closing twice is allowed."""
+        if self._background is not None:
+            self._background.close()
+            self._background = None
+
+    def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, float, Condition]]:
+        """Return the stretches of the interval over which nothing was changed, in order; at least one."""
+        begins = [begin for begin, _ in self._history]
+        ends = [*begins[1:], float("inf")]
+        begins[0] = -float("inf")
+        pieces = [
+            (max(begin, start_s), min(end, end_s), condition)
+            for begin, end, (_, condition) in zip(begins, ends, self._history, strict=True)
+        ]
+        return [piece for piece in pieces if piece[1] > piece[0]] or [(start_s, end_s, self.condition)]
+
+    def _image(self, condition: Condition, time_s: float) -> tuple[NDArray[np.float32], int | None]:
+        if not condition.is_sample_in:
+            return self._references[condition.mask], None
+        state = self._playbacks[condition.mask].state_at(time_s)
+        return self._films[condition.mask][state], state
+
+    def _prepare(self, mask: str, progress: _Progress | None) -> None:
+        """See that there is something to show for `mask`, and that the rest is on its way."""
+        self.render_reference(mask)
+        if mask not in self._films:
+            first = self._cache.load(mask, 0)
+            if first is None:
+                first = self._renderer.state(mask, 0, progress)
+                self._cache.save(mask, 0, first)
+            self._films[mask] = [first]
+            self._playbacks[mask] = Playback(
+                states=1, duration_s=self.simulation.state_duration_s, start_s=self.clock.now()
+            )
+            self._load_states(mask, self._scene.states)
+        self.close()
+        if len(self._films[mask]) < self._scene.states:
+            self._background = BackgroundRendering(self._scene, mask, self._cache_folder)
+
+    def _look_for_states(self) -> None:
+        mask = self.condition.mask
+        if len(self._films[mask]) < self._scene.states and self.clock.now() >= self._next_poll_s:
+            self._next_poll_s = self.clock.now() + _POLL_S
+            self._load_states(mask, 2)  # a few at a time, to keep the frames coming
+
+    def _load_states(self, mask: str, at_most: int) -> None:
+        film = self._films[mask]
+        for state in range(len(film), min(len(film) + at_most, self._scene.states)):
+            image = self._cache.load(mask, state)
+            if image is None:
+                break
+            film.append(image)
+        self._playbacks[mask].states = len(film)

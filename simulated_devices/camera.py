@@ -1,0 +1,247 @@
+"""The camera of the simulated bench: frames at their own pace, whether or not somebody reads them."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeAlias
+
+from drivers.interface import BadValue, Camera, CameraCapabilities, DeviceTimeout, Frame, Range, WrongState
+from simulated_devices.connection import Connection
+from simulated_devices.emccd import Detector, Exposure
+from simulated_devices.settings import exposure_range_s
+
+if TYPE_CHECKING:
+    from simulated_devices.bench import SimulatedBench
+    from simulated_devices.settings import Amplifier
+
+_RING_FRAMES = 8
+_EXPOSURE_STEPS_PER_S = 100_000
+_SLICE_S = 0.05
+_STATES_REMEMBERED = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Unplug:
+    """Fault: the camera is gone from now on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stall:
+    """Fault: no further frame comes until the camera is started again."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoseFrames:
+    """Fault: the next `count` frames never arrive."""
+
+    count: int
+
+
+Fault: TypeAlias = Unplug | Stall | LoseFrames
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Run:
+    """A stretch of frames with the same settings: frame i ends at start_s + (i + 1 - first_index) * exposure_s."""
+
+    first_index: int
+    start_s: float
+    exposure_s: float
+    em_gain: float
+
+    def complete(self, time_s: float) -> int:
+        """Index of the first frame that is not complete at `time_s`."""
+        # A whole number of periods must not lose a frame to rounding.
+        return self.first_index + max(0, math.floor((time_s - self.start_s) / self.exposure_s + 1e-6))
+
+
+class SimulatedCamera(Camera):
+    """An EMCCD in frame transfer: the next exposure runs while a frame is read out, so that the period is the exposure.
+
+    A frame that is complete waits in a ring of eight; a reader who comes later than that finds a gap in `Frame.index`.
+    """
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        settings = bench.camera_settings
+        self._bench, self._settings = bench, settings
+        self._connection = Connection("camera")
+        self._detector = Detector(settings, seed=bench.simulation.seed)
+        self._amplifier: Amplifier = settings.amplifier
+        self._exposure_s = _rounded(settings.exposure_s)
+        self._em_gain = settings.em_gain
+        self._runs: list[_Run] = []  # the last is the present one; earlier ones until their frames are read
+        self._next_index = 0
+        self._starts = 0
+        self._is_stalled = False
+        self._states: OrderedDict[int, int | None] = OrderedDict()
+
+    @property
+    def name(self) -> str:
+        """What it is."""
+        return "Simulated C9100-23B"
+
+    @property
+    def capabilities(self) -> CameraCapabilities:
+        """What is allowed with the amplifier in use."""
+        self._connection.check()
+        settings = self._settings
+        return CameraCapabilities(
+            rows=settings.rows,
+            columns=settings.columns,
+            pixel_pitch_m=self._bench.sensor.pixel_pitch_m,
+            full_scale=2**settings.bits - 1,
+            exposure_range_s=exposure_range_s(self._amplifier, settings.readout_speed),
+            amplifiers=("normal", "em"),
+            em_gain_range=Range(1.0, settings.maximum_em_gain if self._amplifier == "em" else 1.0),
+        )
+
+    @property
+    def exposure_s(self) -> float:
+        """The exposure time in force."""
+        self._connection.check()
+        return self._exposure_s
+
+    def set_exposure(self, exposure_s: float) -> float:
+        """Change the exposure time, rounded to 10 us; while running, the frame that is being exposed begins anew."""
+        self.capabilities.exposure_range_s.check(exposure_s, "exposure_s")
+        self._exposure_s = _rounded(exposure_s)
+        if self._runs:
+            now_s = self._bench.clock.now()
+            self._continue(replace(self._runs[-1], start_s=now_s, exposure_s=self._exposure_s), now_s)
+        return self._exposure_s
+
+    @property
+    def amplifier(self) -> str:
+        """The amplifier in use."""
+        self._connection.check()
+        return self._amplifier
+
+    def set_amplifier(self, amplifier: str) -> None:
+        """Change the amplifier; only while stopped. Exposure and gain are moved into the new ranges."""
+        self._connection.check()
+        if amplifier not in ("normal", "em"):
+            raise BadValue(f"there is no amplifier {amplifier!r}; there are normal, em")
+        if self._runs:
+            raise WrongState("the amplifier can be changed only while the camera is stopped")
+        self._amplifier = "normal" if amplifier == "normal" else "em"
+        allowed = self.capabilities
+        self._exposure_s = _clamped(self._exposure_s, allowed.exposure_range_s)
+        self._em_gain = _clamped(self._em_gain, allowed.em_gain_range)
+
+    @property
+    def em_gain(self) -> float:
+        """The electron multiplication in force."""
+        self._connection.check()
+        return self._em_gain
+
+    def set_em_gain(self, em_gain: float) -> float:
+        """Change the electron multiplication; while running, from the frame that is being exposed."""
+        self._em_gain = self.capabilities.em_gain_range.check(em_gain, "em_gain")
+        if self._runs:
+            run, now_s = self._runs[-1], self._bench.clock.now()
+            frames = run.complete(now_s) - run.first_index
+            self._continue(replace(run, start_s=run.start_s + frames * run.exposure_s, em_gain=em_gain), now_s)
+        return em_gain
+
+    @property
+    def is_running(self) -> bool:
+        """Whether frames are being taken."""
+        self._connection.check()
+        return bool(self._runs)
+
+    def start(self) -> None:
+        """Begin to take frames, counted from 0."""
+        self._connection.check()
+        if self._runs:
+            raise WrongState("the camera is running already")
+        self._next_index = 0
+        self._starts += 1
+        self._is_stalled = False
+        self._states.clear()
+        now_s = self._bench.clock.now()
+        self._runs = [_Run(first_index=0, start_s=now_s, exposure_s=self._exposure_s, em_gain=self._em_gain)]
+
+    def stop(self) -> None:
+        """Stop taking frames; those not yet read are gone. Stopping twice is allowed."""
+        self._connection.check()
+        self._runs = []
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the oldest frame not yet read, waiting at most `timeout_s`, else raise `DeviceTimeout`."""
+        self._connection.check()
+        if not timeout_s >= 0:
+            raise BadValue(f"timeout_s = {timeout_s:g} must be 0 or positive")
+        clock = self._bench.clock
+        deadline_s = clock.now() + timeout_s
+        while True:
+            if not self._runs:
+                raise WrongState("the camera must be started before a frame can be read")
+            now_s = clock.now()
+            complete = self._runs[-1].complete(now_s)
+            if complete > self._next_index and not self._is_stalled:
+                index = max(self._next_index, complete - _RING_FRAMES)
+                self._next_index = index + 1
+                return self._frame(index)
+            if now_s >= deadline_s:
+                raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
+            clock.sleep(max(1e-5, min(self._end_s(self._next_index) - now_s, deadline_s - now_s, _SLICE_S)))
+
+    def state_of_frame(self, index: int) -> int | None:
+        """State of the sample that a frame shows, None without the sample; of the last 1000 frames since the start."""
+        return self._states[index]
+
+    def inject(self, fault: Fault) -> None:
+        """Let a fault happen now."""
+        match fault:
+            case Unplug():
+                self._connection.unplug()
+            case Stall():
+                self._is_stalled = True
+            case LoseFrames(count):
+                self._next_index += count
+
+    def close(self) -> None:
+        """Stop and let go; closing twice is allowed."""
+        self._runs = []
+        self._connection.is_closed = True
+        self._detector.close()
+
+    def _continue(self, run: _Run, now_s: float) -> None:
+        """Go on with other settings, from the first frame that is not complete."""
+        complete = self._runs[-1].complete(now_s)
+        self._runs = [past for past in self._runs if past.first_index < complete]
+        self._runs.append(replace(run, first_index=complete))
+
+    def _run_of(self, index: int) -> _Run:
+        return max((run for run in self._runs if run.first_index <= index), key=lambda run: run.first_index)
+
+    def _end_s(self, index: int) -> float:
+        run = self._run_of(index)
+        return run.start_s + (index + 1 - run.first_index) * run.exposure_s
+
+    def _frame(self, index: int) -> Frame:
+        run, end_s = self._run_of(index), self._end_s(index)
+        self._runs = [past for past in self._runs if past.first_index >= run.first_index]
+        exposed = self._bench.expose(end_s - run.exposure_s, end_s)
+        self._states[index] = exposed.state
+        while len(self._states) > _STATES_REMEMBERED:
+            self._states.popitem(last=False)
+        exposure = Exposure(
+            index=(self._starts << 40) + index,  # no two starts share their noise
+            exposure_s=run.exposure_s,
+            amplifier=self._amplifier,
+            em_gain=run.em_gain,
+        )
+        pixels = self._detector.counts(exposed.photons, exposure)
+        pixels.setflags(write=False)
+        return Frame(pixels, index, end_s, self._bench.clock.now(), run.exposure_s, run.em_gain)
+
+
+def _rounded(exposure_s: float) -> float:
+    return round(exposure_s * _EXPOSURE_STEPS_PER_S) / _EXPOSURE_STEPS_PER_S
+
+
+def _clamped(value: float, allowed: Range) -> float:
+    return min(max(value, allowed.minimum), allowed.maximum)

@@ -1,0 +1,166 @@
+"""Images of the bench: of the reference and of every state of the sample, kept in a cache on disk.
+
+An image is named by everything it depends on, so that it can be kept for ever. It appears under its name only when it
+is complete; a file that is not a complete image is treated as if it were not there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.geometry import Field, Floats, Lattice, Sensor
+from simulated_devices import source
+from simulated_devices.forward_model import ForwardModel
+from simulated_devices.ray_map import truth_wavefront
+from simulated_devices.sample import Sample, make_sample, shift_m
+from simulated_devices.settings import Simulation
+
+_FORMAT = 1
+_FOLDERS_KEPT = 12
+
+MASKS = ("square", "stars")
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Everything that an image depends on, but the light."""
+
+    sensor: Sensor
+    lattice: Lattice
+    field: Field
+    simulation: Simulation
+    rows: int
+    columns: int
+    pixel_fill_factor: float
+
+    @property
+    def states(self) -> int:
+        """How many positions of the screen there are."""
+        return self.simulation.drifting_states if self.simulation.screen.is_drifting else 1
+
+    def fingerprint(self) -> str:
+        """SHA-256 of all parameters, of the screen's file if there is one, and of the format."""
+        text = json.dumps({"format": _FORMAT, **dataclasses.asdict(self)}, sort_keys=True)
+        digest = hashlib.sha256(text.encode())
+        if self.simulation.screen.file:
+            digest.update(Path(self.simulation.screen.file).read_bytes())
+        return digest.hexdigest()
+
+
+class Renderer:
+    """Renders one scene; the optics and the screen are prepared when first needed."""
+
+    def __init__(self, scene: Scene, *, threads: int = 2) -> None:
+        self.scene = scene
+        self._threads = threads
+
+    @cached_property
+    def sample(self) -> Sample:
+        """The phase screen in this scene."""
+        return make_sample(self.scene.simulation, self.scene.sensor, self.scene.field)
+
+    @cached_property
+    def _model(self) -> ForwardModel:
+        scene = self.scene
+        return ForwardModel(
+            scene.sensor,
+            scene.lattice,
+            scene.field,
+            rows=scene.rows,
+            columns=scene.columns,
+            pupil_samples=scene.simulation.pupil_samples,
+            border_lenslets=scene.simulation.border_lenslets,
+            pixel_fill_factor=scene.pixel_fill_factor,
+            threads=self._threads,
+        )
+
+    def _points(self, mask: str) -> source.SourcePoints:
+        simulation = self.scene.simulation
+        if mask == "stars":
+            return source.stars(simulation.source)
+        return source.square(simulation.source, object_samples=simulation.object_samples)
+
+    def reference(self, mask: str, progress: Progress | None = None) -> NDArray[np.float32]:
+        """Irradiance (row, column), m^2, without the sample."""
+        return self._model.irradiance(self._points(mask), progress=progress)
+
+    def state(self, mask: str, state: int, progress: Progress | None = None) -> NDArray[np.float32]:
+        """Irradiance (row, column), m^2, with the sample in state number `state`."""
+        shift = shift_m(self.scene.simulation, state)
+        phase = self._model.screen_phase(self.sample.screen, self.sample.ray_map, shift)
+        return self._model.irradiance(self._points(mask), phase, progress=progress)
+
+    def check_rays(self) -> None:
+        """Raise `ValueError` if a ray of any state would leave the screen."""
+        for state in (0, self.scene.states - 1):  # the drift is straight: the ends reach farthest
+            shift = shift_m(self.scene.simulation, state)
+            self._model.screen_phase(self.sample.screen, self.sample.ray_map, shift)
+
+    def truth_wavefront(self, state: int) -> Floats:
+        """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad."""
+        scene, shift = self.scene, shift_m(self.scene.simulation, state)
+        return truth_wavefront(self.sample.screen, self.sample.ray_map, scene.sensor, scene.field, shift)
+
+
+class ImageCache:
+    """The images of one scene on disk: `folder / fingerprint / mask-state.npy`."""
+
+    def __init__(self, cache_folder: Path, scene: Scene) -> None:
+        self._shape = scene.rows, scene.columns
+        self._folder = cache_folder / scene.fingerprint()
+        self._folder.mkdir(parents=True, exist_ok=True)
+        os.utime(self._folder)  # used now: the last to be cleared away
+        _keep_newest(cache_folder)
+
+    def path(self, mask: str, state: int | str) -> Path:
+        """Where an image is, or will be; `state` may be "reference"."""
+        return self._folder / f"{mask}-{state}.npy"
+
+    def load(self, mask: str, state: int | str) -> NDArray[np.float32] | None:
+        """Return the image, or None if there is no complete one."""
+        try:
+            image = np.load(self.path(mask, state), allow_pickle=False)
+        except (OSError, ValueError, EOFError):  # absent, truncated, or not an array: all cured by rendering
+            return None
+        if not isinstance(image, np.ndarray) or image.dtype != np.float32 or image.shape != self._shape:
+            return None
+        return image
+
+    def save(self, mask: str, state: int | str, image: NDArray[np.float32]) -> None:
+        """Write the image, complete or not at all."""
+        path = self.path(mask, state)
+        part = path.with_name(f"{path.stem}-{uuid.uuid4().hex}.part")
+        try:
+            with part.open("wb") as file:
+                np.save(file, image)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def _keep_newest(cache_folder: Path) -> None:
+    """Clear away all but the scenes used last: a full disk is no use to anybody."""
+    folders = sorted((path for path in cache_folder.iterdir() if len(path.name) == 64), key=_age)
+    for folder in folders[_FOLDERS_KEPT:]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _age(folder: Path) -> float:
+    try:
+        return -folder.stat().st_mtime
+    except OSError:  # another process cleared it away
+        return 0.0

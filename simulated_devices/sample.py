@@ -1,0 +1,77 @@
+"""The sample that the settings describe: its phase screen, where rays meet it, and how it drifts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from reconstruction.geometry import Field, Floats, Sensor
+from simulated_devices.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
+from simulated_devices.ray_map import RayMap, truth_wavefront
+from simulated_devices.settings import Screen, Simulation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sample:
+    """A phase screen in the beam."""
+
+    screen: PhaseScreen
+    ray_map: RayMap
+
+
+def ray_map(screen: Screen, field: Field) -> RayMap:
+    """Return the ray map of where the settings place the screen."""
+    place = RayMap.near_pupil if screen.placement == "pupil" else RayMap.near_source
+    return place(distance_m=screen.distance_m, collimator_focal_length_m=field.collimator_focal_length_m)
+
+
+def shift_m(simulation: Simulation, state: int) -> tuple[float, float]:
+    """How far (x, y) the screen has drifted in state number `state`."""
+    time_s = state * simulation.state_duration_s
+    return simulation.screen.drift_x_m_per_s * time_s, simulation.screen.drift_y_m_per_s * time_s
+
+
+def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
+    """Make the screen from its file or from the seed, large enough for every ray of every state.
+
+    A screen from the seed without `pv_rad` is scaled so that the mean over the views of the piston-removed RMS at
+    the lenslet centres, before any drift, is `rms_rad`; with `pv_rad`, the screen itself has that PV and that RMS.
+    A screen from a file is used as it is; if it is too small, the forward model says so.
+    """
+    rays = ray_map(simulation.screen, field)
+    if simulation.screen.file:
+        samples_rad = read_screen(Path(simulation.screen.file))
+        return Sample(screen=PhaseScreen(samples_rad, simulation.screen.sample_spacing_m), ray_map=rays)
+    samples_rad = smooth_screen(
+        np.random.default_rng(simulation.seed),
+        samples=_samples(simulation, sensor, field, rays),
+        sample_spacing_m=simulation.screen.sample_spacing_m,
+        correlation_length_m=simulation.screen.correlation_length_m,
+    )
+    if simulation.screen.pv_rad is not None:
+        samples_rad = shape_to_pv_and_rms(
+            samples_rad, pv_rad=simulation.screen.pv_rad, rms_rad=simulation.screen.rms_rad
+        )
+        return Sample(screen=PhaseScreen(samples_rad, simulation.screen.sample_spacing_m), ray_map=rays)
+    screen = PhaseScreen(samples_rad, simulation.screen.sample_spacing_m)
+    views = truth_wavefront(screen, rays, sensor, field)
+    return Sample(screen=screen.scaled(simulation.screen.rms_rad / mean_view_rms(views)), ray_map=rays)
+
+
+def mean_view_rms(wavefront: Floats) -> float:
+    """Mean over views of the RMS over lenslet centres (rad) of piston-free wavefronts."""
+    return float(np.sqrt((wavefront**2).mean(axis=(2, 3))).mean())
+
+
+def _samples(simulation: Simulation, sensor: Sensor, field: Field, rays: RayMap) -> int:
+    """Samples a side: as asked, or as many as the rays and the drift need; odd and even stay as they were asked."""
+    border_m = simulation.border_lenslets * sensor.lenslet_pitch_m
+    pupil_m = tuple(half + border_m for half in sensor.pupil_half_width_m)
+    footprint_m = rays.footprint_half_width_m((pupil_m[0], pupil_m[1]), field.half_width_m)
+    drift_m = np.abs(shift_m(simulation, simulation.drifting_states))
+    reach = float((footprint_m + drift_m).max()) / simulation.screen.sample_spacing_m
+    missing = max(0, math.ceil(reach - (simulation.screen.samples - 1) / 2))
+    return simulation.screen.samples + 2 * missing
