@@ -82,11 +82,11 @@ class Acquisition:
         """Open the devices and begin to execute commands."""
         self._thread.start()
 
-    def close(self) -> None:
-        """Stop at once, turn the light off, close the devices and wait for the worker to end."""
+    def close(self, timeout_s: float | None = None) -> None:
+        """Stop at once, turn the light off, close the devices and wait, at most `timeout_s`, for the worker to end."""
         self._stopping.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(timeout_s)
 
     @property
     def is_alive(self) -> bool:

@@ -1,0 +1,193 @@
+"""What can be set: camera, light and stage, dark and reference, registration and reconstruction.
+
+The panel shows the instrument's status and emits what its user wants, as plain values in SI units.
+"""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QPushButton, QSizePolicy, QWidget
+
+from app.gui import theme
+from app.gui.number_field import NumberField
+from app.gui.widgets import button, label, toggle
+from app.instrument import Status
+from drivers.interface import Range
+from reconstruction.registration import FIELD_MODES
+
+_MOST_FRAMES = 1000
+_MOST_PUPIL_MODES = 400
+
+
+class ControlsPanel(QFrame):
+    """Emits intents; it changes what it shows only when the instrument's status has changed."""
+
+    running_requested = pyqtSignal(bool)
+    exposure_requested = pyqtSignal(float)  # s
+    amplifier_requested = pyqtSignal(str)
+    em_gain_requested = pyqtSignal(float)
+    light_requested = pyqtSignal(bool)
+    current_requested = pyqtSignal(float)  # A
+    sample_requested = pyqtSignal(bool)
+    mask_requested = pyqtSignal(str)
+    dark_requested = pyqtSignal(int)  # frames
+    reference_requested = pyqtSignal(int)  # frames
+    cancel_requested = pyqtSignal()
+    warp_requested = pyqtSignal(str)
+    method_requested = pyqtSignal(str)
+    pupil_modes_requested = pyqtSignal(int)
+
+    def __init__(self, frames: int, parent: QWidget | None = None) -> None:
+        """Offer averages over `frames` frames to begin with."""
+        super().__init__(parent)
+        self.setProperty("role", "strip")
+        self._layout = QHBoxLayout(self)
+        self._layout.setContentsMargins(10, 6, 10, 8)
+        self._layout.setSpacing(10)
+        self._make_camera()
+        self._make_bench()
+        self._make_calibration(frames)
+        self._make_reconstruction()
+        self.setEnabled(False)
+
+    def _make_camera(self) -> None:
+        self._is_running = False
+        self.start = button("Start", "Start or stop taking frames (Space)")
+        self.start.clicked.connect(lambda: self.running_requested.emit(not self._is_running))
+        self.exposure = NumberField(
+            unit=1e-3, suffix=" ms", decimals=3, tool_tip="Exposure time; shown is what the camera took"
+        )
+        self.exposure.entered.connect(self.exposure_requested)
+        self.amplifier = _choice("The camera's output amplifier; it is stopped and started again for the change")
+        self.amplifier.textActivated.connect(self.amplifier_requested)
+        self.em_gain = NumberField(decimals=1, tool_tip="Electron multiplication: more signal over the read noise")
+        self.em_gain.setPrefix("\N{MULTIPLICATION SIGN} ")
+        self.em_gain.entered.connect(self.em_gain_requested)
+        grid = self._section("Camera")
+        grid.addWidget(self.start, 1, 0, 1, 2)
+        grid.addWidget(label("Exposure", "dim"), 2, 0)
+        grid.addWidget(self.exposure, 2, 1)
+        grid.addWidget(label("Gain", "dim"), 3, 0)
+        grid.addLayout(_side_by_side(self.em_gain, self.amplifier), 3, 1)
+
+    def _make_bench(self) -> None:
+        self.light = toggle("Light off", "Switch the light (L)")
+        self.light.clicked.connect(self.light_requested)
+        self.sample = toggle("Sample out", "Move the sample into or out of the beam (S)")
+        self.sample.clicked.connect(self.sample_requested)
+        self.current = NumberField(unit=1e-3, suffix=" mA", decimals=1, tool_tip="The light's current, when it is on")
+        self.current.entered.connect(self.current_requested)
+        self.mask_choice = _choice("The mask in front of the light; another mask needs another reference")
+        self.mask_choice.textActivated.connect(self.mask_requested)
+        grid = self._section("Light and stage")
+        grid.addLayout(_side_by_side(self.light, self.sample), 1, 0, 1, 2)
+        grid.addWidget(label("Current", "dim"), 2, 0)
+        grid.addWidget(self.current, 2, 1)
+        grid.addWidget(label("Mask", "dim"), 3, 0)
+        grid.addWidget(self.mask_choice, 3, 1)
+
+    def _make_calibration(self, frames: int) -> None:
+        self.frames = NumberField(tool_tip="How many frames are averaged into a dark or a reference")
+        self.frames.show_value(frames, Range(1, _MOST_FRAMES))
+        self.dark = button("Dark", "Average frames with the light off, to be subtracted from all others (D)")
+        self.dark.clicked.connect(lambda: self.dark_requested.emit(round(self.frames.value())))
+        self.reference = button("Reference", "Average frames without the sample: displacements count from here (R)")
+        self.reference.clicked.connect(lambda: self.reference_requested.emit(round(self.frames.value())))
+        self.cancel = button("Cancel", "End the dark or reference under way; the bench is left as it was (Esc)")
+        self.cancel.clicked.connect(self.cancel_requested)
+        grid = self._section("Calibration")
+        grid.addLayout(_side_by_side(self.dark, self.reference), 1, 0, 1, 2)
+        grid.addWidget(label("Frames", "dim"), 2, 0)
+        grid.addWidget(self.frames, 2, 1)
+        grid.addWidget(self.cancel, 3, 0, 1, 2)
+
+    def _make_reconstruction(self) -> None:
+        self.warp = _choice(
+            "How a subimage may differ from its reference: moved (translation), also stretched and turned (affine), "
+            "or bent (quadratic, cubic). The more, the finer the wavefront's change over the field"
+        )
+        self.warp.textActivated.connect(self.warp_requested)
+        self.method = _choice("From slopes to wavefronts: lenslet by lenslet (zonal), or by polynomials (modal)")
+        self.method.textActivated.connect(self.method_requested)
+        self.pupil_modes = NumberField(tool_tip="How many polynomials over the pupil the modal method fits")
+        self.pupil_modes.entered.connect(lambda value: self.pupil_modes_requested.emit(round(value)))
+        grid = self._section("Reconstruction", is_last=True)
+        for row, (name, widget) in enumerate(
+            (("Warp", self.warp), ("Method", self.method), ("Pupil modes", self.pupil_modes)), start=1
+        ):
+            grid.addWidget(label(name, "dim"), row, 0)
+            grid.addWidget(widget, row, 1)
+
+    def _section(self, title: str, *, is_last: bool = False) -> QGridLayout:
+        """Begin another column of controls under a title, and rule it off from the next."""
+        grid = QGridLayout()
+        grid.setVerticalSpacing(5)
+        grid.setHorizontalSpacing(8)
+        grid.setColumnStretch(1, 1)
+        grid.addWidget(label(title, "title"), 0, 0, 1, 2)
+        self._layout.addLayout(grid, 1)
+        if not is_last:
+            rule = QFrame()
+            rule.setFixedWidth(1)
+            rule.setStyleSheet(f"background: {theme.LINE.name()};")
+            self._layout.addWidget(rule)
+        return grid
+
+    def show_status(self, status: Status, *, is_settled: bool) -> None:
+        """Show how the instrument stands; a field that is being edited is left alone until all `is_settled`."""
+        allowed = status.capabilities
+        self.start.setText("Stop" if status.is_running else "Start")
+        self.start.setIcon(theme.start_or_stop(is_running=status.is_running))
+        self._is_running = status.is_running
+        for field, value, interval in (
+            (self.exposure, status.exposure_s, allowed.exposure_range_s),
+            (self.em_gain, status.em_gain, allowed.em_gain_range),
+            (self.current, status.current_a, status.current_range_a),
+            (self.pupil_modes, status.bench.reconstruction.pupil_modes, Range(3, _MOST_PUPIL_MODES)),
+        ):
+            if is_settled or not field.hasFocus():
+                field.show_value(value, interval)
+        self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
+        _show_choice(self.amplifier, allowed.amplifiers, status.amplifier)
+        _show_choice(self.mask_choice, status.masks, status.mask)
+        _show_choice(self.warp, tuple(FIELD_MODES), status.bench.registration.warp)
+        _show_choice(self.method, ("zonal", "modal"), status.bench.reconstruction.method)
+        self.pupil_modes.setEnabled(status.bench.reconstruction.method == "modal")
+        _show_state(self.light, "Light on" if status.is_light_on else "Light off", is_on=status.is_light_on)
+        _show_state(self.sample, "Sample in" if status.is_sample_in else "Sample out", is_on=status.is_sample_in)
+        for taken, has_it in ((self.dark, status.has_dark), (self.reference, status.has_reference)):
+            taken.setIcon(theme.lamp(theme.GREEN if has_it else theme.LINE))
+
+    def show_busy(self, *, is_busy: bool) -> None:
+        """Offer to cancel what is under way, if anything is."""
+        self.cancel.setEnabled(is_busy)
+
+
+def _side_by_side(*widgets: QWidget) -> QHBoxLayout:
+    row = QHBoxLayout()
+    row.setSpacing(6)
+    for widget in widgets:
+        row.addWidget(widget, 1)
+    return row
+
+
+def _choice(tool_tip: str) -> QComboBox:
+    choice = QComboBox()
+    choice.setToolTip(tool_tip)
+    choice.setMinimumWidth(64)
+    choice.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    return choice
+
+
+def _show_choice(choice: QComboBox, allowed: tuple[str, ...], chosen: str) -> None:
+    if tuple(choice.itemText(index) for index in range(choice.count())) != allowed:
+        choice.clear()
+        choice.addItems(allowed)
+    choice.setCurrentText(chosen)  # no user's choice, so `textActivated` is silent
+    choice.setEnabled(len(allowed) > 1)
+
+
+def _show_state(shown: QPushButton, text: str, *, is_on: bool) -> None:
+    shown.setText(text)
+    shown.setChecked(is_on)
+    shown.setIcon(theme.lamp(theme.AMBER if is_on else theme.LINE))

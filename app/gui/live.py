@@ -1,0 +1,97 @@
+"""`svwfs live`: the application around the window."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt6.QtCore import QTimer
+from PyQt6.QtWidgets import QApplication
+
+from app.acquisition import Acquisition, Measurement
+from app.errors import RunError
+from app.gui.main_window import MainWindow
+from app.gui.theme import apply_theme
+
+_GIVE_UP_S = 120.0  # how long an unattended run waits for its first wavefront
+
+
+def run_live(
+    make_acquisition: Callable[[], Acquisition],
+    *,
+    offscreen_s: float | None = None,
+    screenshot: Path | None = None,
+    on_finish: Callable[[Measurement], None] | None = None,
+) -> int:
+    """Show the window until it is closed, and return the exit status.
+
+    With `offscreen_s` it closes by itself, so long after its first wavefront: a picture of it is saved to
+    `screenshot`, and the last measurement that has a wavefront is given to `on_finish`. `RunError` is raised when
+    no wavefront comes or the devices fail.
+    """
+    application = QApplication.instance()
+    if not isinstance(application, QApplication):
+        application = QApplication(sys.argv[:1])
+    application.setApplicationName("svwfs")
+    apply_theme(application)
+    window = MainWindow(make_acquisition)
+    run = None if offscreen_s is None else _UnattendedRun(window, offscreen_s, screenshot, on_finish)
+    before = signal.signal(signal.SIGINT, lambda *_: window.close())  # the window's timer lets Python notice
+    try:
+        window.show()
+        window.connect_devices()
+        status = application.exec()
+    finally:
+        signal.signal(signal.SIGINT, before)
+        window.close()
+    if window.is_stuck:
+        raise RunError("a device does not answer: the light may still be on, switch it off by hand")
+    if run is not None and run.problem:
+        raise RunError(run.problem)
+    return status
+
+
+class _UnattendedRun:
+    """Watches a window that nobody watches, and closes it."""
+
+    def __init__(
+        self,
+        window: MainWindow,
+        duration_s: float,
+        screenshot: Path | None,
+        on_finish: Callable[[Measurement], None] | None,
+    ) -> None:
+        self._window, self._duration_s = window, duration_s
+        self._screenshot, self._on_finish = screenshot, on_finish
+        self._deadline_s = time.monotonic() + _GIVE_UP_S
+        self._last: Measurement | None = None
+        self.problem = ""
+        window.measurement_shown.connect(self._note)
+        self._timer = QTimer(window)
+        self._timer.setInterval(100)
+        self._timer.timeout.connect(self._look)
+        self._timer.start()
+
+    def _note(self, measurement: Measurement) -> None:
+        if measurement.wavefront is not None:
+            if self._last is None:
+                self._deadline_s = time.monotonic() + self._duration_s
+            self._last = measurement
+
+    def _look(self) -> None:
+        self.problem = self._window.failure
+        if not self.problem and time.monotonic() < self._deadline_s:
+            return
+        self._timer.stop()
+        if self._last is None:
+            self.problem = self.problem or f"no wavefront within {_GIVE_UP_S:g} s: {self._window.messages.text.text()}"
+        else:
+            self._window.update_text()
+            if self._screenshot is not None:
+                self._window.save_screenshot(self._screenshot)
+            if self._on_finish is not None:
+                self._on_finish(self._last)
+        self._window.close()

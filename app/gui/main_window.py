@@ -1,0 +1,276 @@
+"""The window: panels that show and ask, and the controller between them and the acquisition.
+
+One timer looks at the acquisition 25 times a second: the newest measurement, the status, the activity, the failure.
+Whatever the user wants becomes a command that the acquisition's worker executes between two frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from PyQt6.QtCore import QStandardPaths, Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import QCloseEvent
+from PyQt6.QtWidgets import QMainWindow, QSplitter, QVBoxLayout, QWidget
+
+from app.acquisition import Acquisition, Measurement
+from app.config import Bench
+from app.gui.camera_panel import CameraPanel
+from app.gui.controls_panel import ControlsPanel
+from app.gui.menu import fill_menus
+from app.gui.message_strip import MessageStrip
+from app.gui.status_line import StatusLine
+from app.gui.wavefront_panel import WavefrontPanel
+from app.instrument import Instrument, Status
+from app.routines import Cancelled
+from app.start_up import FRAMES, start_up
+
+_LOOK_INTERVAL_MS = 40
+_LOOKS_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
+_CLOSING_S = 5.0  # a device that takes longer than this to stop is not going to
+
+
+class MainWindow(QMainWindow):
+    """The window of `svwfs live`."""
+
+    measurement_shown = pyqtSignal(object)  # the Measurement, a reference to it only
+
+    def __init__(
+        self,
+        make_acquisition: Callable[[], Acquisition],
+        *,
+        begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
+    ) -> None:
+        """Show nothing yet; `connect_devices` makes an acquisition, starts it and has it `begin`."""
+        super().__init__()
+        self._make_acquisition, self._begin = make_acquisition, begin
+        self._acquisition: Acquisition | None = None
+        self._pending: list[Future[Any]] = []
+        self._measurement: Measurement | None = None
+        self._status: Status | None = None
+        self._looks = 0
+        self.is_stuck = False  # whether a device kept the worker from ending when the window was closed
+
+        self.camera_panel = CameraPanel()
+        self.wavefront_panel = WavefrontPanel()
+        self.controls = ControlsPanel(FRAMES)
+        self.messages = MessageStrip()
+        self.status_line = StatusLine()
+        self._lay_out()
+        self._connect_intents()
+        self._fill_menus()
+        self._timer = QTimer(self)
+        self._timer.setInterval(_LOOK_INTERVAL_MS)
+        self._timer.timeout.connect(self.look)
+
+    @property
+    def failure(self) -> str:
+        """Why the acquisition has ended, when nobody asked it to."""
+        return "" if self._acquisition is None else self._acquisition.failure
+
+    def connect_devices(self) -> None:
+        """Open the devices, again if they were open before, and begin to measure."""
+        if self._acquisition is not None:
+            self._acquisition.close()
+        self._measurement, self._status = None, None
+        self.status_line.restart()
+        self._acquisition = self._make_acquisition()
+        self._acquisition.start()
+        self._pending = list(self._begin(self._acquisition))
+        self._timer.start()
+
+    def look(self) -> None:
+        """Show what is new."""
+        acquisition = self._acquisition
+        if acquisition is None:
+            return
+        self._look_at_answers()
+        if acquisition.status is not None and acquisition.status is not self._status:
+            self.show_status(acquisition.status)
+        self.controls.setEnabled(self._status is not None and not acquisition.failure)
+        self.controls.show_busy(is_busy=bool(acquisition.activity.text))
+        self.messages.show_activity(acquisition.activity)
+        measurement = acquisition.newest
+        if measurement is not None and measurement is not self._measurement and not self.isMinimized():
+            self.show_measurement(measurement)
+        self._looks += 1
+        if self._looks % _LOOKS_PER_TEXT == 0 or acquisition.failure:
+            self.update_text()
+
+    def show_measurement(self, measurement: Measurement) -> None:
+        """Show a frame and its wavefront; nothing else is needed for it, so a recorded one will do."""
+        is_first = self._measurement is None
+        self._measurement = measurement
+        wavefront = measurement.wavefront
+        self.camera_panel.show_frame(measurement.frame, None if wavefront is None else wavefront.displacement)
+        self.wavefront_panel.show_wavefront(wavefront)
+        self.status_line.count(measurement)
+        if is_first:
+            self.update_text()
+        self.measurement_shown.emit(measurement)
+
+    def show_status(self, status: Status) -> None:
+        """Show how the instrument stands."""
+        self._status = status
+        self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
+        self.controls.show_status(status, is_settled=not self._pending)
+        self.camera_panel.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
+
+    def update_text(self) -> None:
+        """Write the numbers and the message."""
+        self.camera_panel.update_text()
+        self.wavefront_panel.update_text()
+        self.status_line.update_text(self._status)
+        is_live = self._status is not None and self._status.is_running and self._measurement is not None
+        self.messages.show_state(
+            failure=self.failure,
+            problem=self._measurement.problem if is_live and self._measurement is not None else "",
+            warning="" if self._status is None else self._status.warning,
+            advice="" if is_live or self._status is None else "the camera is stopped: Space starts it",
+        )
+
+    def save_screenshot(self, path: Path | None = None) -> None:
+        """Save a picture of the window, in the user's picture folder unless told otherwise."""
+        if path is None:
+            folder = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation)
+            path = Path(folder or ".") / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
+        if self.grab().save(str(path)):
+            self.messages.tell(f"saved {path}")
+        else:
+            self.messages.warn(f"could not save {path}")
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Turn the light off and let go of the devices."""
+        self._timer.stop()
+        self.hide()
+        if self._acquisition is not None:
+            self._acquisition.close(timeout_s=_CLOSING_S)
+            self.is_stuck = self._acquisition.is_alive
+        super().closeEvent(event)
+
+    def _lay_out(self) -> None:
+        self.setWindowTitle("svwfs")
+        self.resize(1440, 900)
+        images = QSplitter(Qt.Orientation.Horizontal)
+        images.addWidget(self.camera_panel)
+        images.addWidget(self.wavefront_panel)
+        images.setSizes([1000, 1000])
+        images.setHandleWidth(16)
+        images.setContentsMargins(10, 8, 10, 6)
+        body = QWidget()
+        layout = QVBoxLayout(body)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        layout.addWidget(images, 1)
+        layout.addWidget(self.messages)
+        layout.addWidget(self.controls)
+        layout.addWidget(self.status_line)
+        self.setCentralWidget(body)
+
+    def _fill_menus(self) -> None:
+        controls, camera = self.controls, self.camera_panel
+        fill_menus(
+            self,
+            {
+                "&File": (("Save a screenshot", "Ctrl+P", self.save_screenshot), ("Quit", "Ctrl+Q", self.close)),
+                "&Bench": (
+                    ("Start or stop the camera", "Space", controls.start.click),
+                    ("Switch the light", "L", controls.light.click),
+                    ("Move the sample in or out", "S", controls.sample.click),
+                    ("Take a dark", "D", controls.dark.click),
+                    ("Take a reference", "R", controls.reference.click),
+                    ("Cancel what is under way", "Esc", controls.cancel.click),
+                    ("Set the exposure", "E", controls.exposure.edit),
+                    ("Set the current", "C", controls.current.edit),
+                    ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect.click),
+                ),
+                "&View": (
+                    ("Lattice", "G", camera.lattice_toggle.toggle),
+                    ("Arrows", "A", camera.arrows_toggle.toggle),
+                    ("Hold the colour scale", "H", self.wavefront_panel.hold_scale.toggle),
+                ),
+            },
+        )
+
+    def _connect_intents(self) -> None:
+        controls = self.controls
+        for intent, command in (
+            (controls.running_requested, _set_running),
+            (controls.exposure_requested, lambda instrument, value: instrument.devices.camera.set_exposure(value)),
+            (controls.amplifier_requested, _set_amplifier),
+            (controls.em_gain_requested, lambda instrument, value: instrument.devices.camera.set_em_gain(value)),
+            (controls.light_requested, lambda instrument, value: instrument.devices.light.set_on(value)),
+            (controls.current_requested, lambda instrument, value: instrument.devices.light.set_current(value)),
+            (controls.sample_requested, lambda instrument, value: instrument.devices.stage.set_sample_in(value)),
+            (controls.mask_requested, lambda instrument, value: instrument.devices.stage.set_mask(value)),
+            (controls.warp_requested, _set_warp),
+            (controls.method_requested, partial(_set_reconstruction, "method")),
+            (controls.pupil_modes_requested, partial(_set_reconstruction, "pupil_modes")),
+        ):
+            intent.connect(partial(self._command, command))
+        controls.dark_requested.connect(lambda frames: self._routine(Acquisition.take_dark, frames))
+        controls.reference_requested.connect(lambda frames: self._routine(Acquisition.take_reference, frames))
+        controls.cancel_requested.connect(self._cancel)
+        self.messages.reconnect_requested.connect(self.connect_devices)
+
+    def _command(self, command: Callable[[Instrument, Any], object], value: object) -> None:
+        if self._acquisition is not None:
+            self._pending.append(self._acquisition.submit(lambda instrument: command(instrument, value)))
+
+    def _routine(self, routine: Callable[[Acquisition, int], Future[None]], frames: int) -> None:
+        if self._acquisition is not None:
+            self._pending.append(routine(self._acquisition, frames))
+
+    def _cancel(self) -> None:
+        if self._acquisition is not None:
+            self._acquisition.cancel()
+
+    def _look_at_answers(self) -> None:
+        """Say which of the commands were refused, and why."""
+        done = [future for future in self._pending if future.done()]
+        self._pending = [future for future in self._pending if not future.done()]
+        if done:
+            self._status = None  # shown again, so that a refused value gives way to the one in force
+        for future in done:
+            try:
+                future.result()
+            except (Cancelled, CancelledError):
+                self.messages.warn("cancelled")
+            except Exception as error:  # noqa: BLE001 - whatever it is, it is told
+                self.messages.warn(str(error))
+
+
+def _set_running(instrument: Instrument, running: bool) -> None:
+    camera = instrument.devices.camera
+    if running and not camera.is_running:
+        camera.start()
+    elif not running:
+        camera.stop()
+
+
+def _set_amplifier(instrument: Instrument, amplifier: str) -> None:
+    camera = instrument.devices.camera
+    was_running = camera.is_running
+    camera.stop()
+    camera.set_amplifier(amplifier)
+    if was_running:
+        camera.start()
+
+
+def _set_warp(instrument: Instrument, warp: Any) -> None:
+    def change(bench: Bench) -> Bench:
+        return replace(bench, registration=replace(bench.registration, warp=warp))
+
+    instrument.change_settings(change)
+
+
+def _set_reconstruction(key: str, instrument: Instrument, value: Any) -> None:
+    def change(bench: Bench) -> Bench:
+        return replace(bench, reconstruction=replace(bench.reconstruction, **{key: value}))
+
+    instrument.change_settings(change)

@@ -1,0 +1,58 @@
+"""A field for one number, which leaves letters and the space bar to the window's shortcuts."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QEvent, Qt, pyqtSignal
+from PyQt6.QtGui import QKeyEvent
+from PyQt6.QtWidgets import QAbstractSpinBox, QDoubleSpinBox, QWidget
+
+from drivers.interface import Range
+
+
+class NumberField(QDoubleSpinBox):
+    """Shows a value in the unit people use and emits it in SI, when it is entered by its user and only then."""
+
+    entered = pyqtSignal(float)
+
+    def __init__(
+        self, *, tool_tip: str, unit: float = 1.0, suffix: str = "", decimals: int = 0, parent: QWidget | None = None
+    ) -> None:
+        """Show values in `unit`, for example 1e-3 with the suffix " ms"."""
+        super().__init__(parent)
+        self._unit, self._allowed = unit, Range(0, 0)
+        self.setSuffix(suffix)
+        self.setDecimals(decimals)
+        self.setToolTip(tool_tip)
+        self.setKeyboardTracking(False)
+        self.setCorrectionMode(QAbstractSpinBox.CorrectionMode.CorrectToNearestValue)
+        if decimals:
+            self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
+        self.valueChanged.connect(self._enter)
+
+    def show_value(self, value: float, allowed: Range) -> None:
+        """Show a value and let it be changed within a range, both in SI; nothing is emitted."""
+        self._allowed = allowed
+        self.blockSignals(True)
+        self.setRange(allowed.minimum / self._unit, allowed.maximum / self._unit)
+        self.setValue(value / self._unit)
+        self.blockSignals(False)
+
+    def edit(self) -> None:
+        """Take the keyboard, with the value marked, so that typing replaces it."""
+        self.setFocus()
+        self.selectAll()
+
+    def event(self, event: QEvent | None) -> bool:
+        """Refuse keys that are no part of a number, so that they act as shortcuts while the field has the focus."""
+        if (
+            isinstance(event, QKeyEvent)
+            and event.type() == QEvent.Type.ShortcutOverride
+            and (event.text().isalpha() or event.key() == Qt.Key.Key_Space)
+        ):
+            event.ignore()
+            return False
+        return super().event(event)
+
+    def _enter(self, value: float) -> None:
+        """Emit what was entered; rounding to the decimals shown does not take it out of its range."""
+        self.entered.emit(min(max(value * self._unit, self._allowed.minimum), self._allowed.maximum))

@@ -1,0 +1,78 @@
+"""The line at the bottom: what has become of the frames, how fast, and how old they are when they are shown."""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+
+import numpy as np
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QWidget
+
+from app.acquisition import Measurement
+from app.gui.widgets import label
+from app.instrument import Status
+
+_WINDOW_S = 1.0  # over which rate and latency are taken
+
+
+class StatusLine(QWidget):
+    """Counts, rate and latency, each beside its name."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._recent: deque[Measurement] = deque()
+        self.shown = 0
+        self._layout = QHBoxLayout(self)
+        self._layout.setContentsMargins(10, 0, 10, 2)
+        self._layout.setSpacing(4)
+        self.acquired = self._add("acquired", "Frames read from the camera", 56)
+        self.reconstructed = self._add("reconstructed", "Frames that yielded a wavefront", 56)
+        self.shown_count = self._add("shown", "Frames drawn here: the newest one, up to 25 times a second", 56)
+        self.lost = self._add("lost", "Frames that the camera overwrote before they were read", 40)
+        self.rate = self._add("frames/s", "Frames acquired per second", 44)
+        self.latency = self._add("latency", "From a frame's arrival to its wavefront, median over the last second", 60)
+        self.valid = self._add("valid lenslets", "Lenslets whose subimage could be matched with the reference", 76)
+        self._layout.addStretch()
+        self.devices = label("", "dim")
+        self._layout.addWidget(self.devices)
+
+    def count(self, measurement: Measurement) -> None:
+        """Take note that a measurement is shown."""
+        self.shown += 1
+        self._recent.append(measurement)
+        oldest_s = measurement.frame.host_time_s - _WINDOW_S
+        while self._recent[0].frame.host_time_s < oldest_s and len(self._recent) > 2:
+            self._recent.popleft()
+
+    def restart(self) -> None:
+        """Forget the frames of the acquisition before."""
+        self._recent.clear()
+        self.shown = 0
+
+    def update_text(self, status: Status | None) -> None:
+        """Write the numbers."""
+        if status is not None:
+            self.devices.setText("running" if status.is_running else "stopped")
+            self.devices.setToolTip(f"{status.camera_name}\n{status.light_name}")
+        if not self._recent:
+            return
+        first, last = self._recent[0], self._recent[-1]
+        self.acquired.setText(str(last.counts.acquired))
+        self.reconstructed.setText(str(last.counts.reconstructed))
+        self.lost.setText(str(last.counts.lost))
+        self.shown_count.setText(str(self.shown))
+        seconds = last.frame.host_time_s - first.frame.host_time_s
+        is_running = status is not None and status.is_running
+        frames = last.counts.acquired - first.counts.acquired
+        self.rate.setText(f"{frames / seconds:.1f}" if is_running and seconds > 0 else "\N{EN DASH}")
+        self.latency.setText(f"{median(one.latency_s for one in self._recent) * 1e3:.1f} ms")
+        valid = None if last.wavefront is None else last.wavefront.displacement.valid
+        self.valid.setText("\N{EN DASH}" if valid is None else f"{np.count_nonzero(valid)} of {valid.size}")
+
+    def _add(self, name: str, tool_tip: str, width: int) -> QLabel:
+        value = label("\N{EN DASH}")
+        value.setMinimumWidth(width)
+        for widget in (label(name, "dim"), value):
+            widget.setToolTip(tool_tip)
+            self._layout.addWidget(widget)
+        return value

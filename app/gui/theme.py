@@ -1,0 +1,109 @@
+"""How the window looks: a dark room's colours, and what Qt must be told about them."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QPointF, QRectF, Qt
+from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
+from PyQt6.QtWidgets import QApplication
+
+BACKGROUND = QColor("#14171b")
+SURFACE = QColor("#1c2026")
+RAISED = QColor("#2a3038")
+LINE = QColor("#363d47")
+TEXT = QColor("#dde2e8")
+DIM = QColor("#98a2ae")
+ACCENT = QColor("#4fa3e3")
+GREEN = QColor("#62c073")
+AMBER = QColor("#f0b64a")
+RED = QColor("#ff6a5f")
+
+_STYLE = f"""
+QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid {LINE.name()}; padding: 4px; }}
+QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
+QLabel[role="dim"] {{ color: {DIM.name()}; }}
+QLabel[role="on-image"] {{ color: {TEXT.name()}; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
+QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
+QPushButton {{ padding: 3px 10px; }}
+QPushButton:checked {{ background: #22394c; border: 1px solid #2f6f9f; border-radius: 3px; }}
+QMenuBar {{ background: {SURFACE.name()}; }}
+QSplitter::handle {{ background: {BACKGROUND.name()}; }}
+QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center;
+               background: {BACKGROUND.name()}; }}
+QProgressBar::chunk {{ background: #2f6f9f; }}
+"""
+
+
+def apply_theme(application: QApplication) -> None:
+    """Give the whole program the dark Fusion look."""
+    application.setStyle("Fusion")
+    palette = QPalette()
+    roles = QPalette.ColorRole
+    for role, colour in (
+        (roles.Window, BACKGROUND),
+        (roles.WindowText, TEXT),
+        (roles.Base, SURFACE),
+        (roles.AlternateBase, RAISED),
+        (roles.ToolTipBase, RAISED),
+        (roles.ToolTipText, TEXT),
+        (roles.Text, TEXT),
+        (roles.Button, RAISED),
+        (roles.ButtonText, TEXT),
+        (roles.BrightText, RED),
+        (roles.Highlight, ACCENT),
+        (roles.HighlightedText, BACKGROUND),
+        (roles.PlaceholderText, DIM),
+    ):
+        palette.setColor(role, colour)
+    disabled = QColor("#69727d")
+    for role in (roles.WindowText, roles.Text, roles.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, role, disabled)
+    application.setPalette(palette)
+    application.setStyleSheet(_STYLE)
+    application.setWindowIcon(_window_icon())
+
+
+def lamp(colour: QColor) -> QIcon:
+    """Return a small round lamp, for a button that shows a state."""
+    path = QPainterPath()
+    path.addEllipse(6, 6, 20, 20)
+    return _icon(path, colour)
+
+
+def start_or_stop(*, is_running: bool) -> QIcon:
+    """Return the sign of what pressing the button does: a square to stop, a triangle to start."""
+    path = QPainterPath()
+    if is_running:
+        path.addRect(7, 7, 18, 18)
+    else:
+        path.addPolygon(QPolygonF([QPointF(8, 5), QPointF(27, 16), QPointF(8, 27)]))
+    return _icon(path, TEXT if is_running else GREEN)
+
+
+def hatching() -> QBrush:
+    """Return the brush that stands for "nothing is known here"."""
+    return QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)
+
+
+def _icon(path: QPainterPath, colour: QColor) -> QIcon:
+    pixmap = QPixmap(32, 32)
+    pixmap.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(pixmap)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    painter.fillPath(path, colour)
+    painter.end()
+    return QIcon(pixmap)
+
+
+def _window_icon() -> QIcon:
+    """Nine spots, each displaced a little differently."""
+    pixmap = QPixmap(64, 64)
+    pixmap.fill(BACKGROUND)
+    painter = QPainter(pixmap)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.setBrush(ACCENT)
+    for row in range(3):
+        for column in range(3):
+            painter.drawEllipse(QRectF(8 + 18 * column + 2 * row, 8 + 18 * row - 2 * column, 11, 11))
+    painter.end()
+    return QIcon(pixmap)
