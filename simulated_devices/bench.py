@@ -22,8 +22,8 @@ PHOTONS_PER_S_M2_A = 1.2e15
 """Photons per second that one lenslet collects from one square metre of lit mask at one ampere.
 
 Chosen so that both exposures of the paper come near 70 % of full scale at 0.35 A: the brightest pixels of the
-reference reach 57 % with the square and 150 ms, 86 % with the 50 um pinholes and 3.8 s (EM amplifier, gain 1). One
-lamp cannot give 70 % twice: optics alone makes the pinholes' exposure 1.5 times the brighter one. A lenslet is seen
+reference reach 60 % with the square and 150 ms, 86 % with the 50 um pinholes and 3.8 s (EM amplifier, gain 1). One
+lamp cannot give 70 % twice: optics alone makes the pinholes' exposure 1.44 times the brighter one. A lenslet is seen
 under 6.25e-6 sr, so that this is a radiance of 29 W/(m^2 sr) at 0.35 A: an LED behind a diffuser."""
 
 _POLL_S = 0.2

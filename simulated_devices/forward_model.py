@@ -161,7 +161,7 @@ class ForwardModel:
 
         with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(self._threads) as pool:
             parts = list(pool.map(work, range(self._threads)))
-        return np.sum(parts, axis=0, dtype=np.float32)
+        return np.asarray(np.sum(parts, axis=0), np.float32)
 
     def _field_phase(self, phase: PointPhase | None, x_m: float, y_m: float) -> Images:
         """Screen phase plus the tilt of the object point over each lenslet, at the pupil samples."""
@@ -172,5 +172,5 @@ class ForwardModel:
             local_y_m = local_y_m.reshape(2, half, -1)[:, :, 0].ravel()
         tilt_x = (self._tilt_per_m * x_m * local_x_m).astype(np.float32)
         tilt_y = (self._tilt_per_m * y_m * local_y_m).astype(np.float32)
-        tilt: Images = tilt_y[:, None] + tilt_x[None, :]
-        return tilt if phase is None else np.add(phase(x_m, y_m), tilt)
+        tilt: Images = np.add.outer(tilt_y, tilt_x)
+        return tilt if phase is None else tilt + phase(x_m, y_m)

@@ -7,6 +7,7 @@ import threading
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from simulated_devices import source
@@ -110,7 +111,7 @@ def test_the_reference_is_the_image_behind_a_flat_screen() -> None:
     np.testing.assert_allclose(fast.irradiance(POINTS), behind, rtol=0, atol=1e-5 * behind.max())
 
 
-def centroids_px(image: Floats, lattice: Lattice, *, radius_px: float = 13.0) -> Floats:
+def centroids_px(image: NDArray[np.float32], lattice: Lattice, *, radius_px: float = 13.0) -> Floats:
     """Centroid of the light around each lenslet's centre in the lattice frame, (lenslet_row, lenslet_column, xy)."""
     row, column = np.mgrid[: image.shape[0], : image.shape[1]]
     position = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(float))
