@@ -25,7 +25,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 @compiled
-def _interpolate(coefficients: Image, x: np.float32, y: np.float32) -> np.float32:
+def interpolate(coefficients: Image, x: np.float32, y: np.float32) -> np.float32:
     """Cubic B-spline value at (x, y); beyond the border the nearest inner position is taken."""
     one, half, sixth, two_thirds = np.float32(1.0), np.float32(0.5), np.float32(1 / 6), np.float32(2 / 3)
     x = min(max(x, one), np.float32(coefficients.shape[1] - 3))
@@ -99,7 +99,7 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
             square = np.float32(0.0)
             for n in range(pixels):
                 x, y = offset_px[n, 0] + warp[0, n], offset_px[n, 1] + warp[1, n]
-                light = _interpolate(
+                light = interpolate(
                     coefficients, center_x + turn[0] * x - turn[1] * y, center_y + turn[1] * x + turn[0] * y
                 )
                 stretch = (one + warp[2, n]) * (one + warp[5, n]) - warp[3, n] * warp[4, n]

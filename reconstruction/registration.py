@@ -75,6 +75,7 @@ class _Steps:
     variance: Floats  # of each displacement coefficient per unit of pixel variance, (L, xy, Q)
 
 
+_OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice belongs to another frame
 _DARK_CONTRAST = 0.1  # of the median lenslet's contrast; below it a lenslet counts as unlit
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is noise and no image
 _CONVERGED_PX = 0.05  # a last step above it is no convergence
@@ -95,7 +96,8 @@ class Registration:
         self._shape = (sensor.lenslet_rows, sensor.lenslet_columns)
         self._center_px = lattice.lenslet_centers_px(*self._shape).reshape(-1, 2)
         self._half_width_px = field.half_width_px(sensor)
-        self._half_cell_px = lattice.pitch_px / 2
+        blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
+        self._reach_px = (lattice.pitch_px - blur_px) / 2  # a field's edge beyond it has light in the next cell
         self._conserve_flux = settings.conserve_flux
         steps = centered_steps(int(lattice.pitch_px))
         y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
@@ -107,8 +109,11 @@ class Registration:
         position_px = self._center_px[:, None] + self._offset_px.astype(np.float64) @ turn
         edge = np.array(reference.shape[::-1]) - 1
         self._off_camera = np.any((position_px < -0.5) | (position_px > edge + 0.5), axis=(1, 2))
-        if self._off_camera.all():
-            raise ReconstructionError("no lenslet lies wholly on the frame: check [lattice] against the frame's size")
+        if np.mean(self._off_camera) > _OFF_CAMERA_FRACTION:
+            rows, columns = reference.shape
+            raise ReconstructionError(
+                f"most lenslets lie beside the frame of {rows} x {columns} pixels: check [lattice] and the frame's size"
+            )
         template, gradient = sample(spline_coefficients(reference), np.clip(position_px, 0, edge))
         self._template = template.astype(np.float32)
         self._contrast = template.std(axis=1)
@@ -136,7 +141,7 @@ class Registration:
         """
         displacement = np.zeros((len(self._template), 2, 1), np.float32)
         contrast, _, _ = self._align(self._steps[0], coefficients, displacement, _TRANSLATION_ITERATIONS)
-        lost = ~(np.abs(displacement).max(axis=(1, 2)) <= self._half_cell_px)
+        lost = ~(np.abs(displacement).max(axis=(1, 2)) <= self._reach_px)
         start = np.where(lost[:, None], 0, displacement[:, :, 0])
         displacement = np.zeros((len(self._template), *self._steps[1].variance.shape[1:]), np.float32)
         displacement[:, :, 0] = start
@@ -198,7 +203,7 @@ class Registration:
         x, y = (grid.ravel() for grid in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]))
         modes = legendre(displacement.shape[2], x, y)
         edge_px = displacement @ modes + self._half_width_px * np.stack([x, y])
-        return np.asarray(np.abs(edge_px).max(axis=(1, 2)) > self._half_cell_px)
+        return np.asarray(np.abs(edge_px).max(axis=(1, 2)) > self._reach_px)
 
     def _sees(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether any pixel in the lenslet's cell is marked, (L,)."""

@@ -20,15 +20,18 @@ class SourcePoints:
 
 
 def square(source: Source, *, object_samples: int) -> SourcePoints:
-    """Return the square opening as object_samples x object_samples points from edge to edge, all equally bright.
+    """Return the square opening as object_samples x object_samples points from edge to edge.
 
-    37 points over 1.2 mm make 36 steps, as in the paper. All areas add up to that of the square.
+    37 points over 1.2 mm make 36 steps, as in the paper. A point on the edge stands for half the piece of opening that
+    one inside does (the trapezoidal rule): with equal weights the square would be 3 % wider than it is, and
+    whatever grows along the field would seem 3 % smaller. All areas add up to that of the square.
     """
     along_m = np.linspace(-source.half_width_m, source.half_width_m, object_samples)
+    width_m = np.full(object_samples, along_m[1] - along_m[0])
+    width_m[[0, -1]] /= 2
     y_m, x_m = np.meshgrid(along_m, along_m, indexing="ij")
-    area_m2 = (2 * source.half_width_m) ** 2 / object_samples**2
     return SourcePoints(
-        position_m=np.stack([x_m.ravel(), y_m.ravel()], axis=-1), area_m2=np.full(object_samples**2, area_m2)
+        position_m=np.stack([x_m.ravel(), y_m.ravel()], axis=-1), area_m2=np.outer(width_m, width_m).ravel()
     )
 
 
