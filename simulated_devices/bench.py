@@ -177,6 +177,8 @@ class SimulatedBench:
                 states=1, duration_s=self.simulation.state_duration_s, start_s=self.clock.now()
             )
             self._load_states(mask, self._scene.states)
+        if progress is not None:
+            progress(1.0)
         self.close()
         if len(self._films[mask]) < self._scene.states:
             self._background = BackgroundRendering(self._scene, mask, self._cache_folder)

@@ -91,6 +91,11 @@ def test_read_noise_and_offset_of_each_amplifier(amplifier: str, noise: float) -
     )
 
 
+def test_shot_noise_and_read_noise_are_independent() -> None:
+    counts = counts_with(900.0, normal_read_noise_e=30.0)
+    assert counts.var() == pytest.approx(900 + 30**2 + 1 / 12, rel=5 * math.sqrt(2 / PIXELS))
+
+
 @pytest.mark.parametrize("em_gain", [1.5, 4.0, 50.0])
 @pytest.mark.parametrize("mean", [2.0, 30.0, 300.0])
 def test_multiplication_has_the_mean_and_excess_noise_of_a_birth_process(mean: float, em_gain: float) -> None:
