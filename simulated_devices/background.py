@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
@@ -62,6 +63,7 @@ def _end_with_parent() -> None:
 
 
 def _main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, whose end is ours
     if hasattr(os, "nice"):
         os.nice(10)
     scene, mask, cache_folder = pickle.load(sys.stdin.buffer)  # noqa: S301 - written by our own parent a moment ago
