@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
 from app.gui import theme
 from app.gui.overlay import arrows, lattice_lines, lost_boxes
-from app.gui.scale import SteppedScale
+from app.gui.scale import MAGNIFICATIONS, SteppedScale
 from app.gui.widgets import label, toggle
 from drivers.interface import Frame
 from reconstruction.geometry import Lattice, Sensor
@@ -42,7 +42,7 @@ class CameraPanel(QWidget):
         self._sensor: Sensor | None = None
         self._full_scale = 0
         self._levels, self._levels_time_s = (0.0, 1.0), -np.inf
-        self._reach = SteppedScale()  # longest displacement over what fits between two lenslets
+        self._reach = SteppedScale(MAGNIFICATIONS)  # longest displacement over what fits between two lenslets
         self._pointer: QPointF | None = None
 
         self.lattice_toggle = toggle("Lattice", "The lenslets' cells; a lost lenslet is crossed out in red (G)")

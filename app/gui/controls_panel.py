@@ -6,7 +6,7 @@ The panel shows the instrument's status and emits what its user wants, as plain 
 from __future__ import annotations
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QPushButton, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
 
 from app.gui import theme
 from app.gui.number_field import NumberField
@@ -153,8 +153,13 @@ class ControlsPanel(QFrame):
         _show_choice(self.warp, tuple(FIELD_MODES), status.bench.registration.warp)
         _show_choice(self.method, ("zonal", "modal"), status.bench.reconstruction.method)
         self.pupil_modes.setEnabled(status.bench.reconstruction.method == "modal")
-        _show_state(self.light, "Light on" if status.is_light_on else "Light off", is_on=status.is_light_on)
-        _show_state(self.sample, "Sample in" if status.is_sample_in else "Sample out", is_on=status.is_sample_in)
+        for shown, words, is_on, colour in (
+            (self.light, ("Light off", "Light on"), status.is_light_on, theme.AMBER),
+            (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
+        ):
+            shown.setText(words[is_on])
+            shown.setChecked(is_on)
+            shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
         for taken, has_it in ((self.dark, status.has_dark), (self.reference, status.has_reference)):
             taken.setIcon(theme.lamp(theme.GREEN if has_it else theme.LINE))
 
@@ -185,9 +190,3 @@ def _show_choice(choice: QComboBox, allowed: tuple[str, ...], chosen: str) -> No
         choice.addItems(allowed)
     choice.setCurrentText(chosen)  # no user's choice, so `textActivated` is silent
     choice.setEnabled(len(allowed) > 1)
-
-
-def _show_state(shown: QPushButton, text: str, *, is_on: bool) -> None:
-    shown.setText(text)
-    shown.setChecked(is_on)
-    shown.setIcon(theme.lamp(theme.AMBER if is_on else theme.LINE))

@@ -49,8 +49,8 @@ def run_live(
         window.close()
     if window.is_stuck:
         raise RunError("a device does not answer: the light may still be on, switch it off by hand")
-    if run is not None and run.problem:
-        raise RunError(run.problem)
+    if run is not None and run.error is not None:
+        raise run.error
     return status
 
 
@@ -68,7 +68,7 @@ class _UnattendedRun:
         self._screenshot, self._on_finish = screenshot, on_finish
         self._deadline_s = time.monotonic() + _GIVE_UP_S
         self._last: Measurement | None = None
-        self.problem = ""
+        self.error: Exception | None = None
         window.measurement_shown.connect(self._note)
         self._timer = QTimer(window)
         self._timer.setInterval(100)
@@ -82,12 +82,14 @@ class _UnattendedRun:
             self._last = measurement
 
     def _look(self) -> None:
-        self.problem = self._window.failure
-        if not self.problem and time.monotonic() < self._deadline_s:
+        failure = self._window.failure
+        if not failure and time.monotonic() < self._deadline_s:
             return
         self._timer.stop()
-        if self._last is None:
-            self.problem = self.problem or f"no wavefront within {_GIVE_UP_S:g} s: {self._window.messages.text.text()}"
+        if failure:
+            self.error = RunError(failure)
+        elif self._last is None:
+            self.error = RunError(f"no wavefront within {_GIVE_UP_S:g} s: {self._window.messages.text.text()}")
         else:
             self._window.update_text()
             if self._screenshot is not None:

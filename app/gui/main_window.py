@@ -90,8 +90,11 @@ class MainWindow(QMainWindow):
         if acquisition is None:
             return
         self._look_at_answers()
-        if acquisition.status is not None and acquisition.status is not self._status:
-            self.show_status(acquisition.status)
+        status = acquisition.status
+        if status is not None and acquisition.failure:
+            status = replace(status, is_running=False, is_light_on=False)  # this is how failing devices are left
+        if status is not None and status != self._status:
+            self.show_status(status)
         self.controls.setEnabled(self._status is not None and not acquisition.failure)
         self.controls.show_busy(is_busy=bool(acquisition.activity.text))
         self.messages.show_activity(acquisition.activity)
@@ -131,7 +134,7 @@ class MainWindow(QMainWindow):
             failure=self.failure,
             problem=self._measurement.problem if is_live and self._measurement is not None else "",
             warning="" if self._status is None else self._status.warning,
-            advice="" if is_live or self._status is None else "the camera is stopped: Space starts it",
+            advice=_advice(self._status),
         )
 
     def save_screenshot(self, path: Path | None = None) -> None:
@@ -216,7 +219,7 @@ class MainWindow(QMainWindow):
         controls.dark_requested.connect(lambda frames: self._routine(Acquisition.take_dark, frames))
         controls.reference_requested.connect(lambda frames: self._routine(Acquisition.take_reference, frames))
         controls.cancel_requested.connect(self._cancel)
-        self.messages.reconnect_requested.connect(self.connect_devices)
+        self.messages.reconnect_requested.connect(self._reconnect)
 
     def _command(self, command: Callable[[Instrument, Any], object], value: object) -> None:
         if self._acquisition is not None:
@@ -225,6 +228,10 @@ class MainWindow(QMainWindow):
     def _routine(self, routine: Callable[[Acquisition, int], Future[None]], frames: int) -> None:
         if self._acquisition is not None:
             self._pending.append(routine(self._acquisition, frames))
+
+    def _reconnect(self) -> None:
+        if self.failure:
+            self.connect_devices()
 
     def _cancel(self) -> None:
         if self._acquisition is not None:
@@ -243,6 +250,12 @@ class MainWindow(QMainWindow):
                 self.messages.warn("cancelled")
             except Exception as error:  # noqa: BLE001 - whatever it is, it is told
                 self.messages.warn(str(error))
+
+
+def _advice(status: Status | None) -> str:
+    if status is None:
+        return "the devices are being opened"
+    return "F1 shows keys and conventions" if status.is_running else "the camera is stopped: Space starts it"
 
 
 def _set_running(instrument: Instrument, running: bool) -> None:

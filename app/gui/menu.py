@@ -51,6 +51,7 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     """Show the help beside the running measurement."""
     dialog = QDialog(parent)
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+    dialog.setObjectName("help")
     dialog.setWindowTitle("Shortcuts and conventions")
     rows = (f"<tr><td><b>{key}</b>&nbsp;&nbsp;</td><td>{text}</td></tr>" for m in menus.values() for text, key, _ in m)
     text = QLabel(f"<h3>Keys</h3><table>{''.join(rows)}</table>{_CONVENTIONS}")

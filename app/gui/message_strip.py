@@ -36,11 +36,11 @@ class MessageStrip(QFrame):
         self.progress.setFixedWidth(300)
         self.progress.hide()
         layout = QHBoxLayout(self)
-        layout.setContentsMargins(10, 4, 6, 4)
+        layout.setContentsMargins(10, 3, 6, 3)
         layout.addWidget(self.text, 1)
         layout.addWidget(self.reconnect)
         layout.addWidget(self.progress)
-        self.setFixedHeight(38)
+        self.setFixedHeight(34)
 
     def warn(self, text: str) -> None:
         """Show for a while why something was not done."""

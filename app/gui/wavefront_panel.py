@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
-from app.gui.scale import SteppedScale
+from app.gui.scale import RANGES, SteppedScale
 from app.gui.view_grid import ViewGrid
 from app.gui.widgets import label, toggle
 from reconstruction.geometry import Floats
@@ -20,7 +20,7 @@ class WavefrontPanel(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._wavefront: Wavefront | None = None
-        self._limit = SteppedScale()
+        self._limit = SteppedScale(RANGES)
         self._summary = label("", "dim")
         self.hold_scale = toggle("Hold scale", "Keep the colour scale, instead of letting it follow (H)")
         self.grid = ViewGrid()
