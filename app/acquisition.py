@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 from app.config import Bench
 from app.devices import Devices
+from app.errors import InputError, RunError
 from app.instrument import Instrument, Status
 from app.routines import WAIT_SLICE_S, Cancelled, next_frame
 from drivers.interface import BadValue, DeviceError, Frame, WrongState
@@ -76,7 +77,7 @@ class Acquisition:
         self.newest: Measurement | None = None  # the mailbox: written by the worker, read by anybody
         self.status: Status | None = None  # None until the devices are open
         self.activity = Activity("opening the devices")
-        self.failure = ""  # why the worker has ended, when it was not asked to
+        self.error: Exception | None = None  # why the worker has ended, when it was not asked to
 
     def start(self) -> None:
         """Open the devices and begin to execute commands."""
@@ -87,6 +88,13 @@ class Acquisition:
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
+
+    @property
+    def failure(self) -> str:
+        """Why the worker has ended, in words; empty when it runs or was asked to end."""
+        if isinstance(self.error, DeviceError | InputError | RunError | None):
+            return str(self.error or "")
+        return f"{type(self.error).__name__}: {self.error}"
 
     @property
     def is_alive(self) -> bool:
@@ -155,10 +163,10 @@ class Acquisition:
                         self._acquire(instrument)
         except Cancelled:
             pass
-        except DeviceError as error:
-            self.failure = str(error)
+        except (DeviceError, InputError, RunError) as error:
+            self.error = error
         except Exception as error:
-            self.failure = f"{type(error).__name__}: {error}"
+            self.error = error
             raise
         finally:
             self._end()
@@ -191,7 +199,8 @@ class Acquisition:
             wavefront = instrument.measure(frame)
         except ReconstructionError as error:
             problem = str(error)
-        skipped = max(frame.index - self._next_index, 0) if frame.index else 0
+        was_restarted = frame.index < self._next_index
+        skipped = frame.index if was_restarted else frame.index - self._next_index
         self._next_index = frame.index + 1
         self._counts = Counts(
             acquired=self._counts.acquired + 1,

@@ -9,11 +9,14 @@ from __future__ import annotations
 import sys
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from app.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from app.config import Bench
 
 cli = typer.Typer(
     help="Space-variant Shack-Hartmann wavefront sensing, live: the wavefront at every position of the field.",
@@ -21,6 +24,9 @@ cli = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+_LIVE_OUT = Path("svwfs-output")
+_UNATTENDED_S = 5.0
 
 BenchOption = Annotated[
     str, typer.Option("--bench", "-b", metavar="TOML", help="A bench TOML file, or a preset's name.", show_default=True)
@@ -46,6 +52,13 @@ def _leave(error: Exception, status: int) -> None:
     raise SystemExit(status) from error
 
 
+def load(bench: str, setting: list[str] | None) -> Bench:
+    """Load a bench with the changes given by --set."""
+    from app.config import load_bench
+
+    return load_bench(bench, tuple(setting or ()))
+
+
 @cli.callback(invoke_without_command=True)
 def _common(
     show_version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
@@ -53,6 +66,71 @@ def _common(
     if show_version:
         typer.echo(f"svwfs {version('svwfs')}")
         raise typer.Exit
+
+
+@cli.command()
+def live(
+    *,
+    bench: BenchOption = "live_demo",
+    setting: SetOption = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=0.1, help="Close by itself so long after the first wavefront, leaving a screenshot."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the screenshot and the results of such a run.")] = _LIVE_OUT,
+) -> None:
+    """Open the window: live wavefronts at every field position. Without a display it runs unseen for a few seconds."""
+    from app.live import live_window
+
+    raise typer.Exit(live_window(load(bench, setting), seconds=seconds, out=out))
+
+
+@cli.command()
+def measure(
+    *,
+    bench: BenchOption,
+    frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many frames to measure.")],
+    out: Annotated[Path, typer.Option(help="Folder for dark.tif, reference.tif and results.nc.")],
+    setting: SetOption = None,
+) -> None:
+    """Measure without a window: dark, reference, sample in, so many frames, results."""
+    from app.measure import measure as run
+    from app.report import print_measurement, progress_bar
+
+    loaded = load(bench, setting)
+    with progress_bar() as report:
+        collected = run(loaded, frames, out, report)
+    print_measurement(collected, out)
+
+
+@cli.command()
+def simulate(
+    *,
+    bench: BenchOption,
+    out: Annotated[Path, typer.Option(help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")],
+    setting: SetOption = None,
+    noise_free: Annotated[
+        bool, typer.Option("--noise-free", help="Mean photons instead of the camera's counts.")
+    ] = False,
+) -> None:
+    """Render what the simulated bench casts on its camera, and the true wavefronts."""
+    from app.report import progress_bar
+    from app.simulate import simulate as run
+
+    loaded = load(bench, setting)
+    with progress_bar() as report:
+        run(loaded, out, noise_free=noise_free, progress=lambda fraction: report("rendering", fraction))
+    typer.echo(f"dark.tif, reference.tif, frame.tif and truth.nc are in {out}")
+
+
+@cli.command()
+def selftest() -> None:
+    """Prove signs, axes and units on phases that are known in closed form."""
+    from app.report import print_checks
+    from app.selftest import run_checks
+
+    if not print_checks(run_checks()):
+        raise RunError("the selftest failed: this installation must not be trusted")
 
 
 @cli.command()
@@ -67,13 +145,12 @@ def reconstruct(
     setting: SetOption = None,
 ) -> None:
     """Reconstruct the wavefronts of one frame from image files."""
-    from app.config import load_bench
     from app.from_files import reconstruct_files
     from app.plot import plot_views
     from app.report import print_views
     from app.results import result_dataset, write_results
 
-    loaded = load_bench(bench, tuple(setting or ()))
+    loaded = load(bench, setting)
     wavefront = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded)
     inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
     write_results(out, result_dataset(wavefront, loaded), bench=loaded, inputs=inputs)

@@ -71,7 +71,7 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
         return _converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
         faults = cattrs.transform_error(error, format_exception=_sentence)
-        faults.sort(key=lambda fault: not fault.startswith(_UNKNOWN))  # a misspelt key first, then what it leaves missing
+        faults.sort(key=lambda fault: not fault.startswith(_UNKNOWN))  # a misspelt key, then what it leaves missing
         sentence, _, path = faults[0].rpartition(" @ $")
         raise InputError(f"{name}: {path.lstrip('.')}{': ' if path else ''}{sentence}") from error
 

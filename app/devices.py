@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Self
 
 import platformdirs
-from simulated_devices.bench import SimulatedBench
-from simulated_devices.camera import SimulatedCamera
-from simulated_devices.light import SimulatedLight
-from simulated_devices.stage import SimulatedStage
 
 from app.config import Bench
+from app.errors import InputError
 from drivers.interface import Camera, LightSource, Stage
+from reconstruction.geometry import nominal_lattice
+from simulated_devices.bench import SimulatedBench
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.clock import Clock
+from simulated_devices.light import SimulatedLight
+from simulated_devices.stage import SimulatedStage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,21 +44,30 @@ class Devices:
 def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
     """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
     with ExitStack() as stack:
-        simulated = SimulatedBench(
-            bench.sensor,
-            bench.lattice,
-            bench.field,
-            bench.simulation,
-            bench.camera,
-            bench.light,
-            cache_folder=cache_folder(),
-            progress=progress,
-        )
+        simulated = simulated_bench(bench, progress)
         stack.callback(simulated.close)
         camera = stack.enter_context(SimulatedCamera(simulated))
         stage = stack.enter_context(SimulatedStage(simulated))
         light = stack.enter_context(SimulatedLight(simulated))
         return Devices(camera, light, stage, stack.pop_all())
+
+
+def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:
+    """Build the bench as physics; its devices are told the time by `clock`."""
+    try:
+        return SimulatedBench(
+            bench.sensor,
+            bench.lattice or nominal_lattice(bench.sensor, bench.camera.rows, bench.camera.columns),
+            bench.field,
+            bench.simulation,
+            bench.camera,
+            bench.light,
+            cache_folder=cache_folder(),
+            clock=clock,
+            progress=progress,
+        )
+    except ValueError as error:  # settings that are each possible but not together, or the screen's file
+        raise InputError(f"simulation: {error}") from error
 
 
 def cache_folder() -> Path:

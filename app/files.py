@@ -23,7 +23,7 @@ def read_image(path: Path) -> NDArray[Any]:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it says of a damaged file is said below
     try:
         image = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else tifffile.imread(path)
-    except Exception as error:  # noqa: BLE001 - a damaged file can make a decoder raise anything
+    except Exception as error:
         raise InputError(f"{path}: cannot be read as TIFF or NPY: {error}") from error
     if not isinstance(image, np.ndarray) or image.ndim != 2 or 0 in image.shape:
         shape = " x ".join(str(length) for length in np.shape(image)) or "nothing"

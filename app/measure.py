@@ -1,52 +1,103 @@
-"""The instrument without a screen: dark, reference, sample in, so many frames, results; what `svwfs measure` does."""
+"""The instrument without a window: dark, reference, sample in, so many frames, results; `svwfs measure`."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import xarray as xr
 
 from app.acquisition import Acquisition, Measurement
 from app.config import Bench
 from app.devices import open_devices
 from app.errors import RunError
 from app.files import write_image
+from app.instrument import Instrument
 from app.results import result_dataset, stack_frames, write_results
 from app.start_up import start_up
+from drivers.interface import DeviceError
+from reconstruction.wavefront import Wavefront
 
-Report = Callable[[str, float], None]  # what is being done, and how much of it: 0 ... 1
+Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
 
 _POLL_S = 0.05
-AVERAGED_FRAMES = 20
 
 
 @dataclass(slots=True)
 class Collected:
-    """The results so far, in the order of the frames."""
+    """The results of the first `wanted` frames."""
 
-    wanted: int
     bench: Bench
-    datasets: list[xr.Dataset] = field(default_factory=list)
+    wanted: int
+    wavefronts: list[Wavefront] = field(default_factory=list)
     frame_index: list[int] = field(default_factory=list)
     time_s: list[float] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     lost: int = 0
     complete: threading.Event = field(default_factory=threading.Event)
 
-    def __call__(self, measurement: Measurement) -> None:
-        """Take one more result from the worker."""
+    @property
+    def taken(self) -> int:
+        """How many frames have come, reconstructed or not."""
+        return len(self.wavefronts) + len(self.problems)
+
+    def take(self, measurement: Measurement) -> None:
+        """Take one more result from the worker, as long as more are wanted."""
         if self.complete.is_set():
             return
         self.lost = measurement.counts.lost
         if measurement.wavefront is None:
             self.problems.append(measurement.problem)
         else:
-            self.datasets.append(result_dataset(measurement.wavefront, self.bench))
+            self.wavefronts.append(measurement.wavefront)
             self.frame_index.append(measurement.frame.index)
             self.time_s.append(measurement.frame.camera_time_s)
-        if len(self.datasets) + len(self.problems) >= self.wanted:
+        if self.taken >= self.wanted:
             self.complete.set()
+
+
+def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
+    """Measure `frames` frames and write dark, reference and results into the folder `out`.
+
+    Whatever ends it early, Ctrl-C among others, what has been measured is written first. A device that fails is a
+    `RunError`, a bench that cannot be is an `InputError`.
+    """
+    collected = Collected(bench, frames)
+    acquisition = Acquisition(bench, open_devices, sinks=(collected.take,))
+    acquisition.start()
+    try:
+        _take_calibration(acquisition, out, report)
+        while acquisition.is_alive and not collected.complete.wait(_POLL_S):
+            report(f"measuring {frames} frames", collected.taken / frames)
+    except DeviceError as error:
+        raise acquisition.error or RunError(str(error)) from error
+    finally:
+        acquisition.close()
+        if collected.wavefronts:
+            datasets = [result_dataset(wavefront, bench) for wavefront in collected.wavefronts]
+            results = stack_frames(datasets, collected.frame_index, collected.time_s)
+            names = {"dark": "dark.tif", "reference": "reference.tif"}
+            write_results(out / "results.nc", results, bench=bench, inputs=names)
+    if acquisition.error is not None:
+        raise acquisition.error
+    if not collected.wavefronts:
+        raise RunError(f"no frame could be reconstructed: {collected.problems[0]}")
+    report(f"measuring {frames} frames", 1.0)
+    return collected
+
+
+def _take_calibration(acquisition: Acquisition, out: Path, report: Report) -> None:
+    """Take dark and reference, write them, and go live."""
+    for step in start_up(acquisition):
+        while not step.done():
+            report(acquisition.activity.text, acquisition.activity.progress)
+            time.sleep(_POLL_S)
+        step.result()
+    acquisition.submit(lambda instrument: _write_calibration(instrument, out)).result()
+
+
+def _write_calibration(instrument: Instrument, out: Path) -> None:
+    for name, average in (("dark", instrument.dark), ("reference", instrument.reference)):
+        if average is not None:
+            write_image(out / f"{name}.tif", average.mean)

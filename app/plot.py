@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from app.files import appearing_whole
@@ -24,14 +26,14 @@ def views_figure(wavefront: Wavefront) -> Figure:
     limit = float(np.nanmax(np.abs(views)))
     figure = Figure(figsize=(2.2 * field.view_columns + 1.2, 2.5 * field.view_rows + 0.4), layout="constrained")
     axes = figure.subplots(field.view_rows, field.view_columns, squeeze=False)
-    image = None
+    scale = Normalize(-limit, limit)
     for (row, column), axis in np.ndenumerate(axes):
-        image = axis.imshow(views[row, column], cmap="RdBu_r", vmin=-limit, vmax=limit)
+        axis.imshow(views[row, column], cmap="RdBu_r", norm=scale)
         axis.set_title(_caption(wavefront, field, row, column), fontsize=8)
         axis.set_xticks([])
         axis.set_yticks([])
         axis.set_facecolor("0.6")  # lost lenslets
-    figure.colorbar(image, ax=axes, label="wavefront (rad)", shrink=0.8)
+    figure.colorbar(ScalarMappable(scale, "RdBu_r"), ax=axes, label="wavefront (rad)", shrink=0.8)
     return figure
 
 

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import numpy as np
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from app.measure import Collected
+from app.selftest import Check
+from reconstruction.geometry import Field
 from reconstruction.registration import Outcome
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
@@ -13,15 +21,56 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 def print_views(wavefront: Wavefront) -> None:
     """Print RMS and PV of every view, as the views lie in the field, and what became of the lenslets."""
     field = wavefront.field
-    table = Table(title="RMS / PV (rad) of the wavefront at each field position")
-    table.add_column("y \\ x (mm)", justify="right")
-    for x_m in field.view_x_m:
-        table.add_column(f"{x_m * 1e3:+.2f}", justify="right")
+    table = _view_table(field, "RMS / PV (rad) of the wavefront at each field position")
     for y_m, row in zip(field.view_y_m, wavefront.views, strict=True):
         table.add_row(f"{y_m * 1e3:+.2f}", *(f"{rms(view):.3f} / {peak_to_valley(view):.2f}" for view in row))
     console = Console()
     console.print(table)
     console.print(lenslet_summary(wavefront))
+
+
+def print_measurement(collected: Collected, out: Path) -> None:
+    """Print mean and scatter of every view's RMS over the frames, and where the results are."""
+    field = collected.bench.field
+    values = np.array([rms(wavefront.views) for wavefront in collected.wavefronts])
+    table = _view_table(field, f"RMS (rad) of the wavefront, mean +- scatter of {len(values)} frames")
+    for y_m, mean, scatter in zip(field.view_y_m, values.mean(axis=0), values.std(axis=0), strict=True):
+        cells = (f"{m:.3f} +- {s:.3f}" for m, s in zip(mean, scatter, strict=True))
+        table.add_row(f"{y_m * 1e3:+.2f}", *cells)
+    Console().print(table)
+    failed = f", {len(collected.problems)} not reconstructed ({collected.problems[0]})" if collected.problems else ""
+    Console().print(f"{collected.taken} frames{failed}, {collected.lost} lost by the camera; results are in {out}")
+
+
+def print_checks(checks: Iterable[Check]) -> bool:
+    """Print each check of the selftest as it comes; return whether all pass."""
+    console = Console()
+    console.print("what was put in                       RMS (rad)   scale   residual (rad)")
+    passed = []
+    for check in checks:
+        passed.append(check.passes)
+        verdict = "[green]ok[/]" if check.passes else "[red]WRONG[/]"
+        numbers = f"{check.rms_rad:9.3f}  {check.scale:6.3f}  {check.residual_rad:15.4f}"
+        console.print(f"{check.name:36s}  {numbers}   {verdict}", highlight=False)
+    return all(passed)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error that hears what is being done and how much of it, 0 ... 1."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("starting", total=1.0)
+        yield lambda text, fraction: progress.update(task, description=text or "waiting", completed=fraction)
+
+
+def _view_table(field: Field, title: str) -> Table:
+    """An empty table whose rows and columns are the views as they lie in the field."""
+    table = Table(title=title)
+    table.add_column("y \\ x (mm)", justify="right")
+    for x_m in field.view_x_m:
+        table.add_column(f"{x_m * 1e3:+.2f}", justify="right")
+    return table
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:

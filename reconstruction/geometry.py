@@ -117,6 +117,11 @@ class Lattice:
         return self.to_camera_px(np.stack([x, y], axis=-1) * self.pitch_px)
 
 
+def nominal_lattice(sensor: Sensor, rows: int, columns: int) -> Lattice:
+    """The lattice as designed, in the middle of a frame of rows x columns pixels."""
+    return Lattice(center_x_px=(columns - 1) / 2, center_y_px=(rows - 1) / 2, pitch_px=sensor.lenslet_pitch_px)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
     """The field of view in the front focal plane of the collimator, and the views of it that are shown."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Floats, Lattice, Sensor, centered_steps
+from reconstruction.geometry import Floats, Lattice, Sensor, centered_steps, nominal_lattice
 from reconstruction.spline import Image, sample, spline_coefficients
 
 _SAMPLES = 32  # across a cell
@@ -30,7 +30,7 @@ def find_lattice(reference: NDArray[np.generic], sensor: Sensor) -> Lattice:
     `ReconstructionError` when the frame shows no lattice.
     """
     rows, columns = reference.shape
-    lattice = Lattice(center_x_px=(columns - 1) / 2, center_y_px=(rows - 1) / 2, pitch_px=sensor.lenslet_pitch_px)
+    lattice = nominal_lattice(sensor, rows, columns)
     cells = (int(rows / lattice.pitch_px) - 1, int(columns / lattice.pitch_px) - 1)
     too_small = cells[0] < sensor.lenslet_rows - 1 or cells[1] < sensor.lenslet_columns - 1
     if too_small or min(cells) < 2:

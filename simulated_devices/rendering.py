@@ -27,7 +27,7 @@ from simulated_devices.ray_map import truth_wavefront
 from simulated_devices.sample import Sample, make_sample, shift_m
 from simulated_devices.settings import Simulation
 
-_FORMAT = 1
+_FORMAT = 2  # 2: the square's edge points stand for half their piece
 _FOLDERS_KEPT = 12
 
 MASKS = ("square", "stars")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -85,7 +88,7 @@ def test_offset_and_gain_change_nothing(small_bench: SmallBench, tilted: NDArray
     np.testing.assert_allclose(other.views, reconstructor(tilted).views, atol=2e-3)
 
 
-NONSENSE = {
+NONSENSE: dict[str, Callable[[NDArray[np.float32]], NDArray[Any]]] = {
     "was the light on": lambda reference: np.random.default_rng(0).normal(500, 8, reference.shape),
     "no light": np.zeros_like,
     "not finite": lambda reference: np.where(np.arange(reference.shape[1]) == 7, np.nan, reference),

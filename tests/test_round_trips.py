@@ -28,8 +28,10 @@ PHASES: dict[str, Phase] = {
 
 def _views(bench: SmallBench, phase: Phase) -> Floats:
     """The true wavefront of each view at the lenslet centres, without piston."""
-    views = np.array([[phase(bench.pupil_x_m, bench.pupil_y_m, x, y) for x in FIELD.view_x_m] for y in FIELD.view_y_m])
-    return views - views.mean(axis=(2, 3), keepdims=True)
+    views: Floats = np.array(
+        [[phase(bench.pupil_x_m, bench.pupil_y_m, x, y) for x in FIELD.view_x_m] for y in FIELD.view_y_m]
+    )
+    return np.asarray(views - views.mean(axis=(2, 3), keepdims=True))
 
 
 @pytest.mark.parametrize("name", PHASES)

@@ -1,0 +1,51 @@
+"""The window on a bench, with a person before it or without: `svwfs live`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from app.acquisition import Acquisition, Measurement
+from app.config import Bench
+from app.devices import open_devices
+from app.results import result_dataset, write_results
+
+_UNATTENDED_S = 5.0
+
+
+def live_window(bench: Bench, *, seconds: float | None, out: Path) -> int:
+    """Run the window and return the exit status; Qt is loaded here, when it is known that a window is wanted.
+
+    Where there is no display, or `seconds` are given, nobody needs to be there: it closes by itself so long after
+    the first wavefront and leaves `window.png` and `result.nc` in the folder `out`.
+    """
+    if not _has_display():
+        os.environ["QT_QPA_PLATFORM"] = "offscreen"
+        seconds = seconds or _UNATTENDED_S
+    from app.gui.live import run_live
+
+    def finish(measurement: Measurement) -> None:
+        if measurement.wavefront is not None:
+            write_results(out / "result.nc", result_dataset(measurement.wavefront, bench), bench=bench, inputs={})
+
+    if seconds is None:
+        return run_live(lambda: Acquisition(bench, open_devices))
+    out.mkdir(parents=True, exist_ok=True)
+    status = run_live(
+        lambda: Acquisition(bench, open_devices),
+        offscreen_s=seconds,
+        screenshot=out / "window.png",
+        on_finish=finish,
+    )
+    sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\n")
+    return status
+
+
+def _has_display() -> bool:
+    """Whether a window could be shown."""
+    if os.environ.get("QT_QPA_PLATFORM"):
+        return os.environ["QT_QPA_PLATFORM"] != "offscreen"
+    if not sys.platform.startswith("linux"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
