@@ -73,8 +73,8 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
     lattice; basis (3, Q, N) the field modes and their derivatives along x and y per pixel; template (L, N);
     inverse (L, 2Q + 2, N) the pseudo-inverse of each lenslet's steepest-descent images (x modes, y modes, gain,
     offset); displacement (L, xy, Q), px, start in and fit out; contrast (L,), the standard deviation of the frame's
-    subimage at the start, residual_rms (L,) and last_step_px (L,), the largest change of a coefficient in the last
-    iteration, out. Gain and offset start from the two subimages' means and contrasts.
+    subimage at the start, residual_rms (L,) before the last step and last_step_px (L,), the largest change of a
+    coefficient in it, out. Gain and offset start from the two subimages' means and contrasts.
     """
     modes, pixels = basis.shape[1], basis.shape[2]
     one = np.float32(1.0)
@@ -82,7 +82,7 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
     residual = np.empty(pixels, np.float32)
     gain, offset = one, np.float32(0.0)
     for lenslet in range(first, last):
-        for iteration in range(iterations + 1):
+        for iteration in range(iterations):
             warp[:] = 0
             for q in range(modes):
                 along_x, along_y = displacement[lenslet, 0, q], displacement[lenslet, 1, q]
@@ -112,8 +112,6 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
                 residual[n] = gain * residual[n] + offset - template[lenslet, n]
                 square += residual[n] * residual[n]
             residual_rms[lenslet] = np.sqrt(square / np.float32(pixels))
-            if iteration == iterations or (iteration > 0 and last_step_px[lenslet] < tolerance_px):
-                break
             step = np.float32(0.0)
             for q in range(modes):
                 for axis in range(2):
@@ -130,5 +128,5 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
             gain *= one - gain_change
             offset -= offset_change
             last_step_px[lenslet] = step
-            if not np.isfinite(residual_rms[lenslet]):
+            if not step >= tolerance_px:  # converged, or no longer a number
                 break

@@ -80,7 +80,8 @@ _DARK_CONTRAST = 0.1  # of the median lenslet's contrast; below it a lenslet cou
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is noise and no image
 _CONVERGED_PX = 0.05  # a last step above it is no convergence
 _MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
-_TRANSLATION_ITERATIONS = 6
+_TRANSLATION_ITERATIONS = 8
+_TRANSLATION_TOLERANCE_PX = 0.2  # only a start for the warp
 _ITERATIONS = 12
 _TOLERANCE_PX = 1e-3
 _THREADS = min(2, os.cpu_count() or 1)
@@ -140,12 +141,16 @@ class Registration:
         `saturated` (row, column) marks pixels at full scale; a lenslet that sees one yields no displacement.
         """
         displacement = np.zeros((len(self._template), 2, 1), np.float32)
-        contrast, _, _ = self._align(self._steps[0], coefficients, displacement, _TRANSLATION_ITERATIONS)
+        contrast, _, _ = self._align(
+            self._steps[0], coefficients, displacement, _TRANSLATION_ITERATIONS, _TRANSLATION_TOLERANCE_PX
+        )
         lost = ~(np.abs(displacement).max(axis=(1, 2)) <= self._reach_px)
         start = np.where(lost[:, None], 0, displacement[:, :, 0])
         displacement = np.zeros((len(self._template), *self._steps[1].variance.shape[1:]), np.float32)
         displacement[:, :, 0] = start
-        _, residual_rms, last_step_px = self._align(self._steps[1], coefficients, displacement, _ITERATIONS)
+        _, residual_rms, last_step_px = self._align(
+            self._steps[1], coefficients, displacement, _ITERATIONS, _TOLERANCE_PX
+        )
 
         outcome = np.full(len(self._template), Outcome.CONVERGED, np.int8)
         outcome[self._leaves_cell(displacement)] = Outcome.LEFT_CELL
@@ -169,7 +174,7 @@ class Registration:
         )
 
     def _align(
-        self, steps: _Steps, coefficients: Image, displacement: Image, iterations: int
+        self, steps: _Steps, coefficients: Image, displacement: Image, iterations: int, tolerance_px: float
     ) -> tuple[Image, Image, Image]:
         """Improve `displacement` in place, lenslets shared among threads; return contrast, residual, last step."""
         lenslets = len(self._template)
@@ -188,7 +193,7 @@ class Registration:
                 steps.inverse,
                 self._conserve_flux,
                 iterations,
-                _TOLERANCE_PX,
+                tolerance_px,
                 displacement,
                 contrast,
                 residual_rms,
