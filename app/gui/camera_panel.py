@@ -65,7 +65,7 @@ class CameraPanel(QWidget):
         self._graphics.setMinimumSize(220, 220)
         self._image = pg.ImageItem(axisOrder="row-major")  # the one place where pyqtgraph must be told
         self._lines = _curve(self._view, theme.ACCENT, alpha=110)
-        self._boxes = _curve(self._view, theme.RED)
+        self._boxes = _curve(self._view, theme.RED, width=2)
         self._arrows = _curve(self._view, theme.AMBER)
         self._arrows.setShadowPen(pg.mkPen((0, 0, 0, 200), width=3))  # to be seen on black and on white
         self._view.addItem(self._image)
@@ -75,7 +75,13 @@ class CameraPanel(QWidget):
         self.legend = label("", "on-image", self._graphics)
         self.caption = label("", "dim")
         self.caption.setTextFormat(Qt.TextFormat.PlainText)
+        self._title = label("Camera", "title")
+        self._placeholder = label("no frame yet", "dim")
         self._lay_out()
+
+    def show_running(self, *, is_running: bool) -> None:
+        """Say whether the picture is live."""
+        self._title.setText("Camera" if is_running or self._frame is None else "Camera, stopped: the last frame")
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
         """Show on what the coming frames are taken."""
@@ -90,6 +96,7 @@ class CameraPanel(QWidget):
         self._adapt_levels()
         self._image.setImage(frame.pixels, autoLevels=False, levels=self._levels)
         if is_new_shape:
+            self._placeholder.hide()
             rows, columns = frame.pixels.shape
             area = QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
             self._image.setRect(area)
@@ -108,10 +115,11 @@ class CameraPanel(QWidget):
 
     def _lay_out(self) -> None:
         header = QHBoxLayout()
-        header.addWidget(label("Camera", "title"))
+        header.addWidget(self._title)
         header.addStretch()
         for widget in (self.lattice_toggle, self.arrows_toggle, self._levels_choice, self._colours):
             header.addWidget(widget)
+        QVBoxLayout(self._graphics).addWidget(self._placeholder, alignment=Qt.AlignmentFlag.AlignCenter)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(header)
@@ -194,9 +202,9 @@ class CameraPanel(QWidget):
         return f"row {row}, column {column}", Outcome(int(self._displacement.outcome[row, column]))
 
 
-def _curve(view: pg.ViewBox, colour: QColor, alpha: int = 255) -> pg.PlotCurveItem:
+def _curve(view: pg.ViewBox, colour: QColor, alpha: int = 255, width: int = 1) -> pg.PlotCurveItem:
     """Add an item that draws any number of separate line segments at once."""
-    pen = pg.mkPen((colour.red(), colour.green(), colour.blue(), alpha), width=1)
+    pen = pg.mkPen((colour.red(), colour.green(), colour.blue(), alpha), width=width)
     item = pg.PlotCurveItem(pen=pen, connect="pairs", skipFiniteCheck=True, antialias=False)
     item.setZValue(1)
     view.addItem(item, ignoreBounds=True)

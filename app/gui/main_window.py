@@ -18,7 +18,7 @@ from PyQt6.QtCore import QStandardPaths, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QMainWindow, QSplitter, QVBoxLayout, QWidget
 
-from app.acquisition import Acquisition, Measurement
+from app.acquisition import Acquisition, Activity, Measurement
 from app.config import Bench
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
@@ -67,6 +67,10 @@ class MainWindow(QMainWindow):
         self._timer = QTimer(self)
         self._timer.setInterval(_LOOK_INTERVAL_MS)
         self._timer.timeout.connect(self.look)
+
+    @property
+    def _activity(self) -> Activity:
+        return Activity() if self._acquisition is None else self._acquisition.activity
 
     @property
     def failure(self) -> str:
@@ -122,6 +126,7 @@ class MainWindow(QMainWindow):
         self._status = status
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
         self.controls.show_status(status, is_settled=not self._pending)
+        self.camera_panel.show_running(is_running=status.is_running)
         self.camera_panel.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
 
     def update_text(self) -> None:
@@ -129,12 +134,13 @@ class MainWindow(QMainWindow):
         self.camera_panel.update_text()
         self.wavefront_panel.update_text()
         self.status_line.update_text(self._status)
-        is_live = self._status is not None and self._status.is_running and self._measurement is not None
+        status, measurement = self._status, self._measurement
+        is_live = status is not None and status.is_running and not self._activity.text
         self.messages.show_state(
             failure=self.failure,
-            problem=self._measurement.problem if is_live and self._measurement is not None else "",
-            warning="" if self._status is None else self._status.warning,
-            advice=_advice(self._status),
+            problem=measurement.problem if is_live and measurement is not None else "",
+            warning="" if status is None or self._activity.text else status.warning,
+            advice=_advice(status, self._activity),
         )
 
     def save_screenshot(self, path: Path | None = None) -> None:
@@ -252,9 +258,11 @@ class MainWindow(QMainWindow):
                 self.messages.warn(str(error))
 
 
-def _advice(status: Status | None) -> str:
+def _advice(status: Status | None, activity: Activity) -> str:
+    if activity.text:
+        return f"{activity.text}: Esc cancels" if status is not None else activity.text
     if status is None:
-        return "the devices are being opened"
+        return ""
     return "F1 shows keys and conventions" if status.is_running else "the camera is stopped: Space starts it"
 
 

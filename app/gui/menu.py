@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import zip_longest
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QKeySequence
@@ -23,6 +24,8 @@ it has no value, not the value zero.</p>
 <p>Arrows show the displacement of each lenslet's light averaged over the field, magnified as written.</p>
 """
 
+
+_HELP_WIDTH = 560
 
 Entries = tuple[tuple[str, str, Callable[[], object]], ...]  # text, key, what it does
 
@@ -53,10 +56,12 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.setObjectName("help")
     dialog.setWindowTitle("Shortcuts and conventions")
-    rows = (f"<tr><td><b>{key}</b>&nbsp;&nbsp;</td><td>{text}</td></tr>" for m in menus.values() for text, key, _ in m)
+    cells = [f"<td><b>{key}</b>&nbsp; {name}&nbsp; &nbsp;</td>" for menu in menus.values() for name, key, _ in menu]
+    half = -(-len(cells) // 2)
+    rows = (f"<tr>{''.join(pair)}</tr>" for pair in zip_longest(cells[:half], cells[half:], fillvalue=""))
     text = QLabel(f"<h3>Keys</h3><table>{''.join(rows)}</table>{_CONVENTIONS}")
     text.setWordWrap(True)
-    text.setMinimumWidth(520)
+    text.setFixedSize(_HELP_WIDTH, text.heightForWidth(_HELP_WIDTH))
     buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
     buttons.rejected.connect(dialog.close)
     layout = QVBoxLayout(dialog)

@@ -14,7 +14,7 @@ from app.gui import theme
 from reconstruction.geometry import Floats
 
 _GAP = 10
-_BAR_WIDTH, _BAR_SPACE = 14, 72  # px: the bar itself, and all that it takes with its numbers
+_BAR_WIDTH, _BAR_SPACE = 14, 88  # px: the bar itself, and all that it takes with its numbers
 _SMALLEST_CAPTIONED = 96  # px: narrower views have no room for their numbers
 _COLOURS: np.ndarray[tuple[int, int], np.dtype[np.uint8]] = pg.colormap.get("CET-D1").getLookupTable(nPts=255)
 _ARGB = np.uint32(0xFF000000) | (_COLOURS.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))

@@ -11,6 +11,7 @@ from app.gui.widgets import label, toggle
 from reconstruction.geometry import Floats
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
+_FINEST_RAD = 0.01  # no finer scale: it would show noise in full colours
 _SHOWN_PERCENT = 99.5  # of the lenslets lie within the colour scale
 
 
@@ -42,7 +43,7 @@ class WavefrontPanel(QWidget):
         self._wavefront = wavefront
         if wavefront is not None:
             if not self.hold_scale.isChecked():
-                self._limit.follow(_reach(wavefront.views))
+                self._limit.follow(max(_reach(wavefront.views), _FINEST_RAD))
             self.grid.show_views(wavefront.views, self._limit.value)
         else:
             self.grid.show_nothing()
