@@ -113,7 +113,7 @@ def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow
         rms = np.sqrt(np.nanmean((view - np.nanmean(view)) ** 2))
         assert numbers == f"RMS {rms:.2f}   PV {np.nanmax(view) - np.nanmin(view):.2f}"
         x, y = ("\N{MINUS SIGN}0.50", "0", "+0.50")[column], ("\N{MINUS SIGN}0.50", "0", "+0.50")[row]
-        assert place == f"x {x}   y {y} mm"
+        assert place == f"x {x}  y {y} mm"
 
 
 def test_camera_image_lies_as_on_the_camera(make_window: MakeWindow) -> None:

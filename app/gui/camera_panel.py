@@ -81,7 +81,7 @@ class CameraPanel(QWidget):
 
     def show_running(self, *, is_running: bool) -> None:
         """Say whether the picture is live."""
-        self._title.setText("Camera" if is_running or self._frame is None else "Camera, stopped: the last frame")
+        self._title.setText("Camera" if is_running or self._frame is None else "Camera, stopped")
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
         """Show on what the coming frames are taken."""

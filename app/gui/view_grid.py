@@ -14,7 +14,12 @@ from app.gui import theme
 from reconstruction.geometry import Floats
 
 _GAP = 10
-_BAR_WIDTH, _BAR_SPACE = 14, 88  # px: the bar itself, and all that it takes with its numbers
+_BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = (
+    14,
+    16,
+    7,
+)  # px: the colour bar, what is left of it, and right of it up to its numbers
+_BAR_FRACTIONS = (1.0, 0.5, 0.0, -0.5, -1.0)  # of the limit: where it has numbers
 _SMALLEST_CAPTIONED = 96  # px: narrower views have no room for their numbers
 _COLOURS: np.ndarray[tuple[int, int], np.dtype[np.uint8]] = pg.colormap.get("CET-D1").getLookupTable(nPts=255)
 _ARGB = np.uint32(0xFF000000) | (_COLOURS.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
@@ -27,6 +32,7 @@ class ViewGrid(QWidget):
         super().__init__(parent)
         self._views: Floats | None = None
         self._limit_rad = 1.0
+        self._number_width = 0  # px
         self._captions: Mapping[tuple[int, int], tuple[str, str]] = {}
         self.setMinimumSize(260, 220)
 
@@ -43,6 +49,8 @@ class ViewGrid(QWidget):
     def show_views(self, views: Floats, limit_rad: float) -> None:
         """Show wavefronts (view_row, view_column, lenslet_row, lenslet_column), rad, on the scale -limit ... +limit."""
         self._views, self._limit_rad = views, limit_rad
+        numbers = (_signed(fraction * limit_rad) for fraction in _BAR_FRACTIONS)
+        self._number_width = max(self.fontMetrics().horizontalAdvance(number) for number in numbers) + 1
         self.update()
 
     def show_nothing(self) -> None:
@@ -110,14 +118,15 @@ class ViewGrid(QWidget):
             return QPoint(), QSize(), QSize()
         view_rows, view_columns, lenslet_rows, lenslet_columns = self._views.shape
         has_captions = self._has_captions() if captions is None else captions
+        bar_space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
         below = 2 * self.fontMetrics().height() + 4 if has_captions else 0
         gap = _GAP if has_captions else 3
-        width = (self.width() - _BAR_SPACE - (view_columns - 1) * gap) / view_columns
+        width = (self.width() - bar_space - (view_columns - 1) * gap) / view_columns
         height = (self.height() - (view_rows - 1) * gap) / view_rows - below
         scale = max(min(width / lenslet_columns, height / lenslet_rows), 0)
         size = QSize(int(scale * lenslet_columns), int(scale * lenslet_rows))
         step = QSize(size.width() + gap, size.height() + below + gap)
-        used = QSize(view_columns * step.width() - gap + _BAR_SPACE, view_rows * step.height() - gap)
+        used = QSize(view_columns * step.width() - gap + bar_space, view_rows * step.height() - gap)
         first = QPoint(max(self.width() - used.width(), 0) // 2, max(self.height() - used.height(), 0) // 2)
         return first, size, step
 
@@ -137,17 +146,21 @@ class ViewGrid(QWidget):
         top = self.tile(0, self._views.shape[1] - 1)
         bottom = self.tile(self._views.shape[0] - 1, self._views.shape[1] - 1)
         line = self.fontMetrics().height()
-        bar = QRect(top.right() + 16, top.top() + line + 4, _BAR_WIDTH, bottom.bottom() - top.top() - line - 3)
+        bar = QRect(top.right() + _BAR_MARGIN, top.top() + line + 4, _BAR_WIDTH, bottom.bottom() - top.top() - line - 3)
         ramp = np.ascontiguousarray(_ARGB[::-1, None])
         painter.drawImage(bar, QImage(ramp.tobytes(), 1, len(ramp), 4, QImage.Format.Format_ARGB32))
         painter.setPen(theme.TEXT)
-        painter.drawText(QRect(bar.left(), top.top(), _BAR_SPACE, line), Qt.AlignmentFlag.AlignVCenter, "rad")
-        for fraction in (1.0, 0.5, 0.0, -0.5, -1.0):
+        painter.drawText(QRect(bar.left(), top.top(), self.width(), line), Qt.AlignmentFlag.AlignVCenter, "rad")
+        for fraction in _BAR_FRACTIONS:
             y = bar.top() + round((1 - fraction) / 2 * (bar.height() - 1))
             text_y = min(max(y - line // 2, bar.top() - 2), bar.bottom() + 2 - line)
-            text = f"{fraction * self._limit_rad:+g}".replace("-", "\N{MINUS SIGN}") if fraction else "0"
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
-            painter.drawText(QRect(bar.right() + 7, text_y, _BAR_SPACE, line), Qt.AlignmentFlag.AlignVCenter, text)
+            place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
+            painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, _signed(fraction * self._limit_rad))
+
+
+def _signed(value_rad: float) -> str:
+    return f"{value_rad:+g}".replace("-", "\N{MINUS SIGN}") if value_rad else "0"
 
 
 def _argb(views: Floats, limit_rad: float) -> np.ndarray[tuple[int, ...], np.dtype[np.uint32]]:

@@ -61,7 +61,7 @@ class WavefrontPanel(QWidget):
             {
                 (row, column): (
                     f"RMS {_number(float(rms_rad[row, column]))}   PV {_number(float(pv_rad[row, column]))}",
-                    f"x {x[column]}   y {y[row]} mm",
+                    f"x {x[column]}  y {y[row]} mm",
                 )
                 for row, column in np.ndindex(views.shape[:2])
             }
