@@ -58,7 +58,6 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
     basis: Image,
     template: Image,
     inverse: Image,
-    conserve_flux: bool,
     iterations: int,
     tolerance_px: float,
     displacement: Image,
@@ -68,13 +67,11 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
 ) -> None:
     """Fit the displacement of lenslets `first` ... `last - 1`, in place.
 
-    Shapes, for L lenslets, N pixels a window and Q field modes: coefficients (row, column) of the frame; center_px
-    (L, xy); offset_px (N, xy) window positions about the centre in the lattice frame; turn (cosine, sine) of the
-    lattice; basis (3, Q, N) the field modes and their derivatives along x and y per pixel; template (L, N);
-    inverse (L, 2Q + 2, N) the pseudo-inverse of each lenslet's steepest-descent images (x modes, y modes, gain,
-    offset); displacement (L, xy, Q), px, start in and fit out; contrast (L,), the standard deviation of the frame's
-    subimage at the start, residual_rms (L,) before the last step and last_step_px (L,), the largest change of a
-    coefficient in it, out. Gain and offset start from the two subimages' means and contrasts.
+    Of the frame: its spline coefficients (row, column). Of the lattice: center_px (L, xy) and its turn (cosine,
+    sine). Of the reference: offset_px, basis, template and inverse, as `template.Template` holds them. In and out:
+    displacement (L, xy, Q), px. Out: contrast (L,), the standard deviation of the frame's subimage at the start;
+    residual_rms (L,) before the last step; last_step_px (L,), the largest change of a coefficient in it. Gain and
+    offset start from the two subimages' means and contrasts.
     """
     modes, pixels = basis.shape[1], basis.shape[2]
     one = np.float32(1.0)
@@ -89,12 +86,11 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
                 for n in range(pixels):
                     warp[0, n] += along_x * basis[0, q, n]
                     warp[1, n] += along_y * basis[0, q, n]
-                if conserve_flux:
-                    for n in range(pixels):
-                        warp[2, n] += along_x * basis[1, q, n]
-                        warp[3, n] += along_x * basis[2, q, n]
-                        warp[4, n] += along_y * basis[1, q, n]
-                        warp[5, n] += along_y * basis[2, q, n]
+                for n in range(pixels):
+                    warp[2, n] += along_x * basis[1, q, n]
+                    warp[3, n] += along_x * basis[2, q, n]
+                    warp[4, n] += along_y * basis[1, q, n]
+                    warp[5, n] += along_y * basis[2, q, n]
             center_x, center_y = np.float32(center_px[lenslet, 0]), np.float32(center_px[lenslet, 1])
             square = np.float32(0.0)
             for n in range(pixels):

@@ -5,9 +5,8 @@ Light imaged at x in the reference arrives at x + d(x). Light is neither made no
     I0(x) = gain I1(x + d(x)) det(1 + dd/dx) + offset,    d(x) = sum_q c_q T_q(x / h)
 
 with T_q the field's Legendre polynomials and h the half width of the field on the subimage. Q = 1 is a translation,
-Q = 3 the paper's affine map, Q = 6 and 10 bend. The c_q follow from Gauss-Newton steps whose steepest-descent images
-are taken from the reference: d(residual)/dc_q = d(I0 T_q)/dx, so that everything but the residual itself is computed
-once per reference (after Baker and Matthews 2004, International Journal of Computer Vision 56, 221).
+Q = 3 the paper's affine map, Q = 6 and 10 bend. The c_q follow from Gauss-Newton steps that need of the reference only
+what `template` prepares once; a translation found on every other pixel is their start.
 """
 
 from __future__ import annotations
@@ -25,8 +24,9 @@ from numpy.typing import NDArray
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, centered_steps
 from reconstruction.kernel import align
-from reconstruction.polynomials import legendre, legendre_gradients
+from reconstruction.polynomials import legendre
 from reconstruction.spline import Image, sample, spline_coefficients
+from reconstruction.template import Template, prepare_template
 
 Warp = Literal["translation", "affine", "quadratic", "cubic"]
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10}
@@ -66,15 +66,6 @@ class Displacement:
         return np.asarray(self.outcome == Outcome.CONVERGED)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Steps:
-    """What the Gauss-Newton steps of one warp need of the reference; shapes as in `kernel.align`."""
-
-    basis: Image
-    inverse: Image
-    variance: Floats  # of each displacement coefficient per unit of pixel variance, (L, xy, Q)
-
-
 _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice belongs to another frame
 _DARK_CONTRAST = 0.1  # of the median lenslet's contrast; below it a lenslet counts as unlit
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is noise and no image
@@ -99,7 +90,6 @@ class Registration:
         self._half_width_px = field.half_width_px(sensor)
         blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
         self._reach_px = (lattice.pitch_px - blur_px) / 2  # a field's edge beyond it has light in the next cell
-        self._conserve_flux = settings.conserve_flux
         steps = centered_steps(int(lattice.pitch_px))
         y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
         self._offset_px = np.stack([x, y], axis=-1).astype(np.float32)
@@ -115,24 +105,24 @@ class Registration:
             raise ReconstructionError(
                 f"most lenslets lie beside the frame of {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
-        template, gradient = sample(spline_coefficients(reference), np.clip(position_px, 0, edge))
-        self._template = template.astype(np.float32)
-        self._contrast = template.std(axis=1)
+        light, gradient = sample(spline_coefficients(reference), np.clip(position_px, 0, edge))
+        self._contrast = light.std(axis=1)
         self._dark = ~(self._contrast > _DARK_CONTRAST * np.median(self._contrast[~self._off_camera]))
-        if self._dark.all() or _smoothness(template[~self._dark], steps.size) < _SMOOTH:
+        if self._dark.all() or _smoothness(light[~self._dark], steps.size) < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
-        lit = ~self._dark & ~self._off_camera
-        self._steps = tuple(
-            _prepare_steps(
-                template,
-                gradient @ turn.T,
-                lit=lit,
-                offset_px=self._offset_px,
+        self._lit = ~self._dark & ~self._off_camera
+        coarse = np.all(np.mod(self._offset_px - self._offset_px[0], 2) == 0, axis=1)  # every other pixel will do
+        self._start, self._warp = (
+            prepare_template(
+                light[:, pixels],
+                (gradient @ turn.T)[:, pixels],
+                lit=self._lit,
+                offset_px=self._offset_px[pixels],
                 half_width_px=self._half_width_px,
                 modes=modes,
                 conserve_flux=settings.conserve_flux,
             )
-            for modes in (1, FIELD_MODES[settings.warp])
+            for modes, pixels in ((1, coarse), (FIELD_MODES[settings.warp], slice(None)))
         )
 
     def __call__(self, coefficients: Image, *, saturated: NDArray[np.bool_] | None = None) -> Displacement:
@@ -140,31 +130,28 @@ class Registration:
 
         `saturated` (row, column) marks pixels at full scale; a lenslet that sees one yields no displacement.
         """
-        displacement = np.zeros((len(self._template), 2, 1), np.float32)
+        displacement = np.zeros(self._start.variance.shape, np.float32)
         contrast, _, _ = self._align(
-            self._steps[0], coefficients, displacement, _TRANSLATION_ITERATIONS, _TRANSLATION_TOLERANCE_PX
+            self._start, coefficients, displacement, _TRANSLATION_ITERATIONS, _TRANSLATION_TOLERANCE_PX
         )
         lost = ~(np.abs(displacement).max(axis=(1, 2)) <= self._reach_px)
         start = np.where(lost[:, None], 0, displacement[:, :, 0])
-        displacement = np.zeros((len(self._template), *self._steps[1].variance.shape[1:]), np.float32)
+        displacement = np.zeros(self._warp.variance.shape, np.float32)
         displacement[:, :, 0] = start
-        _, residual_rms, last_step_px = self._align(
-            self._steps[1], coefficients, displacement, _ITERATIONS, _TOLERANCE_PX
-        )
+        _, residual_rms, last_step_px = self._align(self._warp, coefficients, displacement, _ITERATIONS, _TOLERANCE_PX)
 
-        outcome = np.full(len(self._template), Outcome.CONVERGED, np.int8)
+        outcome = np.full(len(self._center_px), Outcome.CONVERGED, np.int8)
         outcome[self._leaves_cell(displacement)] = Outcome.LEFT_CELL
         outcome[~((last_step_px < _CONVERGED_PX) & (residual_rms < _MISFIT * self._contrast))] = Outcome.DIVERGED
         if saturated is not None:
             outcome[self._sees(saturated)] = Outcome.SATURATED
-        lit = ~self._dark & ~self._off_camera
-        outcome[self._dark | ~(contrast > _DARK_CONTRAST * np.median(contrast[lit]))] = Outcome.DARK
+        outcome[self._dark | ~(contrast > _DARK_CONTRAST * np.median(contrast[self._lit]))] = Outcome.DARK
         outcome[self._off_camera] = Outcome.OFF_CAMERA
 
         lost = outcome != Outcome.CONVERGED
-        pixels, parameters = self._template.shape[1], self._steps[1].inverse.shape[1]
+        parameters, pixels = self._warp.inverse.shape[1:]
         noise = residual_rms.astype(np.float64) ** 2 * pixels / (pixels - parameters)
-        variance = self._steps[1].variance * noise[:, None, None]
+        variance = self._warp.variance * noise[:, None, None]
         variance[lost], displacement[lost], residual_rms[lost] = np.nan, np.nan, np.nan
         return Displacement(
             coefficients=np.swapaxes(displacement, 1, 2).reshape(*self._shape, -1, 2).astype(np.float64),
@@ -174,10 +161,10 @@ class Registration:
         )
 
     def _align(
-        self, steps: _Steps, coefficients: Image, displacement: Image, iterations: int, tolerance_px: float
+        self, template: Template, coefficients: Image, displacement: Image, iterations: int, tolerance_px: float
     ) -> tuple[Image, Image, Image]:
         """Improve `displacement` in place, lenslets shared among threads; return contrast, residual, last step."""
-        lenslets = len(self._template)
+        lenslets = len(self._center_px)
         contrast, residual_rms, last_step_px = np.zeros((3, lenslets), np.float32)
 
         def part(first: int) -> None:
@@ -186,12 +173,11 @@ class Registration:
                 first,
                 min(first + _PART, lenslets),
                 self._center_px,
-                self._offset_px,
+                template.offset_px,
                 self._turn,
-                steps.basis,
-                self._template,
-                steps.inverse,
-                self._conserve_flux,
+                template.basis,
+                template.light,
+                template.inverse,
                 iterations,
                 tolerance_px,
                 displacement,
@@ -213,7 +199,7 @@ class Registration:
     def _sees(self, marked: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether any pixel in the lenslet's cell is marked, (L,)."""
         if not marked.any():
-            return np.zeros(len(self._template), np.bool_)
+            return np.zeros(len(self._center_px), np.bool_)
         edge = np.array(marked.shape[::-1]) - 1
         turn = np.array([[self._turn[0], self._turn[1]], [-self._turn[1], self._turn[0]]])
         nearest = np.clip(np.rint(self._center_px[:, None] + self._offset_px @ turn), 0, edge).astype(np.intp)
@@ -227,46 +213,6 @@ _PART = 16  # lenslets handed to a thread at a time
 def _threads() -> ThreadPoolExecutor:
     """The threads that share the lenslets, for the whole program."""
     return ThreadPoolExecutor(_THREADS, thread_name_prefix="registration")
-
-
-def _prepare_steps(
-    template: Floats,
-    gradient: Floats,
-    *,
-    lit: NDArray[np.bool_],
-    offset_px: Image,
-    half_width_px: float,
-    modes: int,
-    conserve_flux: bool,
-) -> _Steps:
-    """Prepare the steps of the warp with `modes` field modes T_q for windows at `offset_px` (N, xy).
-
-    The steepest-descent images of the template I0 (L, N) with gradient (L, N, xy) are, for d along x,
-    d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx; the second term is the flux. Those of gain and offset are I0 and 1.
-    """
-    x, y = offset_px.T.astype(np.float64) / half_width_px
-    values = legendre(modes, x, y)
-    slopes = legendre_gradients(modes, x, y) / half_width_px
-    flux = template[lit, None] if conserve_flux else np.zeros((1, 1, 1))
-    descent = np.concatenate(
-        [
-            gradient[lit, None, :, 0] * values + flux * slopes[..., 0],
-            gradient[lit, None, :, 1] * values + flux * slopes[..., 1],
-            template[lit, None],
-            np.ones((np.count_nonzero(lit), 1, template.shape[1])),
-        ],
-        axis=1,
-    )
-    norm = np.linalg.norm(descent, axis=2, keepdims=True)
-    descent /= norm
-    covariance = np.linalg.pinv(descent @ np.swapaxes(descent, 1, 2), rcond=1e-9, hermitian=True)
-    inverse = np.zeros((len(template), *descent.shape[1:]), np.float32)
-    inverse[lit] = covariance @ descent / norm
-    variance = np.zeros((len(template), 2, modes))
-    diagonal = np.diagonal(covariance, axis1=1, axis2=2) / norm[..., 0] ** 2
-    variance[lit] = diagonal[:, : 2 * modes].reshape(-1, 2, modes)
-    basis = np.stack([values, slopes[..., 0], slopes[..., 1]]).astype(np.float32)
-    return _Steps(basis=basis, inverse=inverse, variance=variance)
 
 
 def _smoothness(template: Floats, width: int) -> float:

@@ -1,0 +1,91 @@
+"""A bench file is read as it is meant, and every fault in it is one line that names the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.config import PRESETS, load_bench, parse_bench, write_bench
+from app.errors import InputError
+
+MINIMAL = (Path(__file__).parent / "foreign_frames" / "bench.toml").read_text()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_survive_writing_and_reading(preset: str) -> None:
+    bench = load_bench(preset)
+    assert parse_bench(write_bench(bench), "again") == bench
+
+
+def test_the_contracts_example_means_what_it_says() -> None:
+    bench = parse_bench(MINIMAL, "bench.toml")
+    assert bench.sensor.lenslet_focal_length_m == 46.7e-3
+    assert bench.lattice is not None
+    assert bench.lattice.pitch_px == 31.25
+    assert (bench.registration.warp, bench.registration.conserve_flux) == ("quadratic", True)
+    assert (bench.reconstruction.method, bench.reconstruction.pupil_modes) == ("modal", 66)
+
+
+def test_a_whole_number_may_stand_for_a_length() -> None:
+    assert parse_bench(MINIMAL.replace("center_x_px = 255.5", "center_x_px = 255"), "b").lattice is not None
+
+
+def test_the_lattice_may_be_left_out() -> None:
+    start, end = MINIMAL.index("[lattice]"), MINIMAL.index("[field]")
+    assert parse_bench(MINIMAL[:start] + MINIMAL[end:], "b").lattice is None
+
+
+FAULTS = {
+    "unknown section": ("[sensor]", "[sensors]", "unknown key sensors; known are sensor, field"),
+    "misspelt key": ("lenslet_rows", "lenslet_row", "sensor: unknown key lenslet_row; known are lenslet_rows"),
+    "missing key": ("wavelength_m = 462e-9\n", "", "sensor.wavelength_m: is missing"),
+    "text for a number": ("lenslet_rows = 15", 'lenslet_rows = "15"', "sensor.lenslet_rows: must be a whole number"),
+    "a fraction for a count": ("lenslet_rows = 15", "lenslet_rows = 15.5", "sensor.lenslet_rows: must be a whole"),
+    "true for a number": ("wavelength_m = 462e-9", "wavelength_m = true", "sensor.wavelength_m: must be a finite"),
+    "not a number": ("pitch_px = 31.25", "pitch_px = nan", "lattice.pitch_px: must be a finite number"),
+    "infinite": ("pitch_px = 31.25", "pitch_px = inf", "lattice.pitch_px: must be a finite number"),
+    "impossible value": ("lenslet_rows = 15", "lenslet_rows = -1", "sensor: lenslet_rows must be 2 ... 1000"),
+    "nanometres for metres": ("462e-9", "462", "sensor: wavelength_m must lie between 100e-9 and 20e-6"),
+    "unknown choice": ('"quadratic"', '"bent"', 'registration.warp: must be one of "translation", "affine"'),
+    "number for a choice": ('"quadratic"', "6", 'registration.warp: must be one of "translation"'),
+    "views outside the field": ("0.5e-3\n", "0.9e-3\n", "field: view_spacing_m places views outside"),
+    "broken TOML": ("[sensor]", "[sensor", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_one_line_that_names_the_key(name: str) -> None:
+    right, wrong, sentence = FAULTS[name]
+    assert right in MINIMAL
+    with pytest.raises(InputError) as fault:
+        parse_bench(MINIMAL.replace(right, wrong, 1), "bench.toml")
+    assert str(fault.value).startswith("bench.toml: ")
+    assert sentence in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_an_unknown_driver_says_what_there_is() -> None:
+    with pytest.raises(InputError, match='camera.driver: must be one of "simulated"'):
+        parse_bench(MINIMAL + '\n[camera]\ndriver = "dcam"\n', "b")
+
+
+def test_settings_can_be_changed_from_the_command_line() -> None:
+    bench = load_bench("live_demo", ("registration.warp=affine", "reconstruction.pupil_modes=21", "simulation.seed = 4"))
+    assert bench.registration.warp == "affine"
+    assert bench.reconstruction.pupil_modes == 21
+    assert bench.simulation.seed == 4
+
+
+@pytest.mark.parametrize("override", ["warp=affine", "registration.warp", "=", "sensor.wavelength_m.x=1", ""])
+def test_a_change_without_sense_is_refused(override: str) -> None:
+    with pytest.raises(InputError, match="--set"):
+        load_bench("live_demo", (override,))
+
+
+def test_missing_and_binary_files_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere.toml: No such file.*preset .live_demo"):
+        load_bench(tmp_path / "nowhere.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not a text file"):
+        load_bench(tmp_path / "binary.toml")

@@ -1,0 +1,77 @@
+"""Results as others read them: names, dimensions, units, and the numbers themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from app.config import load_bench, parse_bench
+from app.results import result_dataset, stack_frames, write_results
+from optics import SmallBench
+
+BENCH = load_bench(
+    Path(__file__).parent / "foreign_frames" / "bench.toml",
+    ("sensor.lenslet_rows=7", "sensor.lenslet_columns=9", "registration.warp=affine", "reconstruction.pupil_modes=21"),
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(small_bench: SmallBench) -> xr.Dataset:
+    frame = small_bench.reference.copy()
+    x, y = small_bench.lattice.lenslet_centers_px(7, 9)[2, 5]
+    frame[int(y - 14) : int(y + 16), int(x - 14) : int(x + 16)] = 0
+    return result_dataset(small_bench.reconstructor()(frame), BENCH)
+
+
+def test_the_contract_of_names_dimensions_and_units(dataset: xr.Dataset, tmp_path: Path) -> None:
+    write_results(tmp_path / "r.nc", dataset, bench=BENCH, inputs={"frame": "f.tif", "reference": "r.tif"})
+    with xr.open_dataset(tmp_path / "r.nc") as read:
+        read.load()
+    dimensions = {
+        "wavefront": ("view_row", "view_column", "lenslet_row", "lenslet_column"),
+        "displacement": ("lenslet_row", "lenslet_column", "field_mode", "xy"),
+        "valid": ("lenslet_row", "lenslet_column"),
+        "residual_rms": ("lenslet_row", "lenslet_column"),
+        "coefficients": ("pupil_mode", "field_mode"),
+        "coefficients_sigma": ("pupil_mode", "field_mode"),
+    }
+    for name, names in dimensions.items():
+        assert read[name].dims == names
+    assert dict(read.sizes) == {
+        "view_row": 3,
+        "view_column": 3,
+        "lenslet_row": 7,
+        "lenslet_column": 9,
+        "field_mode": 3,
+        "xy": 2,
+        "pupil_mode": 21,
+    }
+    units = {"wavefront": "rad", "coefficients": "rad", "displacement": "px", "view_x": "m", "pupil_y": "m"}
+    assert {name: read[name].attrs["units"] for name in units} == units
+    np.testing.assert_allclose(read["view_x"], [-0.5e-3, 0, 0.5e-3])
+    np.testing.assert_allclose(read["pupil_x"], np.arange(-4, 5) * 0.5e-3)
+    np.testing.assert_allclose(read["pupil_y"], np.arange(-3, 4) * 0.5e-3)
+    assert parse_bench(read.attrs["bench"], "attribute") == BENCH
+    assert read.attrs["software"].startswith("svwfs ")
+    assert (read.attrs["frame"], read.attrs["reference"]) == ("f.tif", "r.tif")
+    xr.testing.assert_identical(read["wavefront"].drop_attrs(), dataset["wavefront"].drop_attrs())
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_lost_lenslet_is_marked_and_holds_no_number(dataset: xr.Dataset) -> None:
+    valid = dataset["valid"].to_numpy()
+    assert not valid[2, 5]
+    assert np.count_nonzero(~valid) == 1
+    assert np.isnan(dataset["displacement"].to_numpy()[2, 5]).all()
+    assert np.isnan(dataset["residual_rms"].to_numpy()[2, 5])
+
+
+def test_frames_are_stacked_along_a_new_first_dimension(dataset: xr.Dataset) -> None:
+    stacked = stack_frames([dataset, dataset * 2], [4, 7], [0.1, 0.2])
+    assert stacked["wavefront"].dims[0] == "frame"
+    np.testing.assert_array_equal(stacked["frame_index"], [4, 7])
+    np.testing.assert_allclose(stacked["wavefront"][1], 2 * dataset["wavefront"])
+    assert stacked["view_x"].dims == ("view_column",)
