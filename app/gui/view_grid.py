@@ -80,8 +80,9 @@ class ViewGrid(QWidget):
         hatching = theme.hatching()
         for row, column in np.ndindex(self._views.shape[:2]):
             tile, view = self.tile(row, column), pixels[row, column]
-            painter.fillRect(tile, theme.RAISED)
-            painter.fillRect(tile, hatching)
+            if not view.all():  # something is transparent
+                painter.fillRect(tile, theme.RAISED)
+                painter.fillRect(tile, hatching)
             image = QImage(view.tobytes(), view.shape[1], view.shape[0], 4 * view.shape[1], QImage.Format.Format_ARGB32)
             painter.drawImage(tile, image)
         if self._has_captions():
