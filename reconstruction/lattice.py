@@ -19,6 +19,7 @@ from reconstruction.spline import Image, sample, spline_coefficients
 _SAMPLES = 32  # across a cell
 _ROUNDS = 12
 _ALIKE = 0.01  # difference of light below which two blocks of lenslets count as equally lit
+_CONTRAST = 1e-3  # of the cells' harmonics over their light; an evenly lit frame has none
 _AGREEMENT = 0.7  # of the cells' harmonics, 1 when all point the same way; noise gives about 1 / sqrt(cells)
 
 
@@ -45,7 +46,8 @@ def find_lattice(reference: NDArray[np.generic], sensor: Sensor) -> Lattice:
         lattice = _improve(lattice, harmonics)
     strength = np.abs(harmonics).sum(axis=(0, 1))
     agreement = float(np.min(np.abs(harmonics.sum(axis=(0, 1))) / np.maximum(strength, 1e-30)))
-    if not agreement > _AGREEMENT:
+    contrast = float(strength.min()) / max(float(np.abs(_cell_light(coefficients, lattice, cells)).sum()), 1e-30)
+    if not (agreement > _AGREEMENT and contrast > _CONTRAST):
         raise ReconstructionError(
             f"the reference shows no lattice of {sensor.lenslet_pitch_px:.1f} px pitch: was the light on?"
         )

@@ -2,11 +2,73 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
 from optics import SmallBench
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _cache_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Rendered images are cached for the tests alone: nothing comes from, or is left in, the user's cache."""
+    before = os.environ.get("XDG_CACHE_HOME")
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+    yield
+    if before is None:
+        del os.environ["XDG_CACHE_HOME"]
+    else:
+        os.environ["XDG_CACHE_HOME"] = before
 
 
 @pytest.fixture(scope="session")
 def small_bench() -> SmallBench:
     """A 7 x 9 lattice, off centre and turned, on a non-square camera."""
     return SmallBench()
+
+
+@pytest.fixture(scope="session")
+def small_toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bench file of 5 x 7 lenslets that renders at once."""
+    path = tmp_path_factory.mktemp("bench") / "small.toml"
+    path.write_text(SMALL_TOML)
+    return path
+
+
+SMALL_TOML = """
+[sensor]
+lenslet_rows = 5
+lenslet_columns = 7
+lenslet_pitch_m = 500e-6
+lenslet_focal_length_m = 46.7e-3
+wavelength_m = 462e-9
+pixel_pitch_m = 16e-6
+
+[lattice]
+center_x_px = 121.3
+center_y_px = 84.6
+pitch_px = 31.25
+rotation_rad = 0.003
+
+[field]
+collimator_focal_length_m = 0.2
+half_width_m = 0.6e-3
+
+[reconstruction]
+pupil_modes = 15
+
+[camera]
+driver = "simulated"
+rows = 172
+columns = 240
+exposure_s = 0.02
+em_gain = 8.0
+
+[simulation]
+object_samples = 13
+pupil_samples = 10
+
+[simulation.screen]
+rms_rad = 1.5
+"""

@@ -66,12 +66,13 @@ def test_a_fault_is_one_line_that_names_the_key(name: str) -> None:
 
 
 def test_an_unknown_driver_says_what_there_is() -> None:
-    with pytest.raises(InputError, match='camera.driver: must be one of "simulated"'):
+    with pytest.raises(InputError, match=r'camera\.driver: must be one of "simulated"'):
         parse_bench(MINIMAL + '\n[camera]\ndriver = "dcam"\n', "b")
 
 
 def test_settings_can_be_changed_from_the_command_line() -> None:
-    bench = load_bench("live_demo", ("registration.warp=affine", "reconstruction.pupil_modes=21", "simulation.seed = 4"))
+    changes = ("registration.warp=affine", "reconstruction.pupil_modes=21", "simulation.seed = 4")
+    bench = load_bench("live_demo", changes)
     assert bench.registration.warp == "affine"
     assert bench.reconstruction.pupil_modes == 21
     assert bench.simulation.seed == 4

@@ -1,0 +1,242 @@
+"""The worker thread: commands between frames, routines that leave things as they were, faults that are told."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.acquisition import Acquisition, Measurement
+from app.config import Bench, load_bench
+from app.devices import Devices, open_devices
+from app.errors import InputError
+from app.instrument import Instrument
+from app.routines import Cancelled
+from app.start_up import start_up
+from drivers.interface import BadValue, Disconnected, WrongState
+from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
+
+
+class Running:
+    """An acquisition on the small simulated bench, and all that came out of it."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.devices: Devices | None = None
+        self.measurements: list[Measurement] = []
+        self.acquisition = Acquisition(bench, self._open, sinks=(self.measurements.append,))
+
+    def _open(self, bench: Bench, progress: Callable[[float], None]) -> Devices:
+        self.devices = open_devices(bench, progress)
+        return self.devices
+
+    @property
+    def camera(self) -> SimulatedCamera:
+        assert self.devices is not None
+        assert isinstance(self.devices.camera, SimulatedCamera)
+        return self.devices.camera
+
+    def begin(self) -> None:
+        """Start up and wait for the first wavefront."""
+        self.acquisition.start()
+        for step in start_up(self.acquisition, 3):
+            step.result(timeout=30)
+        self.wait_until(lambda: bool(self.measurements))
+
+    @staticmethod
+    def wait_until(condition: Callable[[], bool], timeout_s: float = 15.0) -> None:
+        deadline_s = time.monotonic() + timeout_s
+        while not condition():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.005)
+
+
+@pytest.fixture
+def running(small_toml: Path) -> Iterator[Running]:
+    running = Running(load_bench(small_toml))
+    yield running
+    running.acquisition.close()
+
+
+def _is_dark(instrument: Instrument) -> bool:
+    return not instrument.devices.light.is_on
+
+
+def test_from_start_to_wavefronts(running: Running) -> None:
+    running.begin()
+    running.wait_until(lambda: len(running.measurements) >= 10)
+    running.acquisition.close()
+    counts = running.measurements[-1].counts
+    assert counts.acquired == len(running.measurements)
+    assert counts.reconstructed == counts.acquired
+    assert [measurement.frame.index for measurement in running.measurements] == list(range(counts.acquired))
+    assert counts.lost == 0
+    assert running.acquisition.newest is running.measurements[-1]
+    assert running.acquisition.failure == ""
+
+
+def test_a_command_is_executed_between_frames_and_its_result_comes_back(running: Running) -> None:
+    running.begin()
+    set_to = running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(0.040004)).result(5)
+    assert set_to == pytest.approx(0.04)
+    assert running.acquisition.status is not None
+    running.wait_until(lambda: running.measurements[-1].frame.exposure_s == set_to)
+
+
+def test_a_refused_setting_is_the_callers_business_and_the_loop_goes_on(running: Running) -> None:
+    running.begin()
+    with pytest.raises(BadValue, match=r"exposure_s = 99 is outside 0.0139 ... 1"):
+        running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(99.0)).result(5)
+    before = len(running.measurements)
+    running.wait_until(lambda: len(running.measurements) > before + 2)
+
+
+def test_routines_leave_the_devices_as_they_found_them(running: Running) -> None:
+    running.begin()
+    running.acquisition.take_dark(3).result(10)
+    running.acquisition.take_reference(3).result(10)
+    status = running.acquisition.status
+    assert status is not None
+    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
+    assert (status.has_dark, status.has_reference, status.warning) == (True, True, "")
+
+
+def test_a_cancelled_routine_leaves_the_devices_as_it_found_them(running: Running) -> None:
+    running.begin()
+    long = running.acquisition.take_dark(10_000)
+    running.wait_until(lambda: "dark" in running.acquisition.activity.text)
+    assert running.acquisition.status is not None
+    running.acquisition.cancel()
+    with pytest.raises(Cancelled):
+        long.result(5)
+    assert not running.acquisition.submit(_is_dark).result(5)
+    assert running.acquisition.activity.text == ""
+
+
+def test_a_routine_can_be_cancelled_before_it_begins(running: Running) -> None:
+    running.begin()
+    first, second = running.acquisition.take_dark(10_000), running.acquisition.take_dark(2)
+    running.wait_until(lambda: "dark" in running.acquisition.activity.text)
+    running.acquisition.cancel()
+    with pytest.raises(Cancelled):
+        first.result(5)
+    second.result(10)
+
+
+def test_the_dark_is_dark_and_the_reference_is_lit(running: Running) -> None:
+    running.begin()
+    averages = running.acquisition.submit(lambda instrument: (instrument.dark, instrument.reference)).result(5)
+    dark, reference = averages
+    assert dark is not None
+    assert reference is not None
+    assert dark.mean.mean() == pytest.approx(500, abs=3)  # the camera's offset
+    assert reference.mean.max() > 3000
+    assert np.sqrt(np.median(dark.variance)) == pytest.approx(37 / 5.8, rel=0.7)  # read noise in counts, three frames
+
+
+def test_stopping_takes_effect_within_a_long_exposure(small_toml: Path) -> None:
+    running = Running(load_bench(small_toml, ("camera.readout_speed=2", "camera.exposure_s=30.0")))
+    running.acquisition.start()
+    running.acquisition.submit(lambda instrument: instrument.devices.light.set_on(True)).result(20)
+    running.acquisition.submit(lambda instrument: instrument.devices.camera.start()).result(5)
+    time.sleep(0.2)
+    start_s = time.monotonic()
+    running.acquisition.close()
+    assert time.monotonic() - start_s < 1.0
+    assert running.devices is not None
+    with pytest.raises(WrongState):  # closed, with the light off before
+        _ = running.devices.light.is_on
+
+
+def test_a_saturated_frame_is_told_and_the_loop_goes_on(running: Running) -> None:
+    running.begin()
+    running.acquisition.submit(lambda instrument: instrument.devices.camera.set_em_gain(400.0)).result(5)
+    running.wait_until(lambda: "saturated" in running.measurements[-1].problem)
+    running.acquisition.submit(lambda instrument: instrument.devices.camera.set_em_gain(8.0)).result(5)
+    running.wait_until(lambda: running.measurements[-1].wavefront is not None)
+
+
+def test_a_reference_without_light_becomes_a_warning(running: Running) -> None:
+    running.begin()
+    running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(5)
+    running.acquisition.take_reference(2).result(10)
+    assert running.acquisition.status is not None
+    assert "no light" in running.acquisition.status.warning
+    running.wait_until(lambda: "no light" in running.measurements[-1].problem)
+
+
+@pytest.mark.parametrize(
+    ("change", "warning"),
+    [
+        (lambda instrument: instrument.devices.camera.set_exposure(0.05), "20.0 ms: take it again"),
+        (lambda instrument: instrument.devices.camera.set_em_gain(2.0), "another amplifier or gain"),
+        (lambda instrument: instrument.devices.stage.set_mask("stars"), "taken with the mask square"),
+    ],
+)
+def test_a_stale_dark_or_reference_is_told(
+    running: Running, change: Callable[[Instrument], object], warning: str
+) -> None:
+    running.begin()
+    running.acquisition.submit(change).result(20)
+    assert running.acquisition.status is not None
+    assert warning in running.acquisition.status.warning
+
+
+def test_lost_frames_are_counted(running: Running) -> None:
+    running.begin()
+    running.camera.inject(LoseFrames(5))
+    running.wait_until(lambda: running.measurements[-1].counts.lost == 5)
+
+
+def test_an_unplugged_camera_ends_the_loop_with_the_light_off(running: Running) -> None:
+    running.begin()
+    running.camera.inject(Unplug())
+    running.wait_until(lambda: not running.acquisition.is_alive)
+    assert isinstance(running.acquisition.error, Disconnected)
+    assert "camera" in running.acquisition.failure
+    assert running.devices is not None
+    with pytest.raises(WrongState):
+        _ = running.devices.light.is_on
+    with pytest.raises(WrongState, match="camera"):  # a later command does not wait for ever
+        running.acquisition.submit(_is_dark).result(1)
+
+
+def test_a_camera_that_stalls_is_given_up(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.routines._MARGIN_S", 0.3)
+    running.begin()
+    running.camera.inject(Stall())
+    running.wait_until(lambda: not running.acquisition.is_alive)
+    assert "no frame" in running.acquisition.failure
+
+
+def test_a_bench_that_cannot_be_is_an_input_error(small_toml: Path) -> None:
+    running = Running(load_bench(small_toml, ("simulation.screen.file=/nowhere/screen.npy",)))
+    running.acquisition.start()
+    running.wait_until(lambda: not running.acquisition.is_alive)
+    assert isinstance(running.acquisition.error, InputError)
+    assert "screen.npy" in running.acquisition.failure
+
+
+def test_settings_can_be_changed_while_it_runs(running: Running) -> None:
+
+    running.begin()
+    running.acquisition.submit(
+        lambda instrument: instrument.change_settings(
+            lambda bench: replace(bench, registration=replace(bench.registration, warp="affine"))
+        )
+    ).result(10)
+    running.wait_until(
+        lambda: (
+            (wavefront := running.measurements[-1].wavefront) is not None
+            and wavefront.displacement.coefficients.shape[2] == 3
+        )
+    )
+
+
+def test_closing_before_starting_and_twice_is_allowed(small_toml: Path) -> None:
+    acquisition = Acquisition(load_bench(small_toml), open_devices)
+    acquisition.close()
+    acquisition.close()

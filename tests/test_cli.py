@@ -1,0 +1,188 @@
+"""The command as people type it: what it writes, what it says, and with which status it ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+
+from app.cli import main
+from reconstruction.wavefront import rms
+
+FRAMES = Path(__file__).parent / "foreign_frames"
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: str | Path) -> int:
+    """Run the command line in this process and return its exit status."""
+    monkeypatch.setattr(sys, "argv", ["svwfs", *map(str, arguments)])
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    return int(leaving.value.code or 0)
+
+
+def reconstruct_foreign(out: Path, *more: str | Path) -> tuple[str | Path, ...]:
+    """The command that reconstructs the foreign frames."""
+    reference = FRAMES / "square_reference.tif"
+    return (
+        "reconstruct",
+        FRAMES / "square_frame.tif",
+        *("--reference", reference, "--bench", FRAMES / "bench.toml", "--out", out, *more),
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "figure_rad"),
+    [
+        (("registration.warp=affine", "reconstruction.pupil_modes=45"), 0.20),
+        (("registration.warp=affine", "reconstruction.method=zonal"), 0.21),
+    ],
+)
+def test_reconstruct(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    changes: tuple[str, ...],
+    figure_rad: float,
+) -> None:
+    settings = [word for change in changes for word in ("--set", change)]
+    out, picture = tmp_path / "deep" / "r.nc", tmp_path / "p.png"
+    assert run(monkeypatch, *reconstruct_foreign(out, *settings, "--plot", picture)) == 0
+    with xr.open_dataset(out) as result:
+        residual = rms(result["wavefront"].to_numpy() - np.load(FRAMES / "truth.npz")["wavefront_rad"])
+    assert residual.mean() < figure_rad
+    assert "225 of 225 lenslets valid" in capsys.readouterr().out
+    assert picture.stat().st_size > 10_000
+
+
+def test_simulate_then_reconstruct_gives_the_truth(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
+) -> None:
+    assert run(monkeypatch, "simulate", "--bench", small_toml, "--out", tmp_path) == 0
+    names = {"dark.tif", "reference.tif", "frame.tif", "truth.nc"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert tifffile.imread(tmp_path / "frame.tif").dtype == np.uint16
+    files = ("--reference", tmp_path / "reference.tif", "--dark", tmp_path / "dark.tif", "--bench", small_toml)
+    assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *files, "--out", tmp_path / "r.nc") == 0
+    with xr.open_dataset(tmp_path / "r.nc") as result, xr.open_dataset(tmp_path / "truth.nc") as truth:
+        assert result["wavefront"].dims == truth["wavefront"].dims
+        residual = rms((result["wavefront"] - truth["wavefront"]).to_numpy())
+        assert residual.mean() < 0.1 * rms(truth["wavefront"].to_numpy()).mean()
+
+
+def test_noise_free_images_are_photons_as_floats(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
+) -> None:
+    assert run(monkeypatch, "simulate", "--bench", small_toml, "--out", tmp_path, "--noise-free") == 0
+    assert tifffile.imread(tmp_path / "frame.tif").dtype == np.float32
+    assert tifffile.imread(tmp_path / "dark.tif").max() == 0
+
+
+def test_measure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m") == 0
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert results["wavefront"].shape == (5, 3, 3, 5, 7)
+        rms_rad = results["rms"].mean(["view_row", "view_column"]).to_numpy()
+        assert rms_rad == pytest.approx(1.5, rel=0.1)  # what the bench's screen is scaled to
+        assert results["frame_index"].to_numpy().tolist() == list(range(5))
+    assert "5 frames, 0 lost by the camera" in capsys.readouterr().out
+    assert tifffile.imread(tmp_path / "m" / "reference.tif").shape == (172, 240)
+
+
+def test_measure_without_light_fails_with_a_reason(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
+    assert run(monkeypatch, *command, "--set", "light.current_a=0.0") == 1
+    assert "was the light on" in capsys.readouterr().err
+    assert not (tmp_path / "m" / "results.nc").exists()
+
+
+def test_selftest_passes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(monkeypatch, "selftest") == 0
+    assert capsys.readouterr().out.count("ok") == 6
+
+
+def _nan(image: np.ndarray) -> np.ndarray:
+    image[3, 4] = np.nan
+    return image
+
+
+BAD_FRAMES = {
+    "no such file": None,
+    "cannot be read as TIFF or NPY": b"not an image",
+    "has 100 x 512 pixels": lambda image: image[:100],
+    "not finite": _nan,
+    "3 x 512 x 512; one grey image": lambda image: np.stack([image] * 3),
+    "is the light on": lambda image: np.random.default_rng(0).normal(0.01, 0.001, image.shape),
+    "saturated": lambda image: np.minimum(image * 3e5, 65535).astype(np.uint16),
+}
+
+
+@pytest.mark.parametrize("sentence", BAD_FRAMES)
+def test_a_bad_frame_is_one_line_and_status_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, sentence: str
+) -> None:
+    path, make = tmp_path / "bad.tif", BAD_FRAMES[sentence]
+    reference = FRAMES / "square_reference.tif"
+    if isinstance(make, bytes):
+        path.write_bytes(make)
+    elif make is not None:
+        image = make(tifffile.imread(FRAMES / "square_frame.tif"))
+        tifffile.imwrite(path, image, photometric="minisblack")
+        if image.dtype == np.uint16:  # the same camera took the reference, not saturated
+            reference = tmp_path / "reference.tif"
+            tifffile.imwrite(reference, (tifffile.imread(FRAMES / "square_reference.tif") * 3e4).astype(np.uint16))
+    out = tmp_path / "r.nc"
+    command = ("--reference", reference, "--bench", FRAMES / "bench.toml", "--out", out)
+    assert run(monkeypatch, "reconstruct", path, *command) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"svwfs: {path}: ")
+    assert sentence in errors
+    assert errors.count("\n") == 1
+    assert not out.exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_dark_reference_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "dark_reference.tif"
+    tifffile.imwrite(path, np.random.default_rng(0).normal(500, 6, (512, 512)).astype(np.uint16))
+    command = ("--reference", path, "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
+    assert run(monkeypatch, "reconstruct", FRAMES / "square_frame.tif", *command) == 2
+    assert capsys.readouterr().err.startswith(f"svwfs: {path}: the reference shows no light")
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (("measure", "--bench", "nowhere.toml", "--frames", "3", "--out", "x"), "nowhere.toml: No such file"),
+        (("measure", "--bench", "live_demo", "--frames", "0", "--out", "x"), "Invalid value for '--frames'"),
+        (("simulate", "--bench", "live_demo", "--set", "sensor.colour=3", "--out", "x"), "sensor: unknown key colour"),
+        (("nonsense",), "No such command"),
+    ],
+)
+def test_bad_words_are_status_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], sentence: str
+) -> None:
+    assert run(monkeypatch, *command) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_help_names_every_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(monkeypatch, "--help") == 0
+    text = capsys.readouterr().out
+    assert all(command in text for command in ("live", "measure", "reconstruct", "simulate", "selftest"))
+
+
+def test_measuring_and_help_load_no_qt() -> None:
+    program = "import sys, app.cli, app.measure, app.report; sys.exit(any('PyQt6' in name for name in sys.modules))"
+    finished = subprocess.run([sys.executable, "-c", program], check=False)  # noqa: S603 - our own program
+    assert finished.returncode == 0

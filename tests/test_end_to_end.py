@@ -1,0 +1,67 @@
+"""The live loop at the camera's full size on the simulated bench: nothing is lost, and the wavefronts are true."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from app.acquisition import Acquisition, Measurement
+from app.config import Bench, load_bench
+from app.devices import open_devices
+from app.instrument import Instrument
+from app.start_up import start_up
+from reconstruction.wavefront import rms
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.rendering import Renderer, Scene
+
+SECONDS, EXPOSURE_S = 4.0, 0.1
+
+
+def _scene(bench: Bench) -> Scene:
+    assert bench.lattice is not None
+    return Scene(
+        sensor=bench.sensor,
+        lattice=bench.lattice,
+        field=bench.field,
+        simulation=bench.simulation,
+        rows=bench.camera.rows,
+        columns=bench.camera.columns,
+        pixel_fill_factor=bench.camera.pixel_fill_factor,
+    )
+
+
+def test_live_wavefronts_are_the_true_ones_and_nothing_is_lost() -> None:
+    changes = ("camera.exposure_s=0.1", "camera.em_gain=2.0", "simulation.border_lenslets=0")
+    bench = load_bench("live_demo", changes)
+    measurements: list[Measurement] = []
+    acquisition = Acquisition(bench, open_devices, sinks=(measurements.append,))
+    acquisition.start()
+    try:
+        for step in start_up(acquisition, 5):
+            step.result(timeout=60)
+        time.sleep(SECONDS)
+        states = acquisition.submit(lambda instrument: _states(instrument, measurements)).result(5)
+    finally:
+        acquisition.close()
+    assert acquisition.failure == ""
+    counts = measurements[-1].counts
+    assert counts.lost == 0
+    assert counts.reconstructed == counts.acquired >= 0.8 * SECONDS / EXPOSURE_S
+    renderer = Renderer(_scene(bench))
+    truths = {state: renderer.truth_wavefront(state) for state in set(states)}
+    residual = [
+        rms(measurement.wavefront.views - truths[state]).mean()
+        for measurement, state in zip(measurements, states, strict=False)
+        if measurement.wavefront is not None
+    ]
+    assert len(set(states)) > 1  # the screen has drifted
+    assert np.mean(residual) < 0.07
+
+
+def _states(instrument: Instrument, measurements: list[Measurement]) -> list[int]:
+    """The state of the sample in every frame measured so far."""
+    camera = instrument.devices.camera
+    assert isinstance(camera, SimulatedCamera)
+    states = [camera.state_of_frame(measurement.frame.index) for measurement in measurements]
+    return [state for state in states if state is not None]
