@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from app.errors import InputError, RunError
+from app.presets import PRESETS
 
 if TYPE_CHECKING:
     from app.config import Bench
@@ -26,10 +27,9 @@ cli = typer.Typer(
 )
 
 _LIVE_OUT = Path("svwfs-output")
-_UNATTENDED_S = 5.0
 
 BenchOption = Annotated[
-    str, typer.Option("--bench", "-b", metavar="TOML", help="A bench TOML file, or a preset's name.", show_default=True)
+    str, typer.Option("--bench", "-b", metavar="TOML", help=f"A bench TOML file, or a preset: {', '.join(PRESETS)}.")
 ]
 SetOption = Annotated[
     list[str] | None,

@@ -9,7 +9,6 @@ import dataclasses
 import math
 import tomllib
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -17,6 +16,7 @@ import cattrs
 import tomli_w
 
 from app.errors import InputError
+from app.presets import PRESETS
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.registration import RegistrationSettings
@@ -25,8 +25,6 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 T = TypeVar("T")
 
 _UNKNOWN = "unknown key"
-
-PRESETS = ("live_demo", "paper_simulation", "paper_experiment")
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,16 +44,14 @@ class Bench:
 def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
     """Read a bench from a TOML file, or a preset by its name; `overrides` are "section.key=value" as in TOML."""
     name = str(source)
-    if name in PRESETS and not Path(name).exists():
-        text = resources.files("app").joinpath("presets", f"{name}.toml").read_text("utf-8")
-    else:
-        try:
-            text = Path(source).read_text("utf-8")
-        except UnicodeDecodeError as error:
-            raise InputError(f"{name}: not a text file") from error
-        except OSError as error:
-            known = ", ".join(PRESETS)
-            raise InputError(f"{name}: {error.strerror}; give a bench TOML or a preset ({known})") from error
+    path = Path(source) if Path(source).exists() else PRESETS.get(name, Path(source))
+    try:
+        text = path.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: not a text file") from error
+    except OSError as error:
+        known = ", ".join(PRESETS)
+        raise InputError(f"{name}: {error.strerror}; give a bench TOML or a preset ({known})") from error
     return parse_bench(text, name, overrides)
 
 

@@ -33,12 +33,20 @@ def read_image(path: Path) -> NDArray[Any]:
     return image
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder, with those above it, unless it is there."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be made a folder: {error.strerror or error}") from error
+
+
 @contextmanager
 def appearing_whole(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; it takes the name `path` if all goes well and vanishes otherwise."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         try:
             yield temporary
             temporary.replace(path)

@@ -9,6 +9,7 @@ from pathlib import Path
 from app.acquisition import Acquisition, Measurement
 from app.config import Bench
 from app.devices import open_devices
+from app.files import make_folder
 from app.results import result_dataset, write_results
 
 _UNATTENDED_S = 5.0
@@ -31,7 +32,7 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path) -> int:
 
     if seconds is None:
         return run_live(lambda: Acquisition(bench, open_devices))
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     status = run_live(
         lambda: Acquisition(bench, open_devices),
         offscreen_s=seconds,

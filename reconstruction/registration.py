@@ -141,8 +141,10 @@ class Registration:
         _, residual_rms, last_step_px = self._align(self._warp, coefficients, displacement, _ITERATIONS, _TOLERANCE_PX)
 
         outcome = np.full(len(self._center_px), Outcome.CONVERGED, np.int8)
+        diverged = ~((last_step_px < _CONVERGED_PX) & (residual_rms < _MISFIT * self._contrast))
+        displacement[diverged] = 0  # a fit that ran away may hold anything
         outcome[self._leaves_cell(displacement)] = Outcome.LEFT_CELL
-        outcome[~((last_step_px < _CONVERGED_PX) & (residual_rms < _MISFIT * self._contrast))] = Outcome.DIVERGED
+        outcome[diverged] = Outcome.DIVERGED
         if saturated is not None:
             outcome[self._sees(saturated)] = Outcome.SATURATED
         outcome[self._dark | ~(contrast > _DARK_CONTRAST * np.median(contrast[self._lit]))] = Outcome.DARK

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from app.config import PRESETS, load_bench, parse_bench, write_bench
+from app.config import load_bench, parse_bench, write_bench
 from app.errors import InputError
+from app.presets import PRESETS
 
 MINIMAL = (Path(__file__).parent / "foreign_frames" / "bench.toml").read_text()
 

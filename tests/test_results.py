@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from optics import SmallBench
 
 from app.config import load_bench, parse_bench
 from app.results import result_dataset, stack_frames, write_results
-from optics import SmallBench
 
 BENCH = load_bench(
     Path(__file__).parent / "foreign_frames" / "bench.toml",

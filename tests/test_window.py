@@ -29,8 +29,6 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
 
 MakeWindow = Callable[..., MainWindow]
-# Registration multiplies runaway fits of a frame without light before it tells them to be lost.
-in_the_dark = pytest.mark.filterwarnings("ignore:invalid value encountered in matmul:RuntimeWarning")
 
 LENSLETS = (SENSOR.lenslet_rows, SENSOR.lenslet_columns)
 
@@ -231,7 +229,6 @@ def test_goes_from_opening_to_live_wavefronts_without_a_click(live: tuple[MainWi
     assert window.controls.start.text() == "Stop"
 
 
-@in_the_dark
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     controls = window.controls
@@ -258,7 +255,6 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text(), timeout=3000)
 
 
-@in_the_dark
 def test_keys_act_while_a_number_is_being_edited(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.activateWindow()
@@ -295,7 +291,6 @@ def test_refused_value_is_told_and_the_loop_goes_on(live: tuple[MainWindow, Fake
     assert camera.exposure_s == 0.02
 
 
-@in_the_dark
 def test_frame_without_wavefront_says_why_and_shows_no_old_one(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:

@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QTimer
+from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 from PyQt6.QtWidgets import QApplication
 
 from app.acquisition import Acquisition, Measurement
-from app.errors import RunError
+from app.errors import InputError, RunError
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 
@@ -30,8 +30,9 @@ def run_live(
 
     With `offscreen_s` it closes by itself, so long after its first wavefront: a picture of it is saved to
     `screenshot`, and the last measurement that has a wavefront is given to `on_finish`. `RunError` is raised when
-    no wavefront comes or the devices fail.
+    no wavefront comes or the devices fail, `InputError` when the bench cannot be.
     """
+    qInstallMessageHandler(_pass_on)
     application = QApplication.instance()
     if not isinstance(application, QApplication):
         application = QApplication(sys.argv[:1])
@@ -52,6 +53,12 @@ def run_live(
     if run is not None and run.error is not None:
         raise run.error
     return status
+
+
+def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -> None:
+    """Let Qt speak on standard error, but not of what an unseen window cannot do and need not."""
+    if text and "propagateSizeHints" not in text:
+        sys.stderr.write(f"{text}\n")
 
 
 class _UnattendedRun:
@@ -82,18 +89,23 @@ class _UnattendedRun:
             self._last = measurement
 
     def _look(self) -> None:
-        failure = self._window.failure
-        if not failure and time.monotonic() < self._deadline_s:
+        if not self._window.failure and time.monotonic() < self._deadline_s:
             return
         self._timer.stop()
-        if failure:
-            self.error = RunError(failure)
-        elif self._last is None:
-            self.error = RunError(f"no wavefront within {_GIVE_UP_S:g} s: {self._window.messages.text.text()}")
-        else:
-            self._window.update_text()
-            if self._screenshot is not None:
-                self._window.save_screenshot(self._screenshot)
-            if self._on_finish is not None:
-                self._on_finish(self._last)
+        try:
+            self._finish()
+        except (InputError, RunError) as error:  # it must not meet Qt, which would abort the program
+            self.error = error
         self._window.close()
+
+    def _finish(self) -> None:
+        """Leave the picture and the last measurement, or raise why there is none."""
+        if self._window.failure:
+            raise self._window.error
+        if self._last is None:
+            raise RunError(f"no wavefront within {_GIVE_UP_S:g} s: {self._window.messages.text.text()}")
+        self._window.update_text()
+        if self._screenshot is not None and not self._window.save_screenshot(self._screenshot):
+            raise RunError(f"{self._screenshot}: cannot be written")
+        if self._on_finish is not None:
+            self._on_finish(self._last)

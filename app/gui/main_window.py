@@ -20,6 +20,7 @@ from PyQt6.QtWidgets import QMainWindow, QSplitter, QVBoxLayout, QWidget
 
 from app.acquisition import Acquisition, Activity, Measurement
 from app.config import Bench
+from app.errors import InputError, RunError
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
 from app.gui.menu import fill_menus
@@ -76,6 +77,12 @@ class MainWindow(QMainWindow):
     def failure(self) -> str:
         """Why the acquisition has ended, when nobody asked it to."""
         return "" if self._acquisition is None else self._acquisition.failure
+
+    @property
+    def error(self) -> InputError | RunError:
+        """The failure as the error that a command ends with."""
+        error = None if self._acquisition is None else self._acquisition.error
+        return error if isinstance(error, InputError | RunError) else RunError(self.failure)
 
     def connect_devices(self) -> None:
         """Open the devices, again if they were open before, and begin to measure."""
@@ -143,15 +150,17 @@ class MainWindow(QMainWindow):
             advice=_advice(status, self._activity),
         )
 
-    def save_screenshot(self, path: Path | None = None) -> None:
-        """Save a picture of the window, in the user's picture folder unless told otherwise."""
+    def save_screenshot(self, path: Path | None = None) -> bool:
+        """Save a picture of the window, in the user's picture folder unless told otherwise; return whether it was."""
         if path is None:
             folder = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation)
             path = Path(folder or ".") / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
-        if self.grab().save(str(path)):
+        is_saved = self.grab().save(str(path))
+        if is_saved:
             self.messages.tell(f"saved {path}")
         else:
             self.messages.warn(f"could not save {path}")
+        return is_saved
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off and let go of the devices."""
