@@ -13,8 +13,8 @@ from rich.table import Table
 
 from app.measure import Collected
 from app.selftest import Check
+from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
-from reconstruction.registration import Outcome
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 

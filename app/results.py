@@ -25,7 +25,7 @@ def result_dataset(wavefront: Wavefront, bench: Bench) -> xr.Dataset:
     vectors = (*_LENSLET, "field_mode", "xy")
     variables = {
         **_wavefront_variables(wavefront.views),
-        "displacement": (vectors, displacement.coefficients, _about("px", "Legendre coefficients over the field")),
+        "displacement": (vectors, displacement.coefficients, _about("px", "coefficients of the field modes")),
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), _about("px", "standard deviation")),
         "valid": (_LENSLET, displacement.valid, _about("1", "whether the lenslet yields a slope")),
         "outcome": (_LENSLET, displacement.outcome, _about("1", "0 converged, else why the lenslet was lost")),

@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from reconstruction.displacement import Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats, Sensor
 from reconstruction.polynomials import legendre, legendre_lenslet_gradients
-from reconstruction.zonal import Mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)

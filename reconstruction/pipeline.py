@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Lattice, Sensor, require
 from reconstruction.modal import ModalSolver
-from reconstruction.polynomials import legendre
-from reconstruction.registration import FIELD_MODES, Registration, RegistrationSettings
-from reconstruction.spline import Image, spline_coefficients
+from reconstruction.registration import RegistrationSettings, prepare_registration
+from reconstruction.spline import Image
+from reconstruction.subimages import ReferenceSubimages
 from reconstruction.wavefront import Solution, Wavefront
 from reconstruction.zonal import ZonalSolution
 
@@ -58,18 +58,16 @@ class Reconstructor:
         self._dark = None if dark is None else _checked(dark, "dark", reference.shape)
         self._full_scale = full_scale
         self._sensor, self._field = sensor, field
-        self._registration = Registration(
-            self._light(reference, "reference"), sensor=sensor, lattice=lattice, field=field, settings=registration
-        )
-        y, x = np.meshgrid(field.view_y_m / field.half_width_m, field.view_x_m / field.half_width_m, indexing="ij")
-        self._view_modes = np.moveaxis(legendre(FIELD_MODES[registration.warp], x, y), 0, -1)
+        light = self._light(reference, "reference")
+        subimages = ReferenceSubimages(light, sensor=sensor, lattice=lattice, field=field)
+        self._register = prepare_registration(subimages, registration)
         self._modal = ModalSolver(sensor, reconstruction.pupil_modes) if reconstruction.method == "modal" else None
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Measure the wavefront that a frame (row, column), counts, shows against the reference."""
         light = self._light(frame, "frame")
         saturated = frame >= self._full_scale
-        displacement = self._registration(spline_coefficients(light), saturated=saturated)
+        displacement = self._register(light, saturated=saturated)
         valid = displacement.valid
         if np.count_nonzero(valid) < 2:
             raise ReconstructionError("no lenslet of the frame could be matched with the reference: is the light on?")
@@ -79,7 +77,7 @@ class Reconstructor:
             solution = ZonalSolution(slopes, valid, self._sensor.lenslet_pitch_m)
         else:
             solution = self._modal(slopes, displacement.variance * self._sensor.slope_per_px**2, valid)
-        return Wavefront(self._field, displacement, solution.wavefront(self._view_modes), solution)
+        return Wavefront.of(self._field, displacement, solution)
 
     def _light(self, image: Counts, what: str) -> Image:
         """Check an image and return it as float32 (row, column) counts above the dark or the background."""

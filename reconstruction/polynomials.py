@@ -26,13 +26,14 @@ def legendre_orders(count: int) -> tuple[tuple[int, int], ...]:
 def legendre(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """Values of the first `count` polynomials at (x, y), normalised to [-1, 1]: (count, *broadcast shape)."""
     m, n, degree = _order_arrays(count)
-    along_x, along_y = _values(x, degree), _values(y, degree)
-    return along_x[m] * along_y[n]
+    x, y = np.broadcast_arrays(x, y)
+    return _values(x, degree)[m] * _values(y, degree)[n]
 
 
 def legendre_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """Gradients of the first `count` polynomials at (x, y), per unit of x and y: (count, *broadcast shape, xy)."""
     m, n, degree = _order_arrays(count)
+    x, y = np.broadcast_arrays(x, y)
     along_x, along_y = _values(x, degree), _values(y, degree)
     slope_x, slope_y = _derivatives(x, degree), _derivatives(y, degree)
     return np.stack([slope_x[m] * along_y[n], along_x[m] * slope_y[n]], axis=-1)

@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from reconstruction.displacement import Mask
+from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats
-from reconstruction.polynomials import legendre, legendre_gradients
 from reconstruction.spline import Image
+from reconstruction.subimages import ReferenceSubimages
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,24 +30,18 @@ class Template:
 
 
 def prepare_template(
-    light: Floats,
-    gradient: Floats,
-    *,
-    lit: NDArray[np.bool_],
-    offset_px: Image,
-    half_width_px: float,
-    modes: int,
-    conserve_flux: bool,
+    reference: ReferenceSubimages, modes: LegendreModes, pixels: Mask, *, conserve_flux: bool
 ) -> Template:
-    """Prepare the steps of the warp with `modes` field modes T_q, for the lenslets that are lit (L,).
+    """Prepare the steps of the warp with the field modes T_q on some pixels (N,) of the windows.
 
-    light (L, N) and gradient (L, N, xy), per pixel, of the reference in windows at offset_px (N, xy). For d along x the
-    steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, of which the second term is the flux; those
-    of gain and offset are I0 and 1.
+    For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, of which the second term is
+    the flux; those of gain and offset are I0 and 1.
     """
-    x, y = offset_px.T.astype(np.float64) / half_width_px
-    values = legendre(modes, x, y)
-    slopes = legendre_gradients(modes, x, y) / half_width_px * conserve_flux
+    lit, offset_px = reference.lit, reference.offset_px[pixels]
+    light, gradient = reference.light[:, pixels], reference.gradient[:, pixels]
+    x, y = offset_px.T / reference.half_width_px
+    values = modes.values(x, y)
+    slopes = modes.gradients(x, y) / reference.half_width_px * conserve_flux
     descent = np.concatenate(
         [
             gradient[lit, None, :, 0] * values + light[lit, None] * slopes[..., 0],
@@ -62,10 +57,10 @@ def prepare_template(
     inverse = np.zeros((len(light), *descent.shape[1:]), np.float32)
     inverse[lit] = covariance @ descent / norm
     diagonal = np.diagonal(covariance, axis1=1, axis2=2) / norm[..., 0] ** 2
-    variance = np.zeros((len(light), 2, modes))
-    variance[lit] = diagonal[:, : 2 * modes].reshape(-1, 2, modes)
+    variance = np.zeros((len(light), 2, modes.count))
+    variance[lit] = diagonal[:, : 2 * modes.count].reshape(-1, 2, modes.count)
     return Template(
-        offset_px=offset_px,
+        offset_px=offset_px.astype(np.float32),
         light=light.astype(np.float32),
         basis=np.stack([values, slopes[..., 0], slopes[..., 1]]).astype(np.float32),
         inverse=inverse,

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
+from reconstruction.displacement import Displacement
 from reconstruction.geometry import Field, Floats
-from reconstruction.polynomials import legendre
-from reconstruction.registration import Displacement
 
 
 class Solution(Protocol):
@@ -29,15 +28,22 @@ class Wavefront:
 
     field: Field
     displacement: Displacement
-    views: Floats  # the wavefront of each view, rad, (view_row, view_column, lenslet_row, lenslet_column)
     solution: Solution
+    views: Floats  # the wavefront of each view, rad, (view_row, view_column, lenslet_row, lenslet_column)
+
+    @classmethod
+    def of(cls, field: Field, displacement: Displacement, solution: Solution) -> Self:
+        """Evaluate a solution at the views of the field."""
+        x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
+        views = solution.wavefront(np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1))
+        return cls(field, displacement, solution, views)
 
     def at(self, x_m: float, y_m: float) -> Floats:
         """Wavefront at the field position (x, y) in m, at the lenslet centres: (lenslet_row, lenslet_column), rad."""
         x, y = x_m / self.field.half_width_m, y_m / self.field.half_width_m
         if not max(abs(x), abs(y)) <= 1:
             raise ValueError(f"({x_m:g}, {y_m:g}) m lies outside the field of +-{self.field.half_width_m:g} m")
-        return self.solution.wavefront(legendre(self.displacement.coefficients.shape[2], x, y))
+        return self.solution.wavefront(self.displacement.modes.values(x, y))
 
 
 def without_piston(phase: Floats) -> Floats:

@@ -22,9 +22,10 @@ from drivers.interface import (
     Stage,
     WrongState,
 )
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings
-from reconstruction.registration import Displacement, Outcome
 from reconstruction.wavefront import Wavefront
 
 FULL_SCALE = 65535
@@ -200,8 +201,8 @@ def make_measurement(
     if displacement_px is not None:
         coefficients[:, :, 0] = displacement_px
     coefficients[outcome != Outcome.CONVERGED] = np.nan
-    displacement = Displacement(coefficients, np.zeros_like(coefficients), outcome, np.zeros(shape))
-    wavefront = Wavefront(FIELD, displacement, views, _NoSolution())
+    displacement = Displacement(LegendreModes(3), coefficients, np.zeros_like(coefficients), outcome, np.zeros(shape))
+    wavefront = Wavefront(FIELD, displacement, _NoSolution(), views)
     return Measurement(make_frame(pixels, index=index), wavefront, "", Counts(index + 1, index + 1, 0), 0.004)
 
 

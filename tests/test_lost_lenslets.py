@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from optics import SmallBench
 
+from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.registration import Outcome
 from reconstruction.wavefront import rms
 
 TILT = 2000.0

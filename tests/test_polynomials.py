@@ -22,6 +22,13 @@ def test_values_are_scipys() -> None:
         np.testing.assert_allclose(values[k], special.eval_legendre(m, x) * special.eval_legendre(n, y), atol=1e-12)
 
 
+def test_positions_broadcast() -> None:
+    x, y = np.array([0.1, 0.5, -0.3]), np.array([[0.2], [-0.8]])
+    grid = legendre(6, *np.meshgrid(x, y.ravel()))
+    np.testing.assert_allclose(legendre(6, x, y), grid)
+    assert legendre_gradients(6, x, y).shape == (6, 2, 3, 2)
+
+
 def test_low_modes_in_closed_form() -> None:
     x, y = 0.3, -0.7
     expected = [1, x, y, (3 * x**2 - 1) / 2, x * y, (3 * y**2 - 1) / 2]

@@ -22,8 +22,8 @@ from app.gui.live import run_live
 from app.gui.main_window import MainWindow
 from app.gui.scale import MAGNIFICATIONS, RANGES, SteppedScale
 from drivers.interface import Disconnected
+from reconstruction.displacement import Outcome
 from reconstruction.geometry import Floats
-from reconstruction.registration import Outcome
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window

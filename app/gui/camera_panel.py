@@ -13,8 +13,8 @@ from app.gui.overlay import arrows, lattice_lines, lost_boxes
 from app.gui.scale import MAGNIFICATIONS, SteppedScale
 from app.gui.widgets import label, toggle
 from drivers.interface import Frame
+from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
-from reconstruction.registration import Displacement, Outcome
 
 _REASONS = {
     Outcome.CONVERGED: "",
@@ -160,7 +160,7 @@ class CameraPanel(QWidget):
             lost = np.zeros((1, 1), np.bool_) if displacement is None else ~displacement.valid
             _draw(self._boxes, lost_boxes(lattice, lost))
         if has_arrows and lattice is not None and displacement is not None:
-            mean_px = displacement.coefficients[:, :, 0]
+            mean_px = displacement.mean
             length_px = np.hypot(mean_px[..., 0], mean_px[..., 1])
             longest_px = np.percentile(length_px[displacement.valid], 98) if displacement.valid.any() else np.nan
             magnification = 1 / self._reach.follow(longest_px / (_ARROW_REACH * lattice.pitch_px))

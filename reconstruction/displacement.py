@@ -1,0 +1,62 @@
+"""What every method of registration finds: how each lenslet's subimage lies with respect to the reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.field_modes import FieldModes
+from reconstruction.geometry import Floats
+from reconstruction.spline import Image
+
+Mask = NDArray[np.bool_]
+Outcomes = NDArray[np.int8]  # an `Outcome` for every lenslet
+
+
+class Outcome(IntEnum):
+    """What became of a lenslet; all but CONVERGED mean that it yields no slope."""
+
+    CONVERGED = 0
+    DARK = 1  # no light in the reference or in the frame
+    SATURATED = 2
+    DIVERGED = 3
+    LEFT_CELL = 4  # the subimage reaches into the neighbour's cell: beyond the dynamic range
+    OFF_CAMERA = 5  # the lenslet's cell is not wholly on the camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displacement:
+    """How the subimages of a frame lie with respect to the reference."""
+
+    modes: FieldModes  # the T_q in which the displacements are written
+    coefficients: Floats  # c_q, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where not converged
+    variance: Floats  # of each coefficient, px^2, the same shape
+    outcome: Outcomes  # (lenslet_row, lenslet_column)
+    residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN likewise
+
+    @property
+    def valid(self) -> Mask:
+        """Which lenslets have converged, (lenslet_row, lenslet_column)."""
+        return np.asarray(self.outcome == Outcome.CONVERGED)
+
+    @property
+    def mean(self) -> Floats:
+        """Mean displacement over the field, px, (lenslet_row, lenslet_column, xy)."""
+        nodes, weights = np.polynomial.legendre.leggauss(6)
+        values = self.modes.values(nodes, nodes[:, None])
+        return np.tensordot(np.einsum("qyx,y,x->q", values, weights, weights) / 4, self.coefficients, axes=([0], [2]))
+
+
+class Estimator(Protocol):
+    """A method of registration, prepared for one reference."""
+
+    def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
+        """Compare a frame (row, column), counts above the dark, with the reference.
+
+        `saturated` (row, column) marks the pixels at full scale: a lenslet that sees one yields no displacement.
+        """
+        ...

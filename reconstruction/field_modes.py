@@ -1,0 +1,82 @@
+"""Functions of the field position in which a lenslet's displacement is written: d(x, y) = sum_q c_q T_q(x, y).
+
+Positions are normalised: x, y in [-1, 1] over the half width of the field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reconstruction.geometry import Floats
+from reconstruction.polynomials import legendre, legendre_gradients
+
+
+class FieldModes(Protocol):
+    """A set of functions T_q of the field position."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        ...
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class LegendreModes:
+    """The first `count` products of Legendre polynomials, for a square field."""
+
+    count: int
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        return legendre(self.count, x, y)
+
+    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
+        return legendre_gradients(self.count, x, y)
+
+
+class SampledModes:
+    """Displacements known at the nodes of a grid, with the polynomial through them in between.
+
+    T_q is the product of the Lagrange polynomials that are 1 at node q and 0 at all others, nodes row by row; so c_q is
+    the displacement at node q itself.
+    """
+
+    def __init__(self, x: Floats, y: Floats) -> None:
+        """Take nodes at all combinations of the normalised x (column,) and y (row,)."""
+        self.x, self.y = x, y
+
+    @property
+    def count(self) -> int:
+        """How many nodes there are."""
+        return self.x.size * self.y.size
+
+    @property
+    def nodes(self) -> tuple[Floats, Floats]:
+        """Normalised x and y of every node, (field_mode,) each."""
+        y, x = np.meshgrid(self.y, self.x, indexing="ij")
+        return x.ravel(), y.ravel()
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        products = _lagrange(self.y, y)[:, None] * _lagrange(self.x, x)[None, :]
+        return products.reshape(self.count, *x.shape)
+
+
+def _lagrange(nodes: Floats, x: Floats) -> Floats:
+    """The Lagrange polynomials of the nodes (node,) at x: (node, *shape of x)."""
+    polynomials = []
+    for index, node in enumerate(nodes):
+        others = np.delete(nodes, index)
+        factors = [(x - other) / (node - other) for other in others]
+        polynomials.append(np.prod(factors, axis=0) if factors else np.ones_like(x))
+    return np.stack(polynomials)
