@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from reconstruction.geometry import Floats
 from reconstruction.polynomials import legendre, legendre_gradients
+from reconstruction.zernike import zernike, zernike_gradients
 
 
 class FieldModes(Protocol):
@@ -25,6 +26,14 @@ class FieldModes(Protocol):
 
     def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        ...
+
+
+class PolynomialModes(FieldModes, Protocol):
+    """Field modes with gradients, of which a warp can be made."""
+
+    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
         ...
 
 
@@ -41,6 +50,21 @@ class LegendreModes:
     def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
         return legendre_gradients(self.count, x, y)
+
+
+@dataclass(frozen=True, slots=True)
+class ZernikeModes:
+    """The first `count` Zernike polynomials in Noll's order, for a circular field."""
+
+    count: int
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        return zernike(self.count, x, y)
+
+    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
+        return zernike_gradients(self.count, x, y)
 
 
 class SampledModes:

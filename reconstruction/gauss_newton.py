@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 
 from reconstruction.displacement import Displacement, Mask, Outcome
-from reconstruction.field_modes import LegendreModes
+from reconstruction.field_modes import LegendreModes, PolynomialModes
 from reconstruction.kernel import align
 from reconstruction.spline import Image, spline_coefficients
 from reconstruction.subimages import ReferenceSubimages
@@ -37,7 +37,7 @@ _PART = 16  # lenslets handed to a thread at a time
 class GaussNewton:
     """Registers frames against one reference; everything that depends on the reference alone is prepared here."""
 
-    def __init__(self, reference: ReferenceSubimages, modes: LegendreModes, *, conserve_flux: bool) -> None:
+    def __init__(self, reference: ReferenceSubimages, modes: PolynomialModes, *, conserve_flux: bool) -> None:
         """Prepare for warps of the given field modes."""
         self._reference, self._modes = reference, modes
         self._turn = reference.turn[0].astype(np.float32)

@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
@@ -124,10 +125,14 @@ def nominal_lattice(sensor: Sensor, rows: int, columns: int) -> Lattice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
-    """The field of view in the front focal plane of the collimator, and the views of it that are shown."""
+    """The field of view in the front focal plane of the collimator, and the views of it that are shown.
+
+    A square field has Legendre, a circular one Zernike modes; `half_width_m` is half the square's side, or the radius.
+    """
 
     collimator_focal_length_m: float
     half_width_m: float
+    shape: Literal["square", "circle"] = "square"
     view_rows: int = 3
     view_columns: int = 3
     view_spacing_m: float = 0.5e-3
@@ -154,6 +159,20 @@ class Field:
     def view_y_m(self) -> Floats:
         """Field position of the view rows, (view_row,)."""
         return centered_steps(self.view_rows) * self.view_spacing_m
+
+    def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Whether normalised positions lie in the field, its edge included."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        reach = np.hypot(x, y) if self.shape == "circle" else np.maximum(np.abs(x), np.abs(y))
+        return np.asarray(reach <= 1 + 1e-9)
+
+    @property
+    def outline(self) -> Floats:
+        """Eight normalised positions around the field's edge and its middle, (9, xy)."""
+        if self.shape == "square":
+            return np.array([(x, y) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
+        angle = np.arange(8) * math.pi / 4
+        return np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angle), np.sin(angle)], axis=-1)])
 
     def half_width_px(self, sensor: Sensor) -> float:
         """Half the width of the field as each lenslet images it: x_o f / f1, in pixels."""

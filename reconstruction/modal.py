@@ -14,8 +14,8 @@ import numpy as np
 
 from reconstruction.displacement import Mask
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Floats, Sensor
-from reconstruction.polynomials import legendre, legendre_lenslet_gradients
+from reconstruction.geometry import Floats
+from reconstruction.pupil_modes import PupilModes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +24,7 @@ class ModalSolution:
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston, which slopes do not show
     sigma: Floats  # their standard deviations, rad, the same shape
-    pupil_modes: Floats  # R_p at the lenslet centres, (pupil_mode, lenslet_row, lenslet_column), each without mean
+    pupil_modes: Floats  # R_p, without mean, at the centres of the pupil's lenslets: (pupil_mode, row, column), else NaN
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, where the field modes have the values (..., field_mode); see `wavefront.Solution`."""
@@ -32,34 +32,36 @@ class ModalSolution:
 
 
 class ModalSolver:
-    """Fits pupil modes to slopes; the pseudo-inverse of each set of valid lenslets is kept."""
+    """Fits pupil modes to the slopes of the lenslets inside the pupil.
 
-    def __init__(self, sensor: Sensor, pupil_modes: int) -> None:
-        """Prepare `pupil_modes` Legendre modes, the piston among them, over the whole lattice."""
-        rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
-        gradients = legendre_lenslet_gradients(pupil_modes, rows, columns)[1:] / sensor.pupil_half_width_m
-        self._gradients = gradients.reshape(pupil_modes - 1, -1)  # (pupil_mode without piston, lenslet x xy), 1/m
-        half_x_m, half_y_m = sensor.pupil_half_width_m
-        y, x = np.meshgrid(sensor.pupil_y_m / half_y_m, sensor.pupil_x_m / half_x_m, indexing="ij")
-        modes = legendre(pupil_modes, x, y)
-        self._modes = modes - modes.mean(axis=(1, 2), keepdims=True)
-        self._inverse = lru_cache(maxsize=16)(self._pseudo_inverse)
+    The pseudo-inverse of each set of valid lenslets is kept.
+    """
+
+    def __init__(self, modes: PupilModes) -> None:
+        """Prepare for the modes of a pupil, the piston first."""
+        self._inside = modes.inside
+        gradients = modes.gradients[1:]
+        self._gradients = gradients.reshape(len(gradients), -1)  # (pupil_mode without piston, lenslet x xy), 1/m
+        values = np.where(modes.inside, modes.values, np.nan)
+        self._values = values - np.nanmean(values, axis=(1, 2), keepdims=True)
 
     def __call__(self, slopes: Floats, variance: Floats, valid: Mask) -> ModalSolution:
         """Fit the slopes (lenslet_row, lenslet_column, field_mode, xy), rad/m, of the valid lenslets.
 
         `variance`, of the same shape, is that of the slopes, (rad/m)^2: it becomes the coefficients' sigma.
         """
-        inverse = self._inverse(valid.tobytes())
+        valid = valid & self._inside
+        inverse = self._pseudo_inverse(valid.tobytes())
         data = np.swapaxes(slopes[valid], 1, 2).reshape(-1, slopes.shape[2])
         spread = np.swapaxes(variance[valid], 1, 2).reshape(-1, slopes.shape[2])
         piston = np.zeros((1, slopes.shape[2]))
         return ModalSolution(
             coefficients=np.concatenate([piston, inverse @ data]),
             sigma=np.concatenate([piston, np.sqrt(inverse**2 @ spread)]),
-            pupil_modes=self._modes,
+            pupil_modes=self._values,
         )
 
+    @lru_cache(maxsize=16)  # noqa: B019 - a solver lives as long as its reference, and so may what it remembers
     def _pseudo_inverse(self, valid_bytes: bytes) -> Floats:
         """Least-squares inverse of the mean gradients of the valid lenslets: (pupil_mode - 1, lenslet x xy), m."""
         valid = np.frombuffer(valid_bytes, np.bool_)

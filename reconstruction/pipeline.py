@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Lattice, Sensor, require
 from reconstruction.modal import ModalSolver
+from reconstruction.pupil_modes import PupilBasis, pupil_modes
 from reconstruction.registration import RegistrationSettings, prepare_registration
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
@@ -28,7 +29,7 @@ class ReconstructionSettings:
     """How displacements become wavefronts."""
 
     method: Literal["zonal", "modal"] = "modal"
-    basis: Literal["legendre"] = "legendre"
+    basis: PupilBasis = "legendre"
     pupil_modes: int = 66
 
     def __post_init__(self) -> None:
@@ -60,8 +61,10 @@ class Reconstructor:
         self._sensor, self._field = sensor, field
         light = self._light(reference, "reference")
         subimages = ReferenceSubimages(light, sensor=sensor, lattice=lattice, field=field)
-        self._register = prepare_registration(subimages, registration)
-        self._modal = ModalSolver(sensor, reconstruction.pupil_modes) if reconstruction.method == "modal" else None
+        self._register = prepare_registration(subimages, registration, field)
+        self._modal = None
+        if reconstruction.method == "modal":
+            self._modal = ModalSolver(pupil_modes(sensor, reconstruction.basis, reconstruction.pupil_modes))
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Measure the wavefront that a frame (row, column), counts, shows against the reference."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from reconstruction.displacement import Estimator
-from reconstruction.field_modes import LegendreModes
+from reconstruction.field_modes import LegendreModes, ZernikeModes
 from reconstruction.gauss_newton import GaussNewton
+from reconstruction.geometry import Field
 from reconstruction.subimages import ReferenceSubimages
 
 Warp = Literal["translation", "affine", "quadratic", "cubic"]
@@ -22,7 +23,7 @@ class RegistrationSettings:
     conserve_flux: bool = True
 
 
-def prepare_registration(reference: ReferenceSubimages, settings: RegistrationSettings) -> Estimator:
+def prepare_registration(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> Estimator:
     """Prepare the method that the settings ask for, for one reference."""
-    modes = LegendreModes(FIELD_MODES[settings.warp])
+    modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp])
     return GaussNewton(reference, modes, conserve_flux=settings.conserve_flux)

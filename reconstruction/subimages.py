@@ -27,6 +27,7 @@ class ReferenceSubimages:
     def __init__(self, reference: Image, *, sensor: Sensor, lattice: Lattice, field: Field) -> None:
         """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing."""
         self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
+        self._field_outline = field.outline
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage
         blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
         self.reach_px = (lattice.pitch_px - blur_px) / 2  # light of a field's edge beyond it meets the next cell
@@ -89,7 +90,7 @@ class ReferenceSubimages:
 
     def _leaves_cell(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Mask:
         """Whether the field's edge is imaged beyond the lenslet's cell, (L,)."""
-        x, y = (grid.ravel() for grid in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]))
+        x, y = self._field_outline.T
         edge_px = displacement @ modes.values(x, y) + self.half_width_px * np.stack([x, y])
         return np.asarray(np.abs(edge_px).max(axis=(1, 2)) > self.reach_px)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reconstruction.displacement import Mask
-from reconstruction.field_modes import LegendreModes
+from reconstruction.field_modes import PolynomialModes
 from reconstruction.geometry import Floats
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
@@ -30,7 +30,7 @@ class Template:
 
 
 def prepare_template(
-    reference: ReferenceSubimages, modes: LegendreModes, pixels: Mask, *, conserve_flux: bool
+    reference: ReferenceSubimages, modes: PolynomialModes, pixels: Mask, *, conserve_flux: bool
 ) -> Template:
     """Prepare the steps of the warp with the field modes T_q on some pixels (N,) of the windows.
 

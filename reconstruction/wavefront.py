@@ -29,19 +29,20 @@ class Wavefront:
     field: Field
     displacement: Displacement
     solution: Solution
-    views: Floats  # the wavefront of each view, rad, (view_row, view_column, lenslet_row, lenslet_column)
+    views: Floats  # of each view, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN outside the field
 
     @classmethod
     def of(cls, field: Field, displacement: Displacement, solution: Solution) -> Self:
         """Evaluate a solution at the views of the field."""
         x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
         views = solution.wavefront(np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1))
+        views[~field.contains(x, y[:, None])] = np.nan
         return cls(field, displacement, solution, views)
 
     def at(self, x_m: float, y_m: float) -> Floats:
         """Wavefront at the field position (x, y) in m, at the lenslet centres: (lenslet_row, lenslet_column), rad."""
         x, y = x_m / self.field.half_width_m, y_m / self.field.half_width_m
-        if not max(abs(x), abs(y)) <= 1:
+        if not self.field.contains(x, y):
             raise ValueError(f"({x_m:g}, {y_m:g}) m lies outside the field of +-{self.field.half_width_m:g} m")
         return self.solution.wavefront(self.displacement.modes.values(x, y))
 
