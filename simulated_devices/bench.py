@@ -15,7 +15,7 @@ from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from simulated_devices.background import BackgroundRendering
 from simulated_devices.clock import Clock, SystemClock
 from simulated_devices.playback import Playback
-from simulated_devices.rendering import MASKS, ImageCache, Renderer, Scene
+from simulated_devices.rendering import ImageCache, Renderer, Scene
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
 PHOTONS_PER_S_M2_A = 1.2e15
@@ -35,8 +35,8 @@ class Condition:
     """How the bench stands."""
 
     current_a: float
+    mask: str
     is_light_on: bool = False
-    mask: str = MASKS[0]
     is_sample_in: bool = False
 
 
@@ -89,7 +89,7 @@ class SimulatedBench:
         self._playbacks: dict[str, Playback] = {}
         self._background: BackgroundRendering | None = None
         self._next_poll_s = self.clock.now()
-        condition = Condition(current_a=light_settings.current_a)
+        condition = Condition(current_a=light_settings.current_a, mask=simulation.source.mask)
         self._history: deque[tuple[float, Condition]] = deque([(self.clock.now(), condition)], maxlen=256)
         self._prepare(condition.mask, progress)
 

@@ -64,6 +64,7 @@ class ForwardModel:
         self._sensor, self._field = sensor, field
         self._samples = pupil_samples
         self._threads = threads
+        self.camera_shape = rows, columns
         self._lenslet_rows = sensor.lenslet_rows + 2 * border_lenslets
         self._lenslet_columns = sensor.lenslet_columns + 2 * border_lenslets
         self._pixels = PixelGrid(
@@ -133,6 +134,36 @@ class ForwardModel:
         shape = (1, 1) if alone else (self._lenslet_rows, self._lenslet_columns)
         return self._pixels.evaluate(unfold(folded, *shape))
 
+    def point_irradiances(
+        self,
+        position_m: Floats,
+        phase: PointPhase | None = None,
+        *,
+        should_stop: Callable[[], bool] | None = None,
+    ) -> Images:
+        """Image of each object point on its own, (point, row, column), float32: `irradiance` for 1 m^2 of area each.
+
+        `position_m` is (point, xy). The pixels are evaluated for all points at once, one matrix product a
+        lenslet; 16 points on 465 x 465 pixels take about 40 MB.
+        """
+        lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
+        n = self._samples
+        waves = np.empty((lenslets[0] * lenslets[1], len(position_m), (2 * n - 1) ** 2), np.float32)
+
+        def work(first: int) -> None:
+            total = ImageSum(n, *lenslets)
+            for point in range(first, len(position_m), self._threads):
+                if should_stop is not None and should_stop():
+                    raise RenderingStopped
+                x_m, y_m = (float(value) for value in position_m[point])
+                total.folded[:] = 0
+                total.add(self._field_phase(phase, x_m, y_m), 1.0)
+                waves[:, point] = self._pixels.waves(unfold(total.folded, *lenslets)).reshape(len(waves), -1)
+
+        with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(self._threads) as pool:
+            list(pool.map(work, range(self._threads)))
+            return self._pixels.evaluate_each(waves, pool.map)
+
     def _accumulate(
         self,
         source: SourcePoints,
@@ -141,7 +172,8 @@ class ForwardModel:
         should_stop: Callable[[], bool],
     ) -> Images:
         # Points of one object column share work along x, so a thread takes whole columns.
-        order = np.argsort(source.position_m[:, 0], kind="stable")
+        lit = np.flatnonzero(source.area_m2)  # an opening that is no square leaves dark points on its grid
+        order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]
         columns = np.split(order, np.flatnonzero(np.diff(source.position_m[order, 0])) + 1)
         done = 0
 
@@ -156,7 +188,7 @@ class ForwardModel:
                     x_m, y_m = (float(value) for value in source.position_m[point])
                     total.add(self._field_phase(phase, x_m, y_m), float(source.area_m2[point]))
                 done += len(column)  # two threads may race for it: the bar is a hair late, nothing else
-                progress(min(1.0, done / len(order)))
+                progress(min(1.0, done / max(1, len(order))))
             return total.folded
 
         with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(self._threads) as pool:

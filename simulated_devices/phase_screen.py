@@ -80,45 +80,68 @@ def _basis(position_m: Floats, knots_m: Floats) -> sparse.csr_array[np.float32]:
 
 
 def smooth_screen(
-    generator: np.random.Generator, *, samples: int, sample_spacing_m: float, correlation_length_m: float
+    generator: np.random.Generator,
+    *,
+    samples: int,
+    sample_spacing_m: float,
+    correlation_length_m: float,
+    enlarged_by: int = 0,
 ) -> Floats:
     """White noise smoothed by a Gaussian of standard deviation `correlation_length_m`: (samples, samples), mean 0.
 
     Margins of four standard deviations are computed and cut off, so that the edge is like the middle. This is the
     recipe of the project's ensemble, number for number: `numpy.random.default_rng(seed)` is the generator.
+
+    `enlarged_by` adds that many samples on each of the four sides and leaves the middle the screen that it is without
+    them: the middle's noise is drawn first, and its mean is the one that is subtracted. (Where 4 sigma is no whole
+    number of samples, the recipe's margin can be one sample less than the smoothing reaches; the middle's
+    outermost ring then differs, by the Gaussian's last tap: 1e-4 of the RMS at the most.)
     """
     sigma = correlation_length_m / sample_spacing_m
     # Not int(4 * sigma), which rounds differently now and then: the ensemble divides last.
     margin = int(4 * correlation_length_m / sample_spacing_m)
     noise = generator.standard_normal((samples + 2 * margin, samples + 2 * margin))
-    smooth = ndimage.gaussian_filter(noise, sigma)[margin : margin + samples, margin : margin + samples]
-    return np.asarray(smooth - smooth.mean(), np.float64)
+    if enlarged_by:
+        middle, side = noise, samples + 2 * margin + 2 * enlarged_by
+        noise = generator.standard_normal((side, side))
+        noise[enlarged_by:-enlarged_by, enlarged_by:-enlarged_by] = middle
+    end = margin + samples + 2 * enlarged_by
+    smooth = ndimage.gaussian_filter(noise, sigma)[margin:end, margin:end]
+    return np.asarray(smooth - _middle(smooth, enlarged_by).mean(), np.float64)
 
 
-def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float) -> Floats:
+def _middle(samples_rad: Floats, enlarged_by: int) -> Floats:
+    """Return the screen as it is without `enlarged_by` samples on each side."""
+    return samples_rad[enlarged_by : len(samples_rad) - enlarged_by, enlarged_by : samples_rad.shape[1] - enlarged_by]
+
+
+def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, enlarged_by: int = 0) -> Floats:
     """Give a screen a prescribed peak-to-valley and RMS (rad, about its mean), by one monotone pointwise map.
 
     Scaling alone reaches only one of the two. With z the screen in units of its RMS, z -> sinh(b z)/b stretches the
     extremes (b > 0) and z -> asinh(b z)/b compresses them; b is chosen so that the ratio PV/RMS is as asked, and the
     result is scaled. Contours stay where they are and the map is smooth, so the screen keeps its character.
+    Of a screen that was `enlarged_by` samples on each side, the middle has that PV and RMS.
     """
-    z = (samples_rad - samples_rad.mean()) / samples_rad.std()
+    middle = _middle(samples_rad, enlarged_by)
+    z = (samples_rad - middle.mean()) / middle.std()
 
-    def mapped(bend: float) -> Floats:
+    def mapped(bend: float, z: Floats) -> Floats:
         if abs(bend) < 1e-9:
             return np.asarray(z, np.float64)
         return np.asarray(np.sinh(bend * z) if bend > 0 else np.arcsinh(-bend * z), np.float64)
 
     def excess(bend: float) -> float:
-        shaped = mapped(bend)
+        shaped = mapped(bend, _middle(z, enlarged_by))
         return float(np.ptp(shaped) / shaped.std()) - pv_rad / rms_rad
 
     try:
         bend = float(optimize.brentq(excess, -1e3, 20.0, xtol=1e-13))
     except ValueError:
         raise ValueError(f"pv_rad = {pv_rad:g} with rms_rad = {rms_rad:g} cannot be reached by this screen") from None
-    shaped = mapped(bend)
-    return np.asarray((shaped - shaped.mean()) * (rms_rad / shaped.std()), np.float64)
+    shaped = mapped(bend, z)
+    middle = _middle(shaped, enlarged_by)
+    return np.asarray((shaped - middle.mean()) * (rms_rad / middle.std()), np.float64)
 
 
 def read_screen(path: Path) -> NDArray[np.float64]:

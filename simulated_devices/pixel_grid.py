@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,19 +60,51 @@ class PixelGrid:
         One single image stands for all lenslets.
         """
         n = self._samples
-        analysis = _analysis(n)
-        waves = analysis @ images.reshape(-1, 2 * n, 2 * n) @ analysis.T * self._scale  # (lenslet, y wave, x wave)
-        waves = np.broadcast_to(self._blurred(waves), (len(self._ends), 2 * n - 1, 2 * n - 1)).astype(np.float32)
-        order = np.arange(n, dtype=np.float32)[:, None]
+        waves = np.broadcast_to(self.waves(images), (len(self._ends), 2 * n - 1, 2 * n - 1))
         values = np.empty(len(self._pixel), np.float32)
-        for lenslet, (start, end) in enumerate(zip([0, *self._ends[:-1]], self._ends, strict=True)):
-            turn_x, turn_y = order * self._angle[start:end, 0], order * self._angle[start:end, 1]  # (order, pixel)
-            along_x = np.concatenate([np.cos(turn_x), np.sin(turn_x[1:])])
-            along_y = np.concatenate([np.cos(turn_y), np.sin(turn_y[1:])])
+        for lenslet, (start, end) in enumerate(pairwise([0, *self._ends])):
+            along_y, along_x = self._waves_at_pixels(start, end)
             values[start:end] = np.einsum("yp,yp->p", along_y, waves[lenslet] @ along_x)
         image = np.zeros(self._shape, np.float32)
         image.ravel()[self._pixel] = np.maximum(values, 0)  # rounding can leave -1e-7 where there is no light
         return image
+
+    def waves(self, images: Images) -> Images:
+        """Amplitudes of the waves that make up images on the 2n x 2n grid, as a pixel sees them.
+
+        (lenslet, y wave, x wave), each the cosines 0 ... n-1 and then the sines 1 ... n-1.
+        """
+        n = self._samples
+        analysis = _analysis(n)
+        return self._blurred(analysis @ images.reshape(-1, 2 * n, 2 * n) @ analysis.T * self._scale).astype(np.float32)
+
+    def evaluate_each(
+        self, waves: Images, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
+    ) -> Images:
+        """Images of many object points, (point, row, column), from their `waves`, (lenslet, point, wave).
+
+        One single lenslet stands for all. `run` maps a function over lenslets, several at a time if it likes.
+        """
+        images = np.zeros((waves.shape[1], self._shape[0] * self._shape[1]), np.float32)
+        bounds = list(pairwise([0, *self._ends]))
+
+        def work(lenslet: int) -> None:
+            start, end = bounds[lenslet]
+            along_y, along_x = self._waves_at_pixels(start, end)
+            at_pixels = (along_y[:, None, :] * along_x[None, :, :]).reshape(-1, end - start)
+            values = waves[lenslet if len(waves) > 1 else 0] @ at_pixels
+            images[:, self._pixel[start:end]] = np.maximum(values, 0)
+
+        list(run(work, range(len(bounds))))
+        return images.reshape(-1, *self._shape)
+
+    def _waves_at_pixels(self, start: int, end: int) -> tuple[Images, Images]:
+        """Values of the y and the x waves at the pixels start ... end - 1, each (wave, pixel)."""
+        order = np.arange(self._samples, dtype=np.float32)[:, None]
+        turn_x, turn_y = order * self._angle[start:end, 0], order * self._angle[start:end, 1]  # (order, pixel)
+        along_x = np.concatenate([np.cos(turn_x), np.sin(turn_x[1:])])
+        along_y = np.concatenate([np.cos(turn_y), np.sin(turn_y[1:])])
+        return along_y, along_x
 
     def _blurred(self, waves: Floats) -> Floats:
         """Average over the pixels' area: multiply each plane wave by the transfer at its own frequency.

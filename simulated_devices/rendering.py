@@ -21,16 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
-from simulated_devices import source
-from simulated_devices.forward_model import ForwardModel
+from simulated_devices.forward_model import ForwardModel, PointPhase
 from simulated_devices.ray_map import truth_wavefront
 from simulated_devices.sample import Sample, make_sample, shift_m
 from simulated_devices.settings import Simulation
+from simulated_devices.source import SourcePoints, source_points
 
-_FORMAT = 2  # 2: the square's edge points stand for half their piece
+_FORMAT = 3  # 3: an enlarged screen is the ensemble's own in its middle
 _FOLDERS_KEPT = 12
-
-MASKS = ("square", "stars")
 
 Progress = Callable[[float], None]
 
@@ -53,11 +51,13 @@ class Scene:
         return self.simulation.drifting_states if self.simulation.screen.is_drifting else 1
 
     def fingerprint(self) -> str:
-        """SHA-256 of all parameters, of the screen's file if there is one, and of the format."""
-        text = json.dumps({"format": _FORMAT, **dataclasses.asdict(self)}, sort_keys=True)
-        digest = hashlib.sha256(text.encode())
-        if self.simulation.screen.file:
-            digest.update(Path(self.simulation.screen.file).read_bytes())
+        """SHA-256 of all parameters, of the screen's and the mask's file if there are any, and of the format."""
+        parameters = {"format": _FORMAT, **dataclasses.asdict(self)}
+        del parameters["simulation"]["source"]["mask"]  # which one is in at first changes none of the images
+        digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
+        for file in (self.simulation.screen.file, self.simulation.source.file):
+            if file:
+                digest.update(hashlib.sha256(_content(Path(file))).digest())
         return digest.hexdigest()
 
 
@@ -74,7 +74,8 @@ class Renderer:
         return make_sample(self.scene.simulation, self.scene.sensor, self.scene.field)
 
     @cached_property
-    def _model(self) -> ForwardModel:
+    def model(self) -> ForwardModel:
+        """The optics."""
         scene = self.scene
         return ForwardModel(
             scene.sensor,
@@ -88,32 +89,33 @@ class Renderer:
             threads=self._threads,
         )
 
-    def _points(self, mask: str) -> source.SourcePoints:
+    def points(self, mask: str) -> SourcePoints:
+        """Return the points of a mask."""
         simulation = self.scene.simulation
-        if mask == "stars":
-            return source.stars(simulation.source)
-        return source.square(simulation.source, object_samples=simulation.object_samples)
+        return source_points(mask, simulation.source, object_samples=simulation.object_samples)
 
     def reference(self, mask: str, progress: Progress | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, without the sample."""
-        return self._model.irradiance(self._points(mask), progress=progress)
+        return self.model.irradiance(self.points(mask), progress=progress)
 
     def state(self, mask: str, state: int, progress: Progress | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, with the sample in state number `state`."""
-        shift = shift_m(self.scene.simulation, state)
-        phase = self._model.screen_phase(self.sample.screen, self.sample.ray_map, shift)
-        return self._model.irradiance(self._points(mask), phase, progress=progress)
+        return self.model.irradiance(self.points(mask), self.phase(state), progress=progress)
 
     def check_rays(self) -> None:
         """Raise `ValueError` if a ray of any state would leave the screen."""
         for state in (0, self.scene.states - 1):  # the drift is straight: the ends reach farthest
-            shift = shift_m(self.scene.simulation, state)
-            self._model.screen_phase(self.sample.screen, self.sample.ray_map, shift)
+            self.phase(state)
 
     def truth_wavefront(self, state: int) -> Floats:
         """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad."""
         scene, shift = self.scene, shift_m(self.scene.simulation, state)
         return truth_wavefront(self.sample.screen, self.sample.ray_map, scene.sensor, scene.field, shift)
+
+    def phase(self, state: int) -> PointPhase:
+        """Phase of each object point with the sample in state number `state`."""
+        shift = shift_m(self.scene.simulation, state)
+        return self.model.screen_phase(self.sample.screen, self.sample.ray_map, shift)
 
 
 class ImageCache:
@@ -150,6 +152,13 @@ class ImageCache:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"file = {str(path)!r} cannot be read: {error.strerror or error}") from error
 
 
 def _keep_newest(cache_folder: Path) -> None:

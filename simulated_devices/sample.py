@@ -39,21 +39,28 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
 
     A screen from the seed without `pv_rad` is scaled so that the mean over the views of the piston-removed RMS at
     the lenslet centres, before any drift, is `rms_rad`; with `pv_rad`, the screen itself has that PV and that RMS.
+    A screen that has to be larger than asked, for `border_lenslets` or a drift, is the same screen in its middle, and
+    it is the middle that has the asked RMS and PV: the screen of the ensemble, seed by seed, however it is lit.
     A screen from a file is used as it is; if it is too small, the forward model says so.
     """
     rays = ray_map(simulation.screen, field)
     if simulation.screen.file:
         samples_rad = read_screen(Path(simulation.screen.file))
         return Sample(screen=PhaseScreen(samples_rad, simulation.screen.sample_spacing_m), ray_map=rays)
+    enlarged_by = _enlargement(simulation, sensor, field, rays)
     samples_rad = smooth_screen(
         np.random.default_rng(simulation.seed),
-        samples=_samples(simulation, sensor, field, rays),
+        samples=simulation.screen.samples,
         sample_spacing_m=simulation.screen.sample_spacing_m,
         correlation_length_m=simulation.screen.correlation_length_m,
+        enlarged_by=enlarged_by,
     )
     if simulation.screen.pv_rad is not None:
         samples_rad = shape_to_pv_and_rms(
-            samples_rad, pv_rad=simulation.screen.pv_rad, rms_rad=simulation.screen.rms_rad
+            samples_rad,
+            pv_rad=simulation.screen.pv_rad,
+            rms_rad=simulation.screen.rms_rad,
+            enlarged_by=enlarged_by,
         )
         return Sample(screen=PhaseScreen(samples_rad, simulation.screen.sample_spacing_m), ray_map=rays)
     screen = PhaseScreen(samples_rad, simulation.screen.sample_spacing_m)
@@ -66,12 +73,11 @@ def mean_view_rms(wavefront: Floats) -> float:
     return float(np.sqrt((wavefront**2).mean(axis=(2, 3))).mean())
 
 
-def _samples(simulation: Simulation, sensor: Sensor, field: Field, rays: RayMap) -> int:
-    """Samples a side: as asked, or as many as the rays and the drift need; odd and even stay as they were asked."""
+def _enlargement(simulation: Simulation, sensor: Sensor, field: Field, rays: RayMap) -> int:
+    """How many samples the rays and the drift need on each side beyond those that were asked for."""
     border_m = simulation.border_lenslets * sensor.lenslet_pitch_m
     pupil_m = tuple(half + border_m for half in sensor.pupil_half_width_m)
     footprint_m = rays.footprint_half_width_m((pupil_m[0], pupil_m[1]), field.half_width_m)
     drift_m = np.abs(shift_m(simulation, simulation.drifting_states))
     reach = float((footprint_m + drift_m).max()) / simulation.screen.sample_spacing_m
-    missing = max(0, math.ceil(reach - (simulation.screen.samples - 1) / 2))
-    return simulation.screen.samples + 2 * missing
+    return max(0, math.ceil(reach - (simulation.screen.samples - 1) / 2))

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from drivers.interface import Range
 from reconstruction.geometry import require
 
 Amplifier = Literal["normal", "em"]
+
+Mask = Literal["square", "stars", "circle", "ellipse", "octagon", "peaks", "image"]
+MASKS: tuple[Mask, ...] = get_args(Mask)
 
 # The camera's own property sheet (Hamamatsu propC9100-23B_en.html): the shortest exposure is the time it takes to
 # read the frame out; only the fastest read-out limits the longest one.
@@ -68,24 +71,35 @@ class Screen:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """The masks in front of the light: a square opening, and an array of pinholes, the stars."""
+    """The masks in front of the light: openings, an array of pinholes (the stars), and grey transparencies."""
 
-    half_width_m: float = 0.6e-3
+    mask: Mask = "square"  # that is in at first
+    half_width_m: float = 0.6e-3  # of the square, the circle and the octagon; along x, of the ellipse
+    ellipse_ratio: float = 0.6  # the ellipse's width along y over that along x
+    file: str = ""  # a grey image (TIFF, NPY, PNG) that fills the square: the mask "image"
     star_rows: int = 3
     star_columns: int = 3
     star_spacing_m: float = 0.5e-3
-    pinhole_diameter_m: float = 50e-6
+    pinhole_diameter_m: float = 50e-6  # 0 makes each star one point, with the light of a 50 um pinhole
 
     def __post_init__(self) -> None:
         require(
             {
+                f"mask must be one of {', '.join(MASKS)}": self.mask in MASKS,
+                'mask = "image" needs a file': self.mask in self.masks,
                 "half_width_m must be positive": 0 < self.half_width_m < math.inf,
+                "ellipse_ratio must be above 0 and at most 1": 0 < self.ellipse_ratio <= 1,
                 "star_rows must be 1 ... 99": 1 <= self.star_rows <= 99,
                 "star_columns must be 1 ... 99": 1 <= self.star_columns <= 99,
                 "star_spacing_m must be positive": 0 < self.star_spacing_m < math.inf,
-                "pinhole_diameter_m must be positive": 0 < self.pinhole_diameter_m < math.inf,
+                "pinhole_diameter_m must be 0 or positive": 0 <= self.pinhole_diameter_m < math.inf,
             }
         )
+
+    @property
+    def masks(self) -> tuple[Mask, ...]:
+        """The masks that can be put in: "image" only where there is a file."""
+        return tuple(mask for mask in MASKS if mask != "image" or self.file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

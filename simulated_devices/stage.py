@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from drivers.interface import BadValue, Stage
 from simulated_devices.connection import Connection
-from simulated_devices.rendering import MASKS
 
 if TYPE_CHECKING:
     from simulated_devices.bench import SimulatedBench
@@ -23,7 +22,7 @@ class SimulatedStage(Stage):
     def masks(self) -> tuple[str, ...]:
         """The masks that can be put in."""
         self._connection.check()
-        return MASKS
+        return self._bench.simulation.source.masks
 
     @property
     def mask(self) -> str:

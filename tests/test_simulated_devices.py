@@ -355,7 +355,7 @@ def test_a_film_is_played_back_and_forth_and_grows_without_a_jump() -> None:
         (lambda: Simulation(object_samples=1), "object_samples"),
         (lambda: Screen(distance_m=math.nan), "distance_m"),
         (lambda: Screen(pv_rad=1.0), "pv_rad"),
-        (lambda: Source(pinhole_diameter_m=0.0), "pinhole_diameter_m"),
+        (lambda: Source(pinhole_diameter_m=-1e-6), "pinhole_diameter_m"),
         (lambda: SimulatedCameraSettings(exposure_s=3.8), "exposure_s"),
         (lambda: SimulatedCameraSettings(readout_speed=4), "readout_speed"),
         (lambda: SimulatedCameraSettings(em_gain=0.5), "em_gain"),
