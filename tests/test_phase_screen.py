@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ import tifffile
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
+from app.config import load_bench
 from reconstruction.geometry import Field, Sensor
 from simulated_devices.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
 from simulated_devices.ray_map import truth_wavefront
-from simulated_devices.sample import make_sample, shift_m
+from simulated_devices.sample import make_sample, mean_view_rms, shift_m
 from simulated_devices.settings import Screen, Simulation
 
 SENSOR = Sensor(
@@ -58,6 +60,80 @@ def test_the_sample_of_the_paper_has_the_asked_mean_rms_over_the_views() -> None
     expected -= expected.mean(axis=(2, 3), keepdims=True)
     found = truth_wavefront(sample.screen, sample.ray_map, SENSOR, FIELD)
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def assert_is_of_the_ensemble(
+    simulation: Simulation, *, samples: int, spacing_m: float, rms_rad: float, pupil_scale: float, field_scale: float
+) -> None:
+    """Compare with the recipe of the project's ensembles, written out step by step."""
+    length_m = simulation.screen.correlation_length_m
+    n, p = samples, int(4 * length_m / spacing_m)
+    noise = np.random.default_rng(simulation.seed).standard_normal((n + 2 * p, n + 2 * p))
+    raw = ndimage.gaussian_filter(noise, length_m / spacing_m)[p : p + n, p : p + n]
+    raw = raw - raw.mean()
+    axis = (np.arange(n) - (n - 1) / 2) * spacing_m
+    spline = RectBivariateSpline(axis, axis, raw)
+    u = (np.arange(15) - 7) * 0.5e-3
+    rms = [
+        spline(pupil_scale * u + field_scale * y, pupil_scale * u + field_scale * x).std()
+        for y in (-5e-4, 0.0, 5e-4)
+        for x in (-5e-4, 0.0, 5e-4)
+    ]
+    sample = make_sample(simulation, SENSOR, FIELD)
+    scale = rms_rad / mean_view_rms(truth_wavefront(PhaseScreen(raw, spacing_m), sample.ray_map, SENSOR, FIELD))
+    assert scale == pytest.approx(rms_rad / np.mean(rms), rel=1e-12)  # a mean's last bit is a matter of its order
+    np.testing.assert_array_equal(sample.screen.samples_rad, raw * scale)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("length_m", [1.25e-3, 1.6e-3, 2.0e-3])
+def test_the_samples_near_the_pupil_are_the_ensemble_to_the_bit(length_m: float, seed: int) -> None:
+    simulation = Simulation(seed=seed, screen=Screen(correlation_length_m=length_m))
+    assert_is_of_the_ensemble(simulation, samples=385, spacing_m=25e-6, rms_rad=4.2, pupil_scale=1.0, field_scale=0.975)
+
+
+def test_the_sample_of_the_experiment_preset_is_the_ensemble_near_the_source_to_the_bit() -> None:
+    simulation = load_bench("paper_experiment", ("simulation.seed=2",)).simulation
+    assert simulation.screen.correlation_length_m == 1.2e-3
+    assert_is_of_the_ensemble(simulation, samples=481, spacing_m=5e-6, rms_rad=30.0, pupil_scale=0.1, field_scale=0.9)
+
+
+ENLARGED = {
+    "border lenslets": Simulation(border_lenslets=2),
+    "drift": Simulation(screen=Screen(drift_x_m_per_s=2e-4)),
+}
+
+
+@pytest.mark.parametrize("enlarged", ENLARGED.values(), ids=ENLARGED)
+@pytest.mark.parametrize("pv_rad", [None, 28.846])
+def test_the_middle_of_an_enlarged_screen_is_the_screen(enlarged: Simulation, pv_rad: float | None) -> None:
+    rms_rad = 4.2 if pv_rad is None else 5.712
+    plain, large = (
+        make_sample(
+            replace(simulation, screen=replace(simulation.screen, pv_rad=pv_rad, rms_rad=rms_rad)), SENSOR, FIELD
+        ).screen
+        for simulation in (Simulation(), enlarged)
+    )
+    ring = (len(large.samples_rad) - 385) // 2
+    assert ring > 10
+    # The scale comes from the spline, which feels the ring by rounding.
+    np.testing.assert_allclose(large.samples_rad[ring:-ring, ring:-ring], plain.samples_rad, rtol=1e-9, atol=1e-9)
+    outside = large.samples_rad[:, :ring]
+    assert 0.2 * plain.samples_rad.std() < outside.std() < 3 * plain.samples_rad.std()
+    steps = np.abs(np.diff(large.samples_rad, axis=0)).max(axis=1)
+    assert steps[ring - 3 : ring + 3].max() <= steps.max()  # no seam
+    assert steps.max() < 0.5
+
+
+def test_the_screen_of_the_paper_is_two_numbers_in_the_toml() -> None:
+    changes = ("simulation.screen.pv_rad=28.846", "simulation.screen.rms_rad=5.712")
+    for border in (0, 1):
+        bench = load_bench("paper_simulation", (*changes, f"simulation.border_lenslets={border}"))
+        samples = make_sample(bench.simulation, bench.sensor, bench.field).screen.samples_rad
+        ring = (len(samples) - 385) // 2
+        middle = samples[ring : ring + 385, ring : ring + 385]
+        assert np.ptp(middle) == pytest.approx(28.846, rel=1e-9)
+        assert middle.std() == pytest.approx(5.712, rel=1e-9)
 
 
 def test_between_samples_there_is_a_bicubic_spline_rows_along_y() -> None:
