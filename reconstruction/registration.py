@@ -2,28 +2,66 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
+from reconstruction.centroids import Centroids
+from reconstruction.correlation import Correlation
 from reconstruction.displacement import Estimator
-from reconstruction.field_modes import LegendreModes, ZernikeModes
+from reconstruction.field_modes import FieldModes, LegendreModes, SampledModes, ZernikeModes
 from reconstruction.gauss_newton import GaussNewton
-from reconstruction.geometry import Field
+from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.subimages import ReferenceSubimages
 
 Warp = Literal["translation", "affine", "quadratic", "cubic"]
+Method = Literal["gauss_newton", "correlation", "centroids"]
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegistrationSettings:
-    """How the subimages may move."""
+    """How subimages are compared, how they may move, and where the stars are if the source has any."""
 
+    method: Method = "gauss_newton"
     warp: Warp = "quadratic"
     conserve_flux: bool = True
+    star_rows: int = 3
+    star_columns: int = 3
+    star_spacing_m: float = 0.5e-3
+
+    def __post_init__(self) -> None:
+        require(
+            {
+                "star_rows must be 1 ... 99": 1 <= self.star_rows <= 99,
+                "star_columns must be 1 ... 99": 1 <= self.star_columns <= 99,
+                "star_spacing_m must be positive": 0 < self.star_spacing_m < math.inf,
+            }
+        )
 
 
 def prepare_registration(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> Estimator:
     """Prepare the method that the settings ask for, for one reference."""
+    if settings.method == "correlation":
+        return Correlation(reference)
+    if settings.method == "centroids":
+        spacing = settings.star_spacing_m / field.half_width_m
+        columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)
+        return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
     modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp])
-    return GaussNewton(reference, modes, conserve_flux=settings.conserve_flux)
+    if settings.method == "gauss_newton":
+        return GaussNewton(reference, modes, conserve_flux=settings.conserve_flux)
+    if settings.method == "itk_affine":
+        from reconstruction.itk_affine import ItkAffine
+
+        return ItkAffine(reference)
+    flow_modes: FieldModes = modes
+    if settings.flow == "views":
+        flow_modes = SampledModes(field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m)
+    if settings.method == "block_flow":
+        from reconstruction.block_flow import BlockFlow
+
+        return BlockFlow(reference, flow_modes)
+    from reconstruction.deformable import Demons, FreeForm
+
+    return (Demons if settings.method == "demons" else FreeForm)(reference, flow_modes)

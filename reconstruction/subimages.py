@@ -29,7 +29,9 @@ class ReferenceSubimages:
         self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
         self._field_outline = field.outline
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage
+        # A point's image falls to zero at the distance blur_px.
         blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
+        self.blur_px = blur_px
         self.reach_px = (lattice.pitch_px - blur_px) / 2  # light of a field's edge beyond it meets the next cell
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
         cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
@@ -51,7 +53,8 @@ class ReferenceSubimages:
         nearest = np.rint(self._position_px).astype(np.intp)
         self._nearest = nearest[..., 1], nearest[..., 0]
 
-        self.light, gradient = sample(spline_coefficients(reference), self._position_px)  # (L, N)
+        self.coefficients = spline_coefficients(reference)  # of the whole frame, (row, column)
+        self.light, gradient = sample(self.coefficients, self._position_px)  # (L, N)
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
         self.contrast = self.light.std(axis=1)  # (L,)
         dark = ~(self.contrast > _DARK_CONTRAST * np.median(self.contrast[~self.off_camera]))
