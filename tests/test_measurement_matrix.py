@@ -171,3 +171,9 @@ def test_an_object_of_the_wrong_size_is_refused(stored: StoredMatrix) -> None:
         stored.multiply(np.ones(168))
     with pytest.raises(ValueError, match="must be finite"):
         stored.multiply(np.full(169, np.nan))
+
+
+def test_a_dark_block_is_kept_as_one_that_is_there(tmp_path: Path) -> None:
+    beside = Lattice(center_x_px=900.0, center_y_px=68.9, pitch_px=31.25)
+    dark = ForwardModel(SENSOR, beside, FIELD, rows=140, columns=170, pupil_samples=12)
+    assert not write(tmp_path / "dark.zarr", dark, None).multiply(GRID.area_m2).any()
