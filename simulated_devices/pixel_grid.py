@@ -91,7 +91,7 @@ class PixelGrid:
         def work(lenslet: int) -> None:
             start, end = bounds[lenslet]
             along_y, along_x = self._waves_at_pixels(start, end)
-            at_pixels = (along_y[:, None, :] * along_x[None, :, :]).reshape(-1, end - start)
+            at_pixels = (along_y[:, None, :] * along_x[None, :, :]).reshape(waves.shape[2], end - start)
             values = waves[lenslet if len(waves) > 1 else 0] @ at_pixels
             images[:, self._pixel[start:end]] = np.maximum(values, 0)
 
