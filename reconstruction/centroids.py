@@ -30,7 +30,6 @@ _CONVERGED_PX = 0.05  # a last step above it is no convergence
 _FAINT = 0.2  # of the median star's height; below it a star counts as lost
 _MISFIT = 0.5  # residual over contrast above which a window shows something else than the star
 _STARLESS_FRACTION = 0.5  # of the lit lenslets; with more that lack a star, the reference shows another source
-_EXTENDED = 0.4  # of a star's height; a background above it belongs to no star
 
 
 class _Stars(NamedTuple):
@@ -39,7 +38,6 @@ class _Stars(NamedTuple):
     position_px: Floats  # centroids about the lenslet's centre, lattice frame, (L, S, xy)
     window: Floats  # light in the window about the centroid, less the background, (L, S, N)
     height: Floats  # of the star above the background, (L, S)
-    background: Floats  # (L, S)
     step_px: Floats  # the last step, (L, S)
 
 
@@ -134,12 +132,11 @@ class Centroids:
     def _weigh(self, coefficients: Image, position_px: Floats) -> _Stars:
         """Move the windows about position_px (L, S, xy) once."""
         window = self._light(coefficients, position_px, self._offset_px)
-        background = np.median(window[..., self._border], axis=-1)
-        window -= background[..., None]
+        window -= np.median(window[..., self._border], axis=-1, keepdims=True)
         height = window.max(axis=-1)
         weight = np.maximum(window - _THRESHOLD * height[..., None], 0)
         step = (weight @ self._offset_px) / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-30)
-        return _Stars(position_px + step, window, height, background, np.hypot(step[..., 0], step[..., 1]))
+        return _Stars(position_px + step, window, height, np.hypot(step[..., 0], step[..., 1]))
 
     def _light(self, coefficients: Image, position_px: Floats, offset_px: Floats) -> Floats:
         """Light at offsets (N, xy) about positions (L, S, xy), both in the lattice frame: (L, S, N)."""
@@ -149,15 +146,11 @@ class Centroids:
         return ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
 
     def _are_stars(self, stars: _Stars, start_px: Floats) -> Mask:
-        """Which of the stars are stars, still within half a spacing of start_px (L, S, xy) and inside the cell: (L, S).
-
-        A background as bright as the star is the inside or the edge of something extended.
-        """
+        """Which stars are bright enough, still near start_px (L, S, xy) and inside the cell, and stand still: (L, S)."""
         strayed = np.abs(stars.position_px - start_px).max(axis=-1) > self._half_px
         left = np.abs(stars.position_px).max(axis=-1) > self._reference.reach_px
         faint = ~(stars.height > _FAINT * np.median(stars.height[self._reference.lit]))
-        extended = ~(stars.background < _EXTENDED * stars.height)
-        return np.asarray(~(strayed | left | faint | extended) & (stars.step_px < _CONVERGED_PX))
+        return np.asarray(~(strayed | left | faint) & (stars.step_px < _CONVERGED_PX))
 
     def _variance(self, stars: _Stars, difference: Floats) -> Floats:
         """Variance of the centroids' differences along one axis, px^2, (L, S).
