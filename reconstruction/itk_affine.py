@@ -7,6 +7,8 @@ resolution, linear interpolation. It knows nothing of the flux, and so it is her
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from reconstruction.displacement import Displacement, Mask
@@ -67,28 +69,35 @@ class ItkAffine:
     def _align(self, reference: Image, subimage: Image) -> Floats | None:
         """Align one subimage: coefficients c_q, px, (xy, Q); None where ITK gives up."""
         itk = self._itk
-        method = itk.ImageRegistrationMethod()
-        method.SetNumberOfThreads(1)
-        method.SetMetricAsMeanSquares()
-        method.SetInterpolator(itk.sitkLinear)
-        method.SetOptimizerAsRegularStepGradientDescent(
-            learningRate=_MAXIMUM_STEP,
-            minStep=_MINIMUM_STEP,
-            numberOfIterations=_ITERATIONS,
-            relaxationFactor=_RELAXATION,
-            gradientMagnitudeTolerance=_GRADIENT_TOLERANCE,
-        )
-        method.SetOptimizerScalesFromPhysicalShift()  # a step moves a pixel alike, by a shift or by a shear
-        method.SetShrinkFactorsPerLevel(_SHRINK)
-        method.SetSmoothingSigmasPerLevel(_SMOOTHING_PX)
-        affine = itk.AffineTransform(2)
-        middle = (len(reference) - 1) / 2
-        affine.SetCenter((middle, middle))
-        method.SetInitialTransform(affine, True)  # in place
         try:
-            method.Execute(itk.GetImageFromArray(reference), itk.GetImageFromArray(subimage))
+            affine = align_affine(itk, itk.GetImageFromArray(reference), itk.GetImageFromArray(subimage))
         except RuntimeError:  # no light in common: all that SimpleITK raises when the maps have run apart
             return None
-        # ITK samples the subimage at center + matrix (x - center) + shift: where the reference's light at x arrives.
         matrix = np.reshape(affine.GetMatrix(), (2, 2)) - np.eye(2)
         return np.column_stack([affine.GetTranslation(), matrix * self._reference.half_width_px])
+
+
+def align_affine(itk: Any, reference: Any, subimage: Any) -> Any:
+    """Align two images of ITK, grey values about 0 ... 255; raise RuntimeError where they have nothing in common.
+
+    ITK samples the subimage at center + matrix (x - center) + shift: where the reference's light at x arrives.
+    """
+    method = itk.ImageRegistrationMethod()
+    method.SetNumberOfThreads(1)
+    method.SetMetricAsMeanSquares()
+    method.SetInterpolator(itk.sitkLinear)
+    method.SetOptimizerAsRegularStepGradientDescent(
+        learningRate=_MAXIMUM_STEP,
+        minStep=_MINIMUM_STEP,
+        numberOfIterations=_ITERATIONS,
+        relaxationFactor=_RELAXATION,
+        gradientMagnitudeTolerance=_GRADIENT_TOLERANCE,
+    )
+    method.SetOptimizerScalesFromPhysicalShift()  # a step moves a pixel alike, by a shift or by a shear
+    method.SetShrinkFactorsPerLevel(_SHRINK)
+    method.SetSmoothingSigmasPerLevel(_SMOOTHING_PX)
+    affine = itk.AffineTransform(2)
+    affine.SetCenter([(size - 1) / 2 for size in reference.GetSize()])
+    method.SetInitialTransform(affine, True)  # in place
+    method.Execute(reference, subimage)
+    return affine

@@ -15,7 +15,7 @@ from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.subimages import ReferenceSubimages
 
 Warp = Literal["translation", "affine", "quadratic", "cubic"]
-Method = Literal["gauss_newton", "correlation", "centroids"]
+Method = Literal["gauss_newton", "correlation", "centroids", "itk_affine", "block_flow", "demons", "ffd"]
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10}
 
 
@@ -26,6 +26,9 @@ class RegistrationSettings:
     method: Method = "gauss_newton"
     warp: Warp = "quadratic"
     conserve_flux: bool = True
+    flow: Literal["views", "warp"] = (
+        "views"  # block_flow, demons, ffd: kept as it is at the views, or fitted by the warp
+    )
     star_rows: int = 3
     star_columns: int = 3
     star_spacing_m: float = 0.5e-3
