@@ -17,7 +17,10 @@ from app.errors import InputError, RunError
 from app.presets import PRESETS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from app.config import Bench
+    from app.paper.tables import Table
 
 cli = typer.Typer(
     help="Space-variant Shack-Hartmann wavefront sensing, live: the wavefront at every position of the field.",
@@ -131,6 +134,64 @@ def selftest() -> None:
 
     if not print_checks(run_checks()):
         raise RunError("the selftest failed: this installation must not be trusted")
+
+
+paper = typer.Typer(help="The paper's tables, theirs and ours side by side.", no_args_is_help=True)
+cli.add_typer(paper, name="paper")
+PaperOut = Annotated[Path, typer.Option(help="Folder for the table as JSON and CSV, and its figure.")]
+Seeds = Annotated[int, typer.Option(min=1, max=1000, help="How many screens, from the bench's seed on.")]
+Peers = Annotated[bool, typer.Option(help="Also the slow methods of SimpleITK (svwfs[peers]).")]
+
+
+@paper.command()
+def table1(
+    *,
+    out: PaperOut,
+    seeds: Seeds = 1,
+    peers: Peers = False,
+    bench: BenchOption = "paper_simulation",
+    setting: SetOption = None,
+) -> None:
+    """Table 1: every method on the simulated bench, against the truth."""
+    from app.paper.tables import table1 as run
+
+    _paper_table(lambda report: run(load(bench, setting), seeds, peers=peers, report=report), out)
+
+
+@paper.command()
+def table2(
+    *,
+    out: PaperOut,
+    seeds: Seeds = 1,
+    peers: Peers = False,
+    bench: BenchOption = "paper_experiment",
+    setting: SetOption = None,
+) -> None:
+    """Table 2: every method on noisy frames of the experiment, against the stars."""
+    from app.paper.tables import table2 as run
+
+    _paper_table(lambda report: run(load(bench, setting), seeds, peers=peers, report=report), out)
+
+
+@paper.command()
+def sources(
+    *, out: PaperOut, seeds: Seeds = 1, bench: BenchOption = "paper_simulation", setting: SetOption = None
+) -> None:
+    """The supplement's study: sources of other shapes."""
+    from app.paper.tables import sources as run
+
+    _paper_table(lambda report: run(load(bench, setting), seeds, report=report), out)
+
+
+def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path) -> None:
+    """Make a table under a progress bar, write it and print it."""
+    from app.paper.output import print_table, write_table
+    from app.report import progress_bar
+
+    with progress_bar() as report:
+        table = run(report)
+    write_table(table, out)
+    print_table(table)
 
 
 @cli.command()

@@ -13,7 +13,7 @@ import numpy as np
 from app.config import Bench
 from app.devices import Devices
 from app.routines import Average, Progress, ShouldStop, take_dark, take_reference
-from drivers.interface import CameraCapabilities, Frame, Range
+from drivers.interface import BadValue, CameraCapabilities, Frame, Range
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice import find_lattice
@@ -105,7 +105,10 @@ class Instrument:
 
     def change_settings(self, change: Callable[[Bench], Bench]) -> None:
         """Replace the settings of registration and reconstruction by what `change` makes of the bench."""
-        self._bench = change(self._bench)
+        try:
+            self._bench = change(self._bench)
+        except ValueError as error:  # the settings refuse what cannot be
+            raise BadValue(str(error)) from error
         self._prepare()
 
     def measure(self, frame: Frame) -> Wavefront:

@@ -24,7 +24,7 @@ class ModalSolution:
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston, which slopes do not show
     sigma: Floats  # their standard deviations, rad, the same shape
-    pupil_modes: Floats  # R_p, without mean, at the centres of the pupil's lenslets: (pupil_mode, row, column), else NaN
+    pupil_modes: Floats  # R_p, without mean, at the lenslet centres; NaN outside the pupil: (pupil_mode, row, column)
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, where the field modes have the values (..., field_mode); see `wavefront.Solution`."""

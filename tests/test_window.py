@@ -265,9 +265,9 @@ def test_keys_act_while_a_number_is_being_edited(live: tuple[MainWindow, FakeCam
 
 def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
-    window.controls.warp_requested.emit("affine")
+    window.controls.setting_requested.emit("registration", "warp", "affine")
     window.controls.pupil_modes.setValue(15)
-    window.controls.method_requested.emit("zonal")
+    window.controls.setting_requested.emit("reconstruction", "method", "zonal")
 
     def is_changed() -> bool:
         measurement = window._measurement

@@ -5,6 +5,8 @@ The panel shows the instrument's status and emits what its user wants, as plain 
 
 from __future__ import annotations
 
+from typing import get_args
+
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
 
@@ -13,7 +15,8 @@ from app.gui.number_field import NumberField
 from app.gui.widgets import button, label, toggle
 from app.instrument import Status
 from drivers.interface import Range
-from reconstruction.registration import FIELD_MODES
+from reconstruction.pupil_modes import PupilBasis
+from reconstruction.registration import FIELD_MODES, Method
 
 _MOST_FRAMES = 1000
 _MOST_PUPIL_MODES = 400
@@ -33,9 +36,7 @@ class ControlsPanel(QFrame):
     dark_requested = pyqtSignal(int)  # frames
     reference_requested = pyqtSignal(int)  # frames
     cancel_requested = pyqtSignal()
-    warp_requested = pyqtSignal(str)
-    method_requested = pyqtSignal(str)
-    pupil_modes_requested = pyqtSignal(int)
+    setting_requested = pyqtSignal(str, str, object)  # section and key of the bench, and the value
 
     def __init__(self, frames: int, parent: QWidget | None = None) -> None:
         """Offer averages over `frames` frames to begin with."""
@@ -102,21 +103,43 @@ class ControlsPanel(QFrame):
         grid.addWidget(self.cancel, 3, 0, 1, 2)
 
     def _make_reconstruction(self) -> None:
-        self.warp = _choice(
-            "How a subimage may differ from its reference: moved (translation), also stretched and turned (affine), "
-            "or bent (quadratic, cubic). The more, the finer the wavefront's change over the field"
+        self.registration = self._setting(
+            "registration",
+            "method",
+            "How subimages are compared with the reference: gauss_newton is this instrument's own; the others are the "
+            "paper's and its peers', some of them far too slow to watch",
         )
-        self.warp.textActivated.connect(self.warp_requested)
-        self.method = _choice("From slopes to wavefronts: lenslet by lenslet (zonal), or by polynomials (modal)")
-        self.method.textActivated.connect(self.method_requested)
+        self.warp = self._setting(
+            "registration",
+            "warp",
+            "How a subimage may differ from its reference: moved (translation), also stretched and turned (affine), "
+            "or bent (quadratic, cubic). The more, the finer the wavefront's change over the field",
+        )
+        self.method = self._setting(
+            "reconstruction",
+            "method",
+            "From slopes to wavefronts: lenslet by lenslet (zonal), or by polynomials (modal)",
+        )
+        self.basis = self._setting(
+            "reconstruction", "basis", "Polynomials of the modal method: for a square pupil, or for a circular one"
+        )
         self.pupil_modes = NumberField(tool_tip="How many polynomials over the pupil the modal method fits")
-        self.pupil_modes.entered.connect(lambda value: self.pupil_modes_requested.emit(round(value)))
+        self.pupil_modes.entered.connect(
+            lambda value: self.setting_requested.emit("reconstruction", "pupil_modes", round(value))
+        )
         grid = self._section("Reconstruction", is_last=True)
-        for row, (name, widget) in enumerate(
-            (("Warp", self.warp), ("Method", self.method), ("Pupil modes", self.pupil_modes)), start=1
-        ):
-            grid.addWidget(label(name, "dim"), row, 0)
-            grid.addWidget(widget, row, 1)
+        grid.addWidget(label("Register", "dim"), 1, 0)
+        grid.addLayout(_side_by_side(self.registration, self.warp), 1, 1)
+        grid.addWidget(label("Integrate", "dim"), 2, 0)
+        grid.addLayout(_side_by_side(self.method, self.basis), 2, 1)
+        grid.addWidget(label("Pupil modes", "dim"), 3, 0)
+        grid.addWidget(self.pupil_modes, 3, 1)
+
+    def _setting(self, section: str, key: str, tool_tip: str) -> QComboBox:
+        """A choice of one of the bench's settings."""
+        choice = _choice(tool_tip)
+        choice.textActivated.connect(lambda value: self.setting_requested.emit(section, key, value))
+        return choice
 
     def _section(self, title: str, *, is_last: bool = False) -> QGridLayout:
         """Begin another column of controls under a title, and rule it off from the next."""
@@ -150,9 +173,13 @@ class ControlsPanel(QFrame):
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
         _show_choice(self.amplifier, allowed.amplifiers, status.amplifier)
         _show_choice(self.mask_choice, status.masks, status.mask)
-        _show_choice(self.warp, tuple(FIELD_MODES), status.bench.registration.warp)
-        _show_choice(self.method, ("zonal", "modal"), status.bench.reconstruction.method)
-        self.pupil_modes.setEnabled(status.bench.reconstruction.method == "modal")
+        registration, reconstruction = status.bench.registration, status.bench.reconstruction
+        _show_choice(self.registration, get_args(Method), registration.method)
+        _show_choice(self.warp, tuple(FIELD_MODES), registration.warp)
+        _show_choice(self.method, ("zonal", "modal"), reconstruction.method)
+        _show_choice(self.basis, get_args(PupilBasis), reconstruction.basis)
+        for choice in (self.basis, self.pupil_modes):
+            choice.setEnabled(reconstruction.method == "modal")
         for shown, words, is_on, colour in (
             (self.light, ("Light off", "Light on"), status.is_light_on, theme.AMBER),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),

@@ -226,13 +226,13 @@ class MainWindow(QMainWindow):
             (controls.current_requested, lambda instrument, value: instrument.devices.light.set_current(value)),
             (controls.sample_requested, lambda instrument, value: instrument.devices.stage.set_sample_in(value)),
             (controls.mask_requested, lambda instrument, value: instrument.devices.stage.set_mask(value)),
-            (controls.warp_requested, _set_warp),
-            (controls.method_requested, partial(_set_reconstruction, "method")),
-            (controls.pupil_modes_requested, partial(_set_reconstruction, "pupil_modes")),
         ):
             intent.connect(partial(self._command, command))
         controls.dark_requested.connect(lambda frames: self._routine(Acquisition.take_dark, frames))
         controls.reference_requested.connect(lambda frames: self._routine(Acquisition.take_reference, frames))
+        controls.setting_requested.connect(
+            lambda section, key, value: self._command(partial(_change_setting, section, key), value)
+        )
         controls.cancel_requested.connect(self._cancel)
         self.messages.reconnect_requested.connect(self._reconnect)
 
@@ -292,15 +292,9 @@ def _set_amplifier(instrument: Instrument, amplifier: str) -> None:
         camera.start()
 
 
-def _set_warp(instrument: Instrument, warp: Any) -> None:
+def _change_setting(section: str, key: str, instrument: Instrument, value: Any) -> None:
     def change(bench: Bench) -> Bench:
-        return replace(bench, registration=replace(bench.registration, warp=warp))
-
-    instrument.change_settings(change)
-
-
-def _set_reconstruction(key: str, instrument: Instrument, value: Any) -> None:
-    def change(bench: Bench) -> Bench:
-        return replace(bench, reconstruction=replace(bench.reconstruction, **{key: value}))
+        changed: dict[str, Any] = {section: replace(getattr(bench, section), **{key: value})}
+        return replace(bench, **changed)
 
     instrument.change_settings(change)

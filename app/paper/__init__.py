@@ -1,0 +1,1 @@
+"""The paper's tables, theirs and ours side by side."""

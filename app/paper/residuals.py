@@ -1,0 +1,87 @@
+"""What each method makes of the same frames: wavefronts of the views, remembered by everything they depend on."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import reconstruction
+from app.config import Bench, write_bench
+from app.devices import cache_folder
+from app.files import appearing_whole
+from app.paper.frames import Frames
+from app.paper.methods import Method
+from reconstruction.geometry import Floats
+from reconstruction.pipeline import Reconstructor
+from reconstruction.wavefront import rms
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """The wavefronts that a method finds."""
+
+    views: Floats  # rad, (view_row, view_column, lenslet_row, lenslet_column)
+    lost: int  # lenslets without a displacement
+    seconds: float  # for one frame, the reference already prepared
+
+    def residual_rms(self, truth: Floats) -> Floats:
+        """RMS over the lenslets of measured minus true, of each view: (view_row, view_column), rad."""
+        return rms(self.views - truth)
+
+
+def measured(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Measured:
+    """Reconstruct with one method; what was computed before from the same frames by the same code is remembered."""
+    pair = frames[method.mask]
+    bench = replace(bench, registration=method.registration, reconstruction=method.reconstruction)
+    path = _folder() / f"{_fingerprint(bench, pair)}.npz"
+    try:
+        with np.load(path) as kept:
+            return Measured(kept["views"], int(kept["lost"]), float(kept["seconds"]))
+    except (OSError, ValueError, EOFError, KeyError):  # not there, or not whole: compute it
+        result = _measure(bench, pair)
+    with appearing_whole(path) as temporary:
+        np.savez(temporary, views=result.views, lost=result.lost, seconds=result.seconds)
+    return result
+
+
+def _measure(bench: Bench, pair: Frames) -> Measured:
+    if bench.lattice is None:
+        raise ValueError("the bench of a table says where its lattice is")
+    reconstructor = Reconstructor(
+        pair.reference,
+        sensor=bench.sensor,
+        lattice=bench.lattice,
+        field=bench.field,
+        registration=bench.registration,
+        reconstruction=bench.reconstruction,
+        dark=np.zeros_like(pair.reference),
+    )
+    start_s = time.perf_counter()
+    wavefront = reconstructor(pair.frame)
+    seconds = time.perf_counter() - start_s
+    return Measured(wavefront.views, int(np.count_nonzero(~wavefront.displacement.valid)), seconds)
+
+
+def _folder() -> Path:
+    return cache_folder().with_name("paper")
+
+
+def _fingerprint(bench: Bench, pair: Frames) -> str:
+    digest = hashlib.sha256(write_bench(bench).encode())
+    digest.update(_code())
+    digest.update(pair.reference.tobytes())
+    digest.update(pair.frame.tobytes())
+    return digest.hexdigest()
+
+
+@cache
+def _code() -> bytes:
+    """The text of the package that computes, so that no result outlives its method."""
+    folder = Path(str(reconstruction.__file__)).parent
+    return b"".join(path.read_bytes() for path in sorted(folder.glob("*.py")))

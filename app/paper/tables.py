@@ -1,0 +1,143 @@
+"""The tables of the paper, theirs and ours: `svwfs paper table1 | table2 | sources`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from app.config import Bench
+from app.paper.frames import Frames, exposed_frames, noise_free_frames, resized
+from app.paper.methods import METHODS, PAPER_TABLE_1, PAPER_TABLE_2, Mask, Method
+from app.paper.residuals import Measured, measured
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Floats
+
+Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
+
+EXPOSURES_S: dict[Mask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
+SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
+
+
+@dataclass(slots=True)
+class Entry:
+    """The residuals of one method, gathered over the seeds."""
+
+    rms_rad: list[Floats] = field(default_factory=list)  # of each seed: (view_row, view_column)
+    lost: int = 0
+    seconds: float = 0.0
+
+    def add(self, result: Measured, truth: Floats) -> None:
+        """Gather the result of one more seed."""
+        self.rms_rad.append(result.residual_rms(truth))
+        self.lost += result.lost
+        self.seconds = result.seconds
+
+    def summary(self) -> dict[str, float]:
+        """Minimum, maximum and mean over the views, averaged over the seeds, and the spread of the means."""
+        values = np.array(self.rms_rad).reshape(len(self.rms_rad), -1)
+        means = values.mean(axis=1)
+        return {
+            "min_rad": float(values.min(axis=1).mean()),
+            "max_rad": float(values.max(axis=1).mean()),
+            "mean_rad": float(means.mean()),
+            "spread_rad": float(means.std(ddof=1)) if len(means) > 1 else 0.0,
+            "lost_lenslets": self.lost / len(self.rms_rad),
+            "seconds": self.seconds,
+        }
+
+
+@dataclass(slots=True)
+class Table:
+    """One table: what the paper prints and what we measure."""
+
+    name: str
+    title: str
+    paper: Mapping[str, tuple[float, float, float]]
+    entries: dict[str, Entry] = field(default_factory=dict)
+    last: dict[str, tuple[Floats, Floats]] = field(default_factory=dict)  # truth and views of the last seed
+    problems: dict[str, str] = field(default_factory=dict)  # why a method gives nothing
+
+    def add(self, name: str, result: Measured, truth: Floats) -> None:
+        """Gather a method's result for one seed."""
+        self.entries.setdefault(name, Entry()).add(result, truth)
+        self.last[name] = truth, result.views
+
+
+def table1(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
+    """The paper's simulation: every method on noise-free frames of the same screens, against the truth."""
+    table = Table("table1", "Residual RMS (rad) in the simulation, against the truth", PAPER_TABLE_1)
+    methods = _methods(peers=peers)
+    for index, seeded in enumerate(_seeded(bench, seeds)):
+        step = _part(report, index, seeds)
+        step("rendering", 0.0)
+        frames, truth = noise_free_frames(seeded, ("square", "stars"), lambda _: None)
+        _run(table, seeded, frames, truth, methods, step)
+    return table
+
+
+def table2(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
+    """The paper's experiment, through the whole instrument: noisy frames, both exposures, the stars as the truth.
+
+    Every method is run twice: on windows at their true sub-pixel centres, and (`_resized`) as in the paper on frames
+    that were cut and resized first. `against_truth` compares the stars themselves with the true wavefronts.
+    """
+    table = Table("table2", "Residual RMS (rad) in the experiment, against the stars", PAPER_TABLE_2)
+    methods = {name: method for name, method in _methods(peers=peers).items() if method.mask == "square"}
+    for index, seeded in enumerate(_seeded(bench, seeds)):
+        step = _part(report, index, seeds)
+        step("rendering and exposing", 0.0)
+        frames, truth = exposed_frames(seeded, EXPOSURES_S, lambda _: None)
+        stars = measured(seeded, frames, METHODS["stars_zonal"])
+        table.add("stars_zonal_against_truth", stars, truth)
+        _run(table, seeded, frames, stars.views, methods, _part(step, 0, 2))
+        small_bench, small = resized(seeded, frames)
+        small_stars = measured(small_bench, small, METHODS["stars_zonal"])
+        small_methods = {f"{name}_resized": method for name, method in methods.items()}
+        _run(table, small_bench, small, small_stars.views, small_methods, _part(step, 1, 2))
+    return table
+
+
+def sources(bench: Bench, seeds: int, *, report: Report) -> Table:
+    """The robustness study of the paper's supplement: the same screens behind sources of other shapes."""
+    table = Table("sources", "Residual RMS (rad) for sources of other shapes, against the truth", {})
+    kinds = ("affine_zonal", "affine_modal", "quadratic_zonal", "quadratic_modal")
+    for index, seeded in enumerate(_seeded(bench, seeds)):
+        step = _part(report, index, seeds)
+        step("rendering", 0.0)
+        frames, truth = noise_free_frames(seeded, SOURCES, lambda _: None)
+        for source in SOURCES:
+            methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
+            _run(table, seeded, {"square": frames[source]}, truth, methods, step)
+    return table
+
+
+def _methods(*, peers: bool) -> dict[str, Method]:
+    return {name: method for name, method in METHODS.items() if peers or not method.is_peer}
+
+
+def _seeded(bench: Bench, seeds: int) -> list[Bench]:
+    first = bench.simulation.seed
+    return [replace(bench, simulation=replace(bench.simulation, seed=first + index)) for index in range(seeds)]
+
+
+def _part(report: Report, index: int, count: int) -> Report:
+    """The report of one part of several."""
+    return lambda text, fraction: report(text, (index + fraction) / count)
+
+
+def _run(
+    table: Table,
+    bench: Bench,
+    frames: Mapping[str, Frames],
+    truth: Floats,
+    methods: Mapping[str, Method],
+    report: Report,
+) -> None:
+    for done, (name, method) in enumerate(methods.items()):
+        report(name, done / len(methods))
+        try:
+            table.add(name, measured(bench, frames, method), truth)
+        except ReconstructionError as error:
+            table.problems[name] = str(error)
