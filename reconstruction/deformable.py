@@ -21,7 +21,7 @@ from reconstruction.field_modes import FieldModes
 from reconstruction.flow import FlowReading
 from reconstruction.geometry import Floats
 from reconstruction.itk_affine import align_affine
-from reconstruction.simple_itk import for_every_lenslet, load_simple_itk
+from reconstruction.simple_itk import THREADS, for_every_lenslet, load_simple_itk
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 
@@ -39,6 +39,8 @@ _GRADIENT_TOLERANCE = 1e-5
 class _Deformable(ABC):
     """Gives every lenslet's pair of images, equally bright, to one of ITK's registrations."""
 
+    _threads = THREADS
+
     def __init__(self, reference: ReferenceSubimages, modes: FieldModes) -> None:
         """Prepare for one reference, displacements written in `modes` (see `flow.FlowReading`).
 
@@ -53,7 +55,7 @@ class _Deformable(ABC):
         """Compare a frame with the reference; see `displacement.Estimator`."""
         subimages = self._reference.cut(light)
         shape = (len(self._reference.offset_px), 2)
-        flow = for_every_lenslet(self._align, self._windows, _equally_bright(subimages), shape)
+        flow = for_every_lenslet(self._align, self._windows, _equally_bright(subimages), shape, threads=self._threads)
         return self._read(flow, subimages, saturated=saturated)
 
     def _align(self, reference: Image, subimage: Image) -> Floats | None:
@@ -90,6 +92,8 @@ class Demons(_Deformable):
 
 class FreeForm(_Deformable):
     """Registers frames against one reference by free-form deformation."""
+
+    _threads = 1  # two L-BFGS-B searches at a time were seen to end the program: "munmap_chunk(): invalid pointer"
 
     def _field(self, reference: Any, subimage: Any, start: Any) -> Any:
         itk = self._itk

@@ -17,7 +17,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats
 from reconstruction.spline import Image
 
-_THREADS = min(2, os.cpu_count() or 1)
+THREADS = min(2, os.cpu_count() or 1)
 
 
 def load_simple_itk() -> Any:
@@ -30,9 +30,14 @@ def load_simple_itk() -> Any:
 
 
 def for_every_lenslet(
-    align: Callable[[Image, Image], Floats | None], references: Image, subimages: Image, shape: tuple[int, ...]
+    align: Callable[[Image, Image], Floats | None],
+    references: Image,
+    subimages: Image,
+    shape: tuple[int, ...],
+    *,
+    threads: int = THREADS,
 ) -> Floats:
     """Give each pair of the windows (L, width, width) to `align`: what it finds, (L, *shape), NaN where nothing."""
-    with ThreadPoolExecutor(_THREADS, thread_name_prefix="simple-itk") as threads:
-        found = list(threads.map(align, references, subimages))
+    with ThreadPoolExecutor(threads, thread_name_prefix="simple-itk") as pool:
+        found = list(pool.map(align, references, subimages))
     return np.stack([np.full(shape, np.nan) if one is None else one for one in found])
