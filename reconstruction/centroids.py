@@ -99,7 +99,7 @@ class Centroids:
         lost = ~(self._are_stars(after, start_px) & self._known & (misfit < _MISFIT))
 
         displacement = np.swapaxes(after.position_px - before.position_px, 1, 2)  # (L, xy, S)
-        faintest = np.where(self._known, after.height, 0).min(axis=1)
+        faintest = after.height.min(axis=1)
         outcome = reference.judge(
             displacement, self._modes, contrast=faintest, diverged=lost.any(axis=1), saturated=saturated
         )
@@ -146,7 +146,7 @@ class Centroids:
         return ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
 
     def _are_stars(self, stars: _Stars, start_px: Floats) -> Mask:
-        """Which stars are bright enough, still near start_px (L, S, xy) and inside the cell, and stand still: (L, S)."""
+        """Which stars are bright, stay near start_px (L, S, xy) and inside the cell, and are pinned down: (L, S)."""
         strayed = np.abs(stars.position_px - start_px).max(axis=-1) > self._half_px
         left = np.abs(stars.position_px).max(axis=-1) > self._reference.reach_px
         faint = ~(stars.height > _FAINT * np.median(stars.height[self._reference.lit]))

@@ -2,8 +2,8 @@
 
 Every subimage is laid over its reference at all whole-pixel shifts within reach; between the pixels, a 2-D quadratic
 through the 3 x 3 values about the best one has its minimum where the shift is. The mismatch is either the sum of
-squared differences (square difference function) or follows from the cross-correlation, by FFT. Both after Loefdahl
-2010, Astronomy & Astrophysics 524, A90, who finds the first the better one.
+squared differences (square difference function) or follows from the cross-correlation, by FFT. Both after Löfdahl
+2010, Astronomy & Astrophysics 524, A90.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _quadratic_minimum(mismatch: Floats) -> tuple[Floats, Floats, Floats, Mask]:
     """Where a quadratic about the least of the mismatches (L, shift_y, shift_x) has its minimum.
 
     Returns its position in samples (L, xy); the position's variance (L, xy) per unit of variance of a pixel; the
-    mismatch there (L,); and whether there is a minimum inside the border, (L,). Löfdahl's "2QI", his equation 13.
+    mismatch there (L,); and whether there is a minimum inside the border, (L,).
     """
     lenslets, rows, columns = mismatch.shape
     least = mismatch.reshape(lenslets, -1).argmin(axis=1)
