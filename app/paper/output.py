@@ -39,17 +39,17 @@ def write_table(table: Table, out: Path) -> None:
 
 def print_table(table: Table) -> None:
     """Print the paper's numbers beside ours."""
-    text = rich.table.Table(title=f"{table.title}: min, max, mean over the views", box=box.SIMPLE)
+    text = rich.table.Table(title=table.title, box=box.SIMPLE, padding=(0, 1))
     text.add_column("method", no_wrap=True)
-    for column in ("paper", "ours", "+-", "lost", "s/frame"):
+    for column in ("paper: min, max, mean", "ours: min, max, mean", "lost"):
         text.add_column(column, justify="right", no_wrap=True)
     for name, entry in table.entries.items():
         ours = entry.summary()
         theirs = " ".join(f"{value:6.3f}" for value in table.paper.get(name, ()))
         numbers = " ".join(f"{ours[number]:6.3f}" for number in _NUMBERS)
-        spread = f"{ours['spread_rad']:.3f}" if len(entry.rms_rad) > 1 else ""
-        text.add_row(name, theirs, numbers, spread, f"{ours['lost_lenslets']:.0f}", f"{ours['seconds']:.3f}")
-    console = Console()
+        spread = f" +- {ours['spread_rad']:.3f}" if len(entry.rms_rad) > 1 else ""
+        text.add_row(name, theirs, numbers + spread, f"{ours['lost_lenslets']:.0f}")
+    console = Console(width=max(Console().width, 96))  # numbers cut short are of no use, in a pipe neither
     console.print(text)
     for name, problem in table.problems.items():
         console.print(f"{name}: {problem}")
@@ -62,7 +62,8 @@ def table_figure(table: Table) -> Figure:
     figure = Figure(figsize=(8.6, 2.4 * len(table.last) + 0.6), layout="constrained")
     axes = figure.subplots(len(table.last), 3, squeeze=False)
     for (name, (truth, views)), row in zip(table.last.items(), axes, strict=True):
-        titled = {"reference": truth, name: views, "residual": views - truth}
+        residual = f"residual, mean RMS {table.entries[name].summary()['mean_rad']:.3f} rad"
+        titled = {table.reference: truth, name: views, residual: views - truth}
         for axis, (title, values) in zip(row, titled.items(), strict=True):
             axis.imshow(_mosaic(without_piston(values)), cmap="RdBu_r", norm=scale, interpolation="nearest")
             axis.set_title(title, fontsize=8)
