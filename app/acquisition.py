@@ -8,12 +8,13 @@ light first, and the failure is there to be read.
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from app.config import Bench
@@ -21,7 +22,7 @@ from app.devices import Devices
 from app.errors import InputError, RunError
 from app.instrument import Instrument, Status
 from app.routines import WAIT_SLICE_S, Cancelled, next_frame
-from drivers.interface import BadValue, DeviceError, Frame, WrongState
+from drivers.interface import BadValue, Camera, DeviceError, DeviceTimeout, Frame, WrongState
 from reconstruction.errors import ReconstructionError
 from reconstruction.wavefront import Wavefront
 
@@ -33,7 +34,7 @@ class Counts:
     """What has become of the frames since the loop began."""
 
     acquired: int = 0
-    reconstructed: int = 0
+    reconstructed: int = 0  # fewer, when the computer is slower than the camera: then only the newest are
     lost: int = 0  # overwritten in the camera before they were read
 
 
@@ -45,7 +46,7 @@ class Measurement:
     wavefront: Wavefront | None
     problem: str  # why there is no wavefront; empty when there is one
     counts: Counts
-    latency_s: float  # from the frame's arrival to this result
+    latency_s: float  # from the end of the exposure to this result
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +75,7 @@ class Acquisition:
         self._ended = False
         self._counts = Counts()
         self._next_index = 0
+        self._clock_lag_s = math.inf  # host's clock minus camera's
         self.newest: Measurement | None = None  # the mailbox: written by the worker, read by anybody
         self.status: Status | None = None  # None until the devices are open
         self.activity = Activity("opening the devices")
@@ -191,7 +193,7 @@ class Acquisition:
     def _acquire(self, instrument: Instrument) -> None:
         """Take one frame, reconstruct it and pass it on."""
         try:
-            frame = next_frame(instrument.devices.camera, lambda: self._stopping.is_set() or not self._commands.empty())
+            frame = self._newest_frame(instrument.devices.camera)
         except Cancelled:
             return
         wavefront, problem = None, ""
@@ -199,19 +201,35 @@ class Acquisition:
             wavefront = instrument.measure(frame)
         except ReconstructionError as error:
             problem = str(error)
-        was_restarted = frame.index < self._next_index
-        skipped = frame.index if was_restarted else frame.index - self._next_index
-        self._next_index = frame.index + 1
-        self._counts = Counts(
-            acquired=self._counts.acquired + 1,
-            reconstructed=self._counts.reconstructed + (wavefront is not None),
-            lost=self._counts.lost + skipped,
-        )
-        latency_s = time.perf_counter() - frame.host_time_s
-        measurement = Measurement(frame, wavefront, problem, self._counts, latency_s)
+        self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (wavefront is not None))
+        measurement = Measurement(frame, wavefront, problem, self._counts, self._age_s(frame))
         for sink in self._sinks:
             sink(measurement)
         self.newest = measurement
+
+    def _newest_frame(self, camera: Camera) -> Frame:
+        """Wait for a frame; when it has lain in the camera for long, go on to the newest that is there."""
+        frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.empty())
+        self._count(frame)
+        while self._age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
+            try:
+                frame = camera.read(0.0)
+            except DeviceTimeout:
+                break
+            self._count(frame)
+        return frame
+
+    def _count(self, frame: Frame) -> None:
+        """Count a frame that has arrived, and those that were lost before it."""
+        was_restarted = frame.index < self._next_index
+        lost = frame.index if was_restarted else frame.index - self._next_index
+        self._next_index = frame.index + 1
+        self._counts = replace(self._counts, acquired=self._counts.acquired + 1, lost=self._counts.lost + lost)
+        self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
+
+    def _age_s(self, frame: Frame) -> float:
+        """Time since the end of the exposure; the camera's clock is set by the frame that came the fastest."""
+        return time.perf_counter() - (frame.camera_time_s + self._clock_lag_s)
 
     def _end(self) -> None:
         """Refuse all commands that nobody will execute any more."""
@@ -224,4 +242,5 @@ class Acquisition:
         self.activity = Activity()
 
 
+_OLD_S = 0.1  # a frame that is older, and there are newer ones, is only counted
 _HARMLESS = (Cancelled, ReconstructionError, BadValue, WrongState)  # the caller's business; the loop goes on

@@ -6,6 +6,7 @@ a failure while running with status 1, Ctrl-C with 130; each with one line on st
 
 from __future__ import annotations
 
+import signal
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.errors import InputError, RunError
+from app.errors import InputError, Interrupted, RunError
 from app.presets import PRESETS
 
 if TYPE_CHECKING:
@@ -42,12 +43,21 @@ SetOption = Annotated[
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
+    signal.signal(signal.SIGTERM, _interrupt)  # so that it, too, turns the light off and writes what was measured
     try:
         cli(standalone_mode=True)
     except InputError as error:
         _leave(error, 2)
     except RunError as error:
         _leave(error, 1)
+    except Interrupted as error:
+        _leave(error, 130)
+    except OSError as error:  # standard output is full or gone
+        _leave(error, 1)
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _leave(error: Exception, status: int) -> None:
@@ -78,7 +88,9 @@ def live(
     setting: SetOption = None,
     seconds: Annotated[
         float | None,
-        typer.Option(min=0.1, help="Close by itself so long after the first wavefront, leaving a screenshot."),
+        typer.Option(
+            min=0.1, max=86400, help="Close by itself so long after the first wavefront, leaving a screenshot."
+        ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the screenshot and the results of such a run.")] = _LIVE_OUT,
 ) -> None:
@@ -207,10 +219,12 @@ def reconstruct(
 ) -> None:
     """Reconstruct the wavefronts of one frame from image files."""
     from app.from_files import reconstruct_files
-    from app.plot import plot_views
+    from app.plot import check_plot_path, plot_views
     from app.report import print_views
     from app.results import result_dataset, write_results
 
+    if plot is not None:
+        check_plot_path(plot)
     loaded = load(bench, setting)
     wavefront = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded)
     inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}

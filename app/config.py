@@ -40,6 +40,14 @@ class Bench:
     light: SimulatedLightSettings = SimulatedLightSettings()
     simulation: Simulation = Simulation()
 
+    def __post_init__(self) -> None:
+        designed_px = self.sensor.lenslet_pitch_px
+        if self.lattice is not None and not 0.9 < self.lattice.pitch_px / designed_px < 1.1:
+            raise ValueError(
+                f"lattice.pitch_px = {self.lattice.pitch_px:g} is far from"
+                f" sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
+            )
+
 
 def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
     """Read a bench from a TOML file, or a preset by its name; `overrides` are "section.key=value" as in TOML."""

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Self
 
@@ -62,7 +67,7 @@ def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Cloc
             bench.simulation,
             bench.camera,
             bench.light,
-            cache_folder=cache_folder(),
+            cache_folder=cache_folder() / "irradiance",
             clock=clock,
             progress=progress,
         )
@@ -70,6 +75,16 @@ def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Cloc
         raise InputError(f"simulation: {error}") from error
 
 
+@cache
 def cache_folder() -> Path:
-    """Where rendered irradiances are kept from one run to the next."""
-    return Path(platformdirs.user_cache_dir("svwfs")) / "irradiance"
+    """Where what was computed is kept from one run to the next; for this run only, where nothing can be kept."""
+    folder = Path(platformdirs.user_cache_dir("svwfs"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:  # no home, or one that cannot be written
+        pass
+    temporary = tempfile.mkdtemp(prefix="svwfs-")
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return Path(temporary)

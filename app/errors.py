@@ -5,5 +5,9 @@ class InputError(Exception):
     """What was given cannot be used: a file, a setting, a frame. Exit status 2."""
 
 
+class Interrupted(Exception):
+    """Somebody ended it early; the text says what there is all the same. Exit status 130."""
+
+
 class RunError(Exception):
     """Something failed while running: a device, the disk. Exit status 1."""

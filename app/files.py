@@ -44,6 +44,8 @@ def make_folder(path: Path) -> None:
 @contextmanager
 def appearing_whole(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; it takes the name `path` if all goes well and vanishes otherwise."""
+    if not path.name or (path.exists() and not path.is_file()):
+        raise RunError(f"{path}: is no file that could be written")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")
     try:
         make_folder(path.parent)

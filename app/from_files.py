@@ -27,6 +27,7 @@ def reconstruct_files(frame: Path, *, reference: Path, dark: Path | None, bench:
                 f"{path}: has {_size(image)} pixels (rows x columns), but the reference {reference} has"
                 f" {_size(reference_image)}"
             )
+    paths = {"frame": frame, "reference": reference, "dark": dark}
     try:
         reconstructor = Reconstructor(
             reference_image,
@@ -36,19 +37,16 @@ def reconstruct_files(frame: Path, *, reference: Path, dark: Path | None, bench:
             registration=bench.registration,
             reconstruction=bench.reconstruction,
             dark=dark_image,
-            full_scale=_full_scale(reference_image),
+            full_scale=min(_full_scale(image, bench.camera.bits) for image in (reference_image, frame_image)),
         )
-    except ReconstructionError as error:
-        raise InputError(f"{reference}: {error}") from error
-    try:
         return reconstructor(frame_image)
     except ReconstructionError as error:
-        raise InputError(f"{frame}: {error}") from error
+        raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
 
 
-def _full_scale(image: NDArray[Any]) -> float:
-    """The count at which the camera that took an integer image saturates; a float image has no such count."""
-    return float(np.iinfo(image.dtype).max) if image.dtype.kind in "ui" else np.inf
+def _full_scale(image: NDArray[Any], bits: int) -> float:
+    """The count at which a camera of so many bits saturates, or at which the file's integers do."""
+    return min(2.0**bits, np.iinfo(image.dtype).max + 1.0 if image.dtype.kind in "ui" else np.inf) - 1
 
 
 def _size(image: NDArray[Any]) -> str:

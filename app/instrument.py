@@ -118,10 +118,13 @@ class Instrument:
         return self._reconstructor(frame.pixels)
 
     def _prepare(self) -> None:
-        """Make the reconstructor anew; what stands in the way becomes the warning that everybody sees."""
+        """Make the reconstructor anew, the camera paused; what stands in the way becomes the warning that all see."""
         self._reconstructor = None
         if self._reference is None:
             return
+        camera = self.devices.camera
+        was_running = camera.is_running
+        camera.stop()
         bench, reference = self._bench, self._reference.mean
         dark = None if self._dark is None else self._dark.mean
         try:
@@ -138,6 +141,8 @@ class Instrument:
             )
         except ReconstructionError as error:
             self._problem = str(error)
+        if was_running:
+            camera.start()
 
     def _warning(self) -> str:
         if self._reconstructor is None:

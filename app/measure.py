@@ -11,8 +11,8 @@ from pathlib import Path
 from app.acquisition import Acquisition, Measurement
 from app.config import Bench
 from app.devices import open_devices
-from app.errors import RunError
-from app.files import write_image
+from app.errors import Interrupted, RunError
+from app.files import make_folder, write_image
 from app.instrument import Instrument
 from app.results import result_dataset, stack_frames, write_results
 from app.start_up import start_up
@@ -63,6 +63,7 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
     Whatever ends it early, Ctrl-C among others, what has been measured is written first. A device that fails is a
     `RunError`, a bench that cannot be is an `InputError`.
     """
+    make_folder(out)
     collected = Collected(bench, frames)
     acquisition = Acquisition(bench, open_devices, sinks=(collected.take,))
     acquisition.start()
@@ -70,6 +71,8 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
         _take_calibration(acquisition, out, report)
         while acquisition.is_alive and not collected.complete.wait(_POLL_S):
             report(f"measuring {frames} frames", collected.taken / frames)
+    except KeyboardInterrupt as interrupt:
+        raise Interrupted(f"stopped: {len(collected.wavefronts)} of {frames} frames are in {out}") from interrupt
     except DeviceError as error:
         raise acquisition.error or RunError(str(error)) from error
     finally:

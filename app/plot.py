@@ -9,9 +9,17 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from app.errors import InputError
 from app.files import appearing_whole
 from reconstruction.geometry import Field
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
+
+
+def check_plot_path(path: Path) -> None:
+    """Raise `InputError`, before any work is done, if no picture can be written under that name."""
+    formats = sorted(Figure().canvas.get_supported_filetypes())
+    if path.suffix.lstrip(".").lower() not in formats:
+        raise InputError(f"{path}: give a picture's name that ends in one of {', '.join(formats)}")
 
 
 def plot_views(wavefront: Wavefront, path: Path) -> None:

@@ -13,7 +13,7 @@ from app.config import Bench, write_bench
 from app.files import appearing_whole
 from reconstruction.geometry import Floats
 from reconstruction.modal import ModalSolution
-from reconstruction.wavefront import Wavefront, peak_to_valley, rms
+from reconstruction.wavefront import Wavefront, peak_to_valley, rms, strehl
 
 _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
@@ -69,6 +69,7 @@ def _wavefront_variables(views: Floats) -> dict[str, tuple[tuple[str, ...], Floa
     return {
         "wavefront": ((*_VIEW, *_LENSLET), views, _about("rad", "phase at the lenslet centres, piston removed")),
         "rms": (_VIEW, rms(views), _about("rad", "RMS of each view's wavefront")),
+        "strehl": (_VIEW, strehl(views), _about("1", "Strehl ratio of each view's wavefront, tilt included")),
         "pv": (_VIEW, peak_to_valley(views), _about("rad", "peak to valley of each view's wavefront")),
     }
 

@@ -45,6 +45,10 @@ class GaussNewton:
         self._start = prepare_template(reference, LegendreModes(1), coarse, conserve_flux=conserve_flux)
         every = np.ones_like(coarse)
         self._warp = prepare_template(reference, modes, every, conserve_flux=conserve_flux)
+        # Numba compiles, or loads what it has compiled, at the first call: let that not be a camera's first frame.
+        blank = np.zeros((8, 8), np.float32)
+        for template in (self._start, self._warp):
+            self._align(template, blank, np.zeros(template.variance.shape, np.float32), 1, 1.0)
 
     def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
         """Compare a frame with the reference; see `displacement.Estimator`."""

@@ -24,11 +24,15 @@ class ModalSolution:
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston, which slopes do not show
     sigma: Floats  # their standard deviations, rad, the same shape
-    pupil_modes: Floats  # R_p, without mean, at the lenslet centres; NaN outside the pupil: (pupil_mode, row, column)
+    pupil_modes: Floats  # R_p at the lenslet centres, (pupil_mode, lenslet_row, lenslet_column)
+    known: Mask  # the lenslets that it was fitted to; elsewhere polynomials would only invent
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, where the field modes have the values (..., field_mode); see `wavefront.Solution`."""
-        return np.tensordot(field_modes @ self.coefficients.T, self.pupil_modes, axes=1)
+        phase = np.tensordot(field_modes @ self.coefficients.T, self.pupil_modes[:, self.known], axes=1)
+        wavefront = np.full((*phase.shape[:-1], *self.known.shape), np.nan)
+        wavefront[..., self.known] = phase - phase.mean(axis=-1, keepdims=True)
+        return wavefront
 
 
 class ModalSolver:
@@ -42,8 +46,8 @@ class ModalSolver:
         self._inside = modes.inside
         gradients = modes.gradients[1:]
         self._gradients = gradients.reshape(len(gradients), -1)  # (pupil_mode without piston, lenslet x xy), 1/m
-        values = np.where(modes.inside, modes.values, np.nan)
-        self._values = values - np.nanmean(values, axis=(1, 2), keepdims=True)
+        self._values = modes.values
+        self._pseudo_inverse(modes.inside.tobytes())  # says at once if even all lenslets cannot tell the modes apart
 
     def __call__(self, slopes: Floats, variance: Floats, valid: Mask) -> ModalSolution:
         """Fit the slopes (lenslet_row, lenslet_column, field_mode, xy), rad/m, of the valid lenslets.
@@ -59,6 +63,7 @@ class ModalSolver:
             coefficients=np.concatenate([piston, inverse @ data]),
             sigma=np.concatenate([piston, np.sqrt(inverse**2 @ spread)]),
             pupil_modes=self._values,
+            known=valid,
         )
 
     @lru_cache(maxsize=16)  # noqa: B019 - a solver lives as long as its reference, and so may what it remembers

@@ -73,7 +73,9 @@ class Reconstructor:
         displacement = self._register(light, saturated=saturated)
         valid = displacement.valid
         if np.count_nonzero(valid) < 2:
-            raise ReconstructionError("no lenslet of the frame could be matched with the reference: is the light on?")
+            raise ReconstructionError(
+                "no lenslet of the frame could be matched with the reference: is the light on?", image="frame"
+            )
         slopes = displacement.coefficients * self._sensor.slope_per_px
         solution: Solution
         if self._modal is None:
@@ -86,7 +88,9 @@ class Reconstructor:
         """Check an image and return it as float32 (row, column) counts above the dark or the background."""
         light = _checked(image, what, self._shape)
         if np.count_nonzero(image >= self._full_scale) > _SATURATED_FRACTION * image.size:
-            raise ReconstructionError(f"the {what} is saturated: shorten the exposure or lower the light's current")
+            raise ReconstructionError(
+                f"the {what} is saturated: shorten the exposure or lower the light's current", image=what
+            )
         background = self._dark if self._dark is not None else np.percentile(light, _BACKGROUND_PERCENT)
         return np.asarray(light - background, np.float32)
 
@@ -94,12 +98,15 @@ class Reconstructor:
 def _checked(image: Counts, what: str, shape: tuple[int, ...]) -> Image:
     """Return an image as float32 if it is a finite one of the right shape, else say what it is."""
     if image.ndim != 2 or image.shape != shape:
-        raise ReconstructionError(f"the {what} has {_size(image.shape)} pixels, but the reference has {_size(shape)}")
+        raise ReconstructionError(
+            f"the {what} has {_size(image.shape)} pixels, but the reference has {_size(shape)}", image=what
+        )
     if not (np.issubdtype(image.dtype, np.integer) or np.issubdtype(image.dtype, np.floating)):
-        raise ReconstructionError(f"the {what} holds {image.dtype} values: grey counts are needed")
-    light = image.astype(np.float32)
+        raise ReconstructionError(f"the {what} holds {image.dtype} values: grey counts are needed", image=what)
+    with np.errstate(over="ignore"):  # too large a number becomes infinite, and is refused as that
+        light = image.astype(np.float32)
     if not np.isfinite(light).all():
-        raise ReconstructionError(f"the {what} holds values that are not finite")
+        raise ReconstructionError(f"the {what} holds values that are not finite", image=what)
     return light
 
 

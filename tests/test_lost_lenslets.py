@@ -40,9 +40,9 @@ def test_a_lenslet_that_goes_dark_yields_no_slope_and_spoils_nothing(
     assert np.count_nonzero(~wavefront.displacement.valid) == 1
     assert np.isnan(wavefront.displacement.coefficients[2, 5]).all()
     truth = TILT * small_bench.pupil_x_m
-    known = np.isfinite(wavefront.views[1, 1])
-    assert known[2, 5] == (method == "modal")  # the modes cover the hole, the zones leave it
-    assert rms(np.where(known, wavefront.views[1, 1] - truth, np.nan)) < 0.03
+    assert np.isnan(wavefront.views[:, :, 2, 5]).all()
+    assert np.count_nonzero(np.isnan(wavefront.views[1, 1])) == 1
+    assert rms(wavefront.views[1, 1] - truth) < 0.03
 
 
 def test_something_else_than_the_reference_is_no_match(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
@@ -122,6 +122,6 @@ def test_a_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[n
         )
 
 
-def test_more_modes_than_lenslets_can_carry_are_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_more_modes_than_lenslets_can_carry_are_refused(small_bench: SmallBench) -> None:
     with pytest.raises(ReconstructionError, match="cannot tell 300 pupil modes apart"):
-        small_bench.reconstructor(pupil_modes=300)(tilted)
+        small_bench.reconstructor(pupil_modes=300)

@@ -69,7 +69,7 @@ def _measure(bench: Bench, pair: Frames) -> Measured:
 
 
 def _folder() -> Path:
-    return cache_folder().with_name("paper")
+    return cache_folder() / "paper"
 
 
 def _fingerprint(bench: Bench, pair: Frames) -> str:
