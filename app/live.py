@@ -19,7 +19,7 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path) -> int:
     """Run the window and return the exit status; Qt is loaded here, when it is known that a window is wanted.
 
     Where there is no display, or `seconds` are given, nobody needs to be there: it closes by itself so long after
-    the first wavefront and leaves `window.png` and `result.nc` in the folder `out`.
+    the first wavefront and leaves `window.png` and `result.nc` in the folder `out`; without them it ends with an error.
     """
     if not _has_display():
         os.environ["QT_QPA_PLATFORM"] = "offscreen"

@@ -409,10 +409,33 @@ def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplic
     assert qapp is QApplication.instance()
 
 
-def test_interrupt_from_the_keyboard_closes_the_window(qapp: QApplication) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("offscreen_s", [None, 60.0])
+def test_signal_closes_the_window_and_turns_the_light_off(
+    qapp: QApplication, number: signal.Signals, offscreen_s: float | None
+) -> None:
     assert qapp is QApplication.instance()
     camera = FakeCamera()
-    QTimer.singleShot(800, lambda: os.kill(os.getpid(), signal.SIGINT))
-    assert run_live(lambda: Acquisition(BENCH, opener(camera))) == 0
+    before = signal.getsignal(number)
+    QTimer.singleShot(800, lambda: os.kill(os.getpid(), number))
+    with pytest.raises(KeyboardInterrupt):
+        run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
     assert camera.is_closed
     assert not camera.light.is_on
+    assert signal.getsignal(number) == before
+
+
+def test_unattended_run_whose_window_is_closed_is_no_success(qapp: QApplication, tmp_path: Path) -> None:
+    camera = FakeCamera()
+    finished: list[Measurement] = []
+    QTimer.singleShot(800, qapp.closeAllWindows)
+    with pytest.raises(RunError, match="closed before the run had finished"):
+        run_live(
+            lambda: Acquisition(BENCH, opener(camera)),
+            offscreen_s=60,
+            screenshot=tmp_path / "window.png",
+            on_finish=finished.append,
+        )
+    assert not finished
+    assert not list(tmp_path.iterdir())
+    assert camera.is_closed

@@ -16,6 +16,7 @@ from app.errors import InputError, RunError
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 _GIVE_UP_S = 120.0  # how long an unattended run waits for its first wavefront
 
 
@@ -30,7 +31,8 @@ def run_live(
 
     With `offscreen_s` it closes by itself, so long after its first wavefront: a picture of it is saved to
     `screenshot`, and the last measurement that has a wavefront is given to `on_finish`. `RunError` is raised when
-    no wavefront comes or the devices fail, `InputError` when the bench cannot be.
+    that does not come about: no wavefront comes, the devices fail, somebody closes the window before; `InputError`
+    when the bench cannot be. Ctrl-C and SIGTERM close the window as its user would; then `KeyboardInterrupt` is raised.
     """
     qInstallMessageHandler(_pass_on)
     application = QApplication.instance()
@@ -40,18 +42,27 @@ def run_live(
     apply_theme(application)
     window = MainWindow(make_acquisition)
     run = None if offscreen_s is None else _UnattendedRun(window, offscreen_s, screenshot, on_finish)
-    before = signal.signal(signal.SIGINT, lambda *_: window.close())  # the window's timer lets Python notice
+    signals: list[int] = []
+
+    def end(number: int, _frame: object) -> None:
+        signals.append(number)
+        QTimer.singleShot(0, window.close)  # in the event loop, even when that has not begun
+
+    before = {number: signal.signal(number, end) for number in _ENDING}  # the window's timer lets Python notice
     try:
         window.show()
         window.connect_devices()
         status = application.exec()
     finally:
-        signal.signal(signal.SIGINT, before)
         window.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
     if window.is_stuck:
         raise RunError("a device does not answer: the light may still be on, switch it off by hand")
-    if run is not None and run.error is not None:
-        raise run.error
+    if signals:
+        raise KeyboardInterrupt
+    if run is not None:
+        run.check()
     return status
 
 
@@ -75,12 +86,17 @@ class _UnattendedRun:
         self._screenshot, self._on_finish = screenshot, on_finish
         self._deadline_s = time.monotonic() + _GIVE_UP_S
         self._last: Measurement | None = None
-        self.error: Exception | None = None
+        self._error: InputError | RunError | None = RunError("the window was closed before the run had finished")
         window.measurement_shown.connect(self._note)
         self._timer = QTimer(window)
         self._timer.setInterval(100)
         self._timer.timeout.connect(self._look)
         self._timer.start()
+
+    def check(self) -> None:
+        """Raise why the run did not finish, unless it did."""
+        if self._error is not None:
+            raise self._error
 
     def _note(self, measurement: Measurement) -> None:
         if measurement.wavefront is not None:
@@ -94,8 +110,9 @@ class _UnattendedRun:
         self._timer.stop()
         try:
             self._finish()
+            self._error = None
         except (InputError, RunError) as error:  # it must not meet Qt, which would abort the program
-            self.error = error
+            self._error = error
         self._window.close()
 
     def _finish(self) -> None:
