@@ -183,7 +183,8 @@ def opener(camera: FakeCamera) -> Callable[[Bench, Callable[[float], None]], Dev
 
 
 def make_frame(pixels: NDArray[np.uint16], *, index: int = 0) -> Frame:
-    return Frame(pixels, index, 0.0, time.perf_counter(), 0.02, 1.0)
+    now_s = time.perf_counter()
+    return Frame(pixels, index, now_s, now_s, 0.02, 1.0)
 
 
 def make_measurement(

@@ -10,20 +10,13 @@ from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
 from app.gui import theme
 from app.gui.overlay import arrows, lattice_lines, lost_boxes
+from app.gui.reasons import REASONS
 from app.gui.scale import MAGNIFICATIONS, SteppedScale
-from app.gui.widgets import label, toggle
+from app.gui.widgets import ElidedLabel, label, toggle
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
 
-_REASONS = {
-    Outcome.CONVERGED: "",
-    Outcome.DARK: "no light",
-    Outcome.SATURATED: "saturated",
-    Outcome.DIVERGED: "no match with the reference",
-    Outcome.LEFT_CELL: "displaced into a neighbour's cell",
-    Outcome.OFF_CAMERA: "not wholly on the camera",
-}
 _LEVELS = {"auto levels": "percentiles", "full scale": "full", "hold levels": "hold"}
 _LEVELS_INTERVAL_S = 0.5
 _LEVELS_PERCENT = (1.0, 99.8)
@@ -73,8 +66,7 @@ class CameraPanel(QWidget):
         self._view.sigResized.connect(self._place_legend)
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
         self.legend = label("", "on-image", self._graphics)
-        self.caption = label("", "dim")
-        self.caption.setTextFormat(Qt.TextFormat.PlainText)
+        self.caption = ElidedLabel("dim")
         self._title = label("Camera", "title")
         self._placeholder = label("no frame yet", "dim")
         self._lay_out()
@@ -187,7 +179,7 @@ class CameraPanel(QWidget):
             return ""
         text = f"x {column}  y {row}: {frame.pixels[row, column]} counts"
         lenslet, outcome = self._lenslet_at(np.array([pointer.x(), pointer.y()]))
-        lost = _REASONS[outcome]
+        lost = REASONS[outcome]
         self._graphics.setToolTip(f"Lenslet {lenslet} is lost: {lost}" if lost else "Wheel: zoom; drag: move")
         return f"{text}    lenslet {lenslet}" + (f": {lost}" if lost else "") if lenslet else text
 

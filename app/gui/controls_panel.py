@@ -16,7 +16,7 @@ from app.gui.widgets import button, label, toggle
 from app.instrument import Status
 from drivers.interface import Range
 from reconstruction.pupil_modes import PupilBasis
-from reconstruction.registration import FIELD_MODES, Method
+from reconstruction.registration import FIELD_MODES, Method, RegistrationSettings
 
 _MOST_FRAMES = 1000
 _MOST_PUPIL_MODES = 400
@@ -178,6 +178,7 @@ class ControlsPanel(QFrame):
         _show_choice(self.warp, tuple(FIELD_MODES), registration.warp)
         _show_choice(self.method, ("zonal", "modal"), reconstruction.method)
         _show_choice(self.basis, get_args(PupilBasis), reconstruction.basis)
+        self.warp.setEnabled(_uses_warp(registration))
         for choice in (self.basis, self.pupil_modes):
             choice.setEnabled(reconstruction.method == "modal")
         for shown, words, is_on, colour in (
@@ -187,12 +188,23 @@ class ControlsPanel(QFrame):
             shown.setText(words[is_on])
             shown.setChecked(is_on)
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
-        for taken, has_it in ((self.dark, status.has_dark), (self.reference, status.has_reference)):
-            taken.setIcon(theme.lamp(theme.GREEN if has_it else theme.LINE))
+        dark_is_doubtful = status.warning.startswith("the dark")
+        for taken, has_it, is_doubtful in (
+            (self.dark, status.has_dark, dark_is_doubtful),
+            (self.reference, status.has_reference, bool(status.warning) and not dark_is_doubtful),
+        ):
+            colour = theme.AMBER if is_doubtful else theme.GREEN
+            taken.setIcon(theme.lamp(colour if has_it else theme.LINE))
 
     def show_busy(self, *, is_busy: bool) -> None:
         """Offer to cancel what is under way, if anything is."""
         self.cancel.setEnabled(is_busy)
+
+
+def _uses_warp(registration: RegistrationSettings) -> bool:
+    if registration.method in {"block_flow", "demons", "ffd"}:
+        return registration.flow == "warp"
+    return registration.method == "gauss_newton"
 
 
 def _side_by_side(*widgets: QWidget) -> QHBoxLayout:

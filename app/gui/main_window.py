@@ -19,8 +19,8 @@ from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QMainWindow, QSplitter, QVBoxLayout, QWidget
 
 from app.acquisition import Acquisition, Activity, Measurement
-from app.config import Bench
 from app.errors import InputError, RunError
+from app.gui import commands
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
 from app.gui.menu import fill_menus
@@ -173,6 +173,7 @@ class MainWindow(QMainWindow):
 
     def _lay_out(self) -> None:
         self.setWindowTitle("svwfs")
+        self.setMinimumSize(900, 600)  # smaller, and the captions under the views have no room
         self.resize(1440, 900)
         images = QSplitter(Qt.Orientation.Horizontal)
         images.addWidget(self.camera_panel)
@@ -218,20 +219,20 @@ class MainWindow(QMainWindow):
     def _connect_intents(self) -> None:
         controls = self.controls
         for intent, command in (
-            (controls.running_requested, _set_running),
-            (controls.exposure_requested, lambda instrument, value: instrument.devices.camera.set_exposure(value)),
-            (controls.amplifier_requested, _set_amplifier),
-            (controls.em_gain_requested, lambda instrument, value: instrument.devices.camera.set_em_gain(value)),
-            (controls.light_requested, lambda instrument, value: instrument.devices.light.set_on(value)),
-            (controls.current_requested, lambda instrument, value: instrument.devices.light.set_current(value)),
-            (controls.sample_requested, lambda instrument, value: instrument.devices.stage.set_sample_in(value)),
-            (controls.mask_requested, lambda instrument, value: instrument.devices.stage.set_mask(value)),
+            (controls.running_requested, commands.set_running),
+            (controls.exposure_requested, commands.set_exposure),
+            (controls.amplifier_requested, commands.set_amplifier),
+            (controls.em_gain_requested, commands.set_em_gain),
+            (controls.light_requested, commands.set_light),
+            (controls.current_requested, commands.set_current),
+            (controls.sample_requested, commands.set_sample),
+            (controls.mask_requested, commands.set_mask),
         ):
             intent.connect(partial(self._command, command))
         controls.dark_requested.connect(lambda frames: self._routine(Acquisition.take_dark, frames))
         controls.reference_requested.connect(lambda frames: self._routine(Acquisition.take_reference, frames))
         controls.setting_requested.connect(
-            lambda section, key, value: self._command(partial(_change_setting, section, key), value)
+            lambda section, key, value: self._command(partial(commands.change_setting, section, key), value)
         )
         controls.cancel_requested.connect(self._cancel)
         self.messages.reconnect_requested.connect(self._reconnect)
@@ -273,28 +274,3 @@ def _advice(status: Status | None, activity: Activity) -> str:
     if status is None:
         return ""
     return "F1 shows keys and conventions" if status.is_running else "the camera is stopped: Space starts it"
-
-
-def _set_running(instrument: Instrument, running: bool) -> None:
-    camera = instrument.devices.camera
-    if running and not camera.is_running:
-        camera.start()
-    elif not running:
-        camera.stop()
-
-
-def _set_amplifier(instrument: Instrument, amplifier: str) -> None:
-    camera = instrument.devices.camera
-    was_running = camera.is_running
-    camera.stop()
-    camera.set_amplifier(amplifier)
-    if was_running:
-        camera.start()
-
-
-def _change_setting(section: str, key: str, instrument: Instrument, value: Any) -> None:
-    def change(bench: Bench) -> Bench:
-        changed: dict[str, Any] = {section: replace(getattr(bench, section), **{key: value})}
-        return replace(bench, **changed)
-
-    instrument.change_settings(change)

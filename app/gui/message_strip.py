@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QProgressBar, QPushButton, QWidget
 
 from app.acquisition import Activity
 from app.gui import theme
+from app.gui.widgets import ElidedLabel
 
 _NOTICE_S = 8.0  # how long the answer to something the user did is shown
 
@@ -24,16 +25,14 @@ class MessageStrip(QFrame):
         self.setProperty("role", "strip")
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
         self._shown: tuple[str, str] = ("", "")
-        self.text = QLabel()
-        self.text.setTextFormat(Qt.TextFormat.PlainText)
-        self.text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.text = ElidedLabel()
         self.reconnect = QPushButton("Reconnect")
         self.reconnect.setToolTip("Open the devices again and begin anew: dark, reference, live wavefronts (Ctrl+R)")
         self.reconnect.clicked.connect(self.reconnect_requested)
         self.reconnect.hide()
         self.progress = QProgressBar()
-        self.progress.setFixedWidth(300)
+        self.progress.setFixedWidth(200)
+        self.progress.setFormat("%p %")
         self.progress.hide()
         layout = QHBoxLayout(self)
         layout.setContentsMargins(10, 3, 6, 3)
@@ -56,7 +55,6 @@ class MessageStrip(QFrame):
         if activity.text:
             self.progress.setRange(0, 1000 if activity.progress else 0)  # 0 ... 0 is Qt's "busy, who knows how long"
             self.progress.setValue(round(activity.progress * 1000))
-            self.progress.setFormat(f"{activity.text}  %p %")
             self.progress.setToolTip(f"{activity.text}: Esc cancels")
 
     def show_state(self, *, failure: str, problem: str, warning: str, advice: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from statistics import median
 
@@ -9,9 +10,13 @@ import numpy as np
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QWidget
 
 from app.acquisition import Measurement
+from app.gui import theme
+from app.gui.reasons import REASONS
 from app.gui.widgets import label
 from app.instrument import Status
+from reconstruction.displacement import Displacement
 
+_VALID = "Lenslets whose subimage could be matched with the reference"
 _WINDOW_S = 1.0  # over which rate and latency are taken
 
 
@@ -30,8 +35,11 @@ class StatusLine(QWidget):
         self.shown_count = self._add("shown", "Frames drawn here: the newest one, up to 25 times a second", 56)
         self.lost = self._add("lost", "Frames that the camera overwrote before they were read", 40)
         self.rate = self._add("frames/s", "Frames acquired per second", 44)
-        self.latency = self._add("latency", "From a frame's arrival to its wavefront, median over the last second", 60)
-        self.valid = self._add("valid lenslets", "Lenslets whose subimage could be matched with the reference", 76)
+        self.latency = self._add(
+            "latency", "From the end of the exposure to the result, median over the last second", 56
+        )
+        self.age = self._add("age", "How long ago the frame that is shown came from the camera", 56)
+        self.valid = self._add("valid lenslets", _VALID, 76)
         self._layout.addStretch()
         self.devices = label("", "dim")
         self._layout.addWidget(self.devices)
@@ -66,8 +74,23 @@ class StatusLine(QWidget):
         frames = last.counts.acquired - first.counts.acquired
         self.rate.setText(f"{frames / seconds:.1f}" if is_running and seconds > 0 else "\N{EN DASH}")
         self.latency.setText(f"{median(one.latency_s for one in self._recent) * 1e3:.1f} ms")
-        valid = None if last.wavefront is None else last.wavefront.displacement.valid
-        self.valid.setText("\N{EN DASH}" if valid is None else f"{np.count_nonzero(valid)} of {valid.size}")
+        self.age.setText(_duration(time.perf_counter() - last.frame.host_time_s))
+        self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
+
+    def _show_valid(self, displacement: Displacement | None) -> None:
+        """Count the valid lenslets; the tool tip tells what has become of the others."""
+        text, tool_tip, colour = "\N{EN DASH}", _VALID, theme.TEXT
+        if displacement is not None:
+            outcomes = displacement.outcome
+            valid = np.count_nonzero(displacement.valid)
+            text = f"{valid} of {outcomes.size}"
+            lost = [(np.count_nonzero(outcomes == outcome), why) for outcome, why in REASONS.items() if why]
+            tool_tip = "\n".join([_VALID, *(f"{count} lost: {why}" for count, why in lost if count)])
+            if valid < outcomes.size:
+                colour = theme.AMBER if valid >= outcomes.size / 2 else theme.RED
+        self.valid.setText(text)
+        self.valid.setToolTip(tool_tip)
+        self.valid.setStyleSheet(f"color: {colour.name()};")
 
     def _add(self, name: str, tool_tip: str, width: int) -> QLabel:
         value = label("\N{EN DASH}")
@@ -76,3 +99,7 @@ class StatusLine(QWidget):
             widget.setToolTip(tool_tip)
             self._layout.addWidget(widget)
         return value
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds * 1e3:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"

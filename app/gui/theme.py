@@ -27,7 +27,7 @@ QPushButton {{ padding: 3px 10px; }}
 QPushButton:checked {{ background: #22394c; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QMenuBar {{ background: {SURFACE.name()}; }}
 QSplitter::handle {{ background: {BACKGROUND.name()}; }}
-QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center;
+QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center; color: {TEXT.name()};
                background: {BACKGROUND.name()}; }}
 QProgressBar::chunk {{ background: #2f6f9f; }}
 """

@@ -14,13 +14,9 @@ from app.gui import theme
 from reconstruction.geometry import Floats
 
 _GAP = 10
-_BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = (
-    14,
-    16,
-    7,
-)  # px: the colour bar, what is left of it, and right of it up to its numbers
+_BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, what is left of it, and right of it up to its numbers
 _BAR_FRACTIONS = (1.0, 0.5, 0.0, -0.5, -1.0)  # of the limit: where it has numbers
-_SMALLEST_CAPTIONED = 96  # px: narrower views have no room for their numbers
+_SMALLEST_CAPTIONED = 48  # px: narrower views have no room for a number; their tool tips tell it
 _COLOURS: np.ndarray[tuple[int, int], np.dtype[np.uint8]] = pg.colormap.get("CET-D1").getLookupTable(nPts=255)
 _ARGB = np.uint32(0xFF000000) | (_COLOURS.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
 
@@ -107,7 +103,8 @@ class ViewGrid(QWidget):
                 lenslet_column = inside.x() * view.shape[1] // tile.width()
                 value = view[lenslet_row, lenslet_column]
                 text = f"{value:+.2f} rad" if np.isfinite(value) else "nothing is known here: the lenslet is lost"
-                return f"Lenslet row {lenslet_row}, column {lenslet_column}: {text}"
+                caption = "\n".join(self._captions.get((row, column), ()))
+                return f"Lenslet row {lenslet_row}, column {lenslet_column}: {text}\n{caption}".strip()
         return "Phase in rad, piston removed. Hatched: nothing is known there."
 
     def _has_captions(self) -> bool:

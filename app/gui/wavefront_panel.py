@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
 from app.gui.scale import RANGES, SteppedScale
 from app.gui.view_grid import ViewGrid
-from app.gui.widgets import label, toggle
+from app.gui.widgets import ElidedLabel, label, toggle
 from reconstruction.geometry import Floats
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
@@ -22,13 +23,13 @@ class WavefrontPanel(QWidget):
         super().__init__(parent)
         self._wavefront: Wavefront | None = None
         self._limit = SteppedScale(RANGES)
-        self._summary = label("", "dim")
+        self._summary = ElidedLabel("dim")
+        self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.hold_scale = toggle("Hold scale", "Keep the colour scale, instead of letting it follow (H)")
         self.grid = ViewGrid()
         header = QHBoxLayout()
         header.addWidget(label("Wavefront over the field", "title"))
-        header.addStretch()
-        header.addWidget(self._summary)
+        header.addWidget(self._summary, 1)
         header.addSpacing(12)
         header.addWidget(self.hold_scale)
         layout = QVBoxLayout(self)
@@ -66,7 +67,9 @@ class WavefrontPanel(QWidget):
                 for row, column in np.ndindex(views.shape[:2])
             }
         )
-        self._summary.setText(f"RMS and PV in rad    mean RMS {_number(float(np.mean(rms_rad)))}")
+        known_rad = rms_rad[np.isfinite(rms_rad)]  # a view outside the field has none
+        mean_rad = float(np.mean(known_rad)) if known_rad.size else np.nan
+        self._summary.setText(f"RMS and PV in rad    mean RMS {_number(mean_rad)}")
 
 
 def _reach(views: Floats) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtWidgets import QLabel, QPushButton, QWidget
+from PyQt6.QtGui import QPainter, QPaintEvent
+from PyQt6.QtWidgets import QLabel, QPushButton, QSizePolicy, QStyle, QWidget
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
@@ -11,6 +12,26 @@ def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
     made = QLabel(text, parent)
     made.setProperty("role", role)
     return made
+
+
+class ElidedLabel(QLabel):
+    """A line that asks for no width: what does not fit is left out at its end, and an ellipsis says so."""
+
+    def __init__(self, role: str = "", parent: QWidget | None = None) -> None:
+        """Begin empty; for `role` see `label`."""
+        super().__init__(parent)
+        self.setProperty("role", role)
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint as much of the text as there is room for."""
+        painter, style = QPainter(self), self.style()
+        fitting = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width())
+        if isinstance(style, QStyle):
+            style.drawItemText(
+                painter, self.rect(), int(self.alignment()), self.palette(), True, fitting, self.foregroundRole()
+            )
 
 
 def button(text: str, tool_tip: str) -> QPushButton:
