@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeAlias
+from threading import Event, Lock
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,7 @@ PointPhase: TypeAlias = Callable[[float, float], Images]
 """Phase that the light of the object point (x_m, y_m) has at the pupil samples: (sample_row, sample_column), rad."""
 
 
-class RenderingStopped(Exception):
-    """The caller's `should_stop` asked for an end."""
+_Share = TypeVar("_Share")
 
 
 class ForwardModel:
@@ -120,27 +120,21 @@ class ForwardModel:
         phase: PointPhase | None = None,
         *,
         progress: Callable[[float], None] | None = None,
-        should_stop: Callable[[], bool] | None = None,
     ) -> Images:
         """Image of `source` on the camera, (row, column), float32, in m^2; without `phase` it is the reference.
 
         A pixel's value is the emitting area (m^2) whose light, out of what one lenslet collects, ends in that pixel:
         over one lenslet's whole diffraction pattern the values add up to `source.area_m2.sum()`. Times photons per
         second and m^2 of mask that one lenslet collects, it is photons per second. `phase` may be any function of
-        the object point that gives the phase at `sample_y_m` x `sample_x_m`. `progress` hears 0 ... 1.
+        the object point that gives the phase at `sample_y_m` x `sample_x_m`. `progress` hears 0 ... 1, from one thread
+        or another but never from two at once; what it raises ends the rendering and comes out here.
         """
         alone = phase is None  # without a screen all lenslets see the same: one is enough
-        folded = self._accumulate(source, phase, progress or (lambda _: None), should_stop or (lambda: False))
+        folded = self._accumulate(source, phase, progress or (lambda _: None))
         shape = (1, 1) if alone else (self._lenslet_rows, self._lenslet_columns)
         return self._pixels.evaluate(unfold(folded, *shape))
 
-    def point_irradiances(
-        self,
-        position_m: Floats,
-        phase: PointPhase | None = None,
-        *,
-        should_stop: Callable[[], bool] | None = None,
-    ) -> Images:
+    def point_irradiances(self, position_m: Floats, phase: PointPhase | None = None) -> Images:
         """Image of each object point on its own, (point, row, column), float32: `irradiance` for 1 m^2 of area each.
 
         `position_m` is (point, xy). The pixels are evaluated for all points at once, one matrix product a
@@ -150,18 +144,18 @@ class ForwardModel:
         n = self._samples
         waves = np.empty((lenslets[0] * lenslets[1], len(position_m), (2 * n - 1) ** 2), np.float32)
 
-        def work(first: int) -> None:
+        def work(first: int, ended: Event) -> None:
             total = ImageSum(n, *lenslets)
             for point in range(first, len(position_m), self._threads):
-                if should_stop is not None and should_stop():
-                    raise RenderingStopped
+                if ended.is_set():
+                    return
                 x_m, y_m = (float(value) for value in position_m[point])
                 total.folded[:] = 0
                 total.add(self._field_phase(phase, x_m, y_m), 1.0)
                 waves[:, point] = self._pixels.waves(unfold(total.folded, *lenslets)).reshape(len(waves), -1)
 
         with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(self._threads) as pool:
-            list(pool.map(work, range(self._threads)))
+            self._share_out(work, pool)
             return self._pixels.evaluate_each(waves, pool.map)
 
     def _accumulate(
@@ -169,31 +163,48 @@ class ForwardModel:
         source: SourcePoints,
         phase: PointPhase | None,
         progress: Callable[[float], None],
-        should_stop: Callable[[], bool],
     ) -> Images:
         # Points of one object column share work along x, so a thread takes whole columns.
         lit = np.flatnonzero(source.area_m2)  # an opening that is no square leaves dark points on its grid
         order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]
         columns = np.split(order, np.flatnonzero(np.diff(source.position_m[order, 0])) + 1)
-        done = 0
+        done, one_at_a_time = 0, Lock()
 
-        def work(first: int) -> Images:
+        def work(first: int, ended: Event) -> Images:
             nonlocal done
             lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
             total = ImageSum(self._samples, *lenslets)
             for column in columns[first :: self._threads]:
                 for point in column:
-                    if should_stop():
-                        raise RenderingStopped
+                    if ended.is_set():
+                        return total.folded
                     x_m, y_m = (float(value) for value in source.position_m[point])
                     total.add(self._field_phase(phase, x_m, y_m), float(source.area_m2[point]))
-                done += len(column)  # two threads may race for it: the bar is a hair late, nothing else
-                progress(min(1.0, done / max(1, len(order))))
+                with one_at_a_time:
+                    done += len(column)
+                    progress(done / max(1, len(order)))
             return total.folded
 
         with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(self._threads) as pool:
-            parts = list(pool.map(work, range(self._threads)))
+            parts = self._share_out(work, pool)
         return np.asarray(np.sum(parts, axis=0), np.float32)
+
+    def _share_out(self, work: Callable[[int, Event], _Share], pool: ThreadPoolExecutor) -> list[_Share]:
+        """Do `work(first, ended)` once a thread; an exception in one, or here (Ctrl-C), tells the others to end."""
+        ended = Event()
+
+        def share(first: int) -> _Share:
+            try:
+                return work(first, ended)
+            except BaseException:
+                ended.set()
+                raise
+
+        try:
+            return [future.result() for future in [pool.submit(share, first) for first in range(self._threads)]]
+        except BaseException:  # KeyboardInterrupt, too: leaving the pool waits for its threads
+            ended.set()
+            raise
 
     def _field_phase(self, phase: PointPhase | None, x_m: float, y_m: float) -> Images:
         """Screen phase plus the tilt of the object point over each lenslet, at the pupil samples."""

@@ -22,14 +22,13 @@ from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec
 
 from reconstruction.geometry import Floats, require
-from simulated_devices.forward_model import ForwardModel, PointPhase, RenderingStopped
+from simulated_devices.forward_model import ForwardModel, PointPhase
 
 Images = NDArray[np.float32]
 
 _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an efficient matrix product
 
 Progress = Callable[[float], None]
-ShouldStop = Callable[[], bool]
 
 
 class MeasurementMatrix(ABC):
@@ -39,25 +38,19 @@ class MeasurementMatrix(ABC):
     position_m: Floats  # (point, xy)
 
     @abstractmethod
-    def block(self, start: int, end: int, should_stop: ShouldStop | None = None) -> Images:
+    def block(self, start: int, end: int) -> Images:
         """Return the images of the points start ... end - 1, (point, row, column)."""
 
-    def blocks(
-        self, *, progress: Progress | None = None, should_stop: ShouldStop | None = None
-    ) -> Iterator[tuple[int, Images]]:
+    def blocks(self, *, progress: Progress | None = None) -> Iterator[tuple[int, Images]]:
         """Yield the matrix in blocks of points, each with its first point's number; `progress` hears 0 ... 1."""
         points = self.shape[0]
         for start in range(0, points, _BLOCK_POINTS):
-            if should_stop is not None and should_stop():
-                raise RenderingStopped
             end = min(start + _BLOCK_POINTS, points)
-            yield start, self.block(start, end, should_stop)
+            yield start, self.block(start, end)
             if progress is not None:
                 progress(end / points)
 
-    def multiply(
-        self, area_m2: Floats, *, progress: Progress | None = None, should_stop: ShouldStop | None = None
-    ) -> Images:
+    def multiply(self, area_m2: Floats, *, progress: Progress | None = None) -> Images:
         """Irradiance (row, column), m^2, float32, of an object with that emitting area (m^2) behind each point.
 
         The same as `ForwardModel.irradiance` of these points, to rounding; `SourcePoints.area_m2` is an object.
@@ -71,7 +64,7 @@ class MeasurementMatrix(ABC):
         )
         # float64: a sum over blocks must not round more coarsely than one over points
         total = np.zeros(rows * columns)
-        for start, images in self.blocks(progress=progress, should_stop=should_stop):
+        for start, images in self.blocks(progress=progress):
             total += area_m2[start : start + len(images)].astype(np.float32) @ images.reshape(len(images), -1)
         return total.reshape(rows, columns).astype(np.float32)
 
@@ -91,9 +84,9 @@ class StreamedMatrix(MeasurementMatrix):
         self.shape = len(position_m), *model.camera_shape
         self._model, self._phase = model, phase
 
-    def block(self, start: int, end: int, should_stop: ShouldStop | None = None) -> Images:
+    def block(self, start: int, end: int) -> Images:
         """Compute the images of the points start ... end - 1, (point, row, column)."""
-        return self._model.point_irradiances(self.position_m[start:end], self._phase, should_stop=should_stop)
+        return self._model.point_irradiances(self.position_m[start:end], self._phase)
 
 
 class StoredMatrix(MeasurementMatrix):
@@ -124,17 +117,10 @@ class StoredMatrix(MeasurementMatrix):
         self._array: zarr.Array[Any] = array
 
     @classmethod
-    def write(
-        cls,
-        path: Path,
-        matrix: MeasurementMatrix,
-        *,
-        progress: Progress | None = None,
-        should_stop: ShouldStop | None = None,
-    ) -> Self:
+    def write(cls, path: Path, matrix: MeasurementMatrix, *, progress: Progress | None = None) -> Self:
         """Write `matrix` to the folder `path`, which appears when it is complete; another one there is replaced.
 
-        `should_stop` ends it with `RenderingStopped`, and nothing is left behind.
+        What `progress` raises ends it, and nothing is left behind.
         """
         if path.exists() and not (path / "zarr.json").is_file():
             raise ValueError(f"{path} exists and is no measurement matrix; it is left alone")
@@ -150,7 +136,7 @@ class StoredMatrix(MeasurementMatrix):
                 config={"write_empty_chunks": True},  # a block that is missing is a fault, not darkness
                 zarr_format=3,
             )
-            for start, images in matrix.blocks(progress=progress, should_stop=should_stop):
+            for start, images in matrix.blocks(progress=progress):
                 array[start : start + len(images)] = images
             shutil.rmtree(path, ignore_errors=True)
             part.rename(path)
@@ -158,7 +144,7 @@ class StoredMatrix(MeasurementMatrix):
             shutil.rmtree(part, ignore_errors=True)
         return cls(path)
 
-    def block(self, start: int, end: int, should_stop: ShouldStop | None = None) -> Images:  # noqa: ARG002 - is quick
+    def block(self, start: int, end: int) -> Images:
         """Read the images of the points start ... end - 1, (point, row, column)."""
         try:
             return np.asarray(self._array[start:end], np.float32)

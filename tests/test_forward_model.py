@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import signal
 import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +15,7 @@ from numpy.typing import NDArray
 
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from simulated_devices import source
-from simulated_devices.forward_model import ForwardModel, RenderingStopped
+from simulated_devices.forward_model import ForwardModel
 from simulated_devices.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.ray_map import RayMap
 from simulated_devices.settings import Source
@@ -211,13 +214,58 @@ def test_a_ray_beside_the_screen_is_an_error_before_any_light_is_traced() -> Non
         model().screen_phase(small, RAY_MAP)
 
 
-def test_progress_runs_from_low_to_one_and_a_stop_is_obeyed() -> None:
+def test_progress_rises_to_one() -> None:
     square = source.square(Source(), object_samples=7)
     heard: list[float] = []
     model().irradiance(square, progress=heard.append)
     assert heard[0] < 0.5
-    assert max(heard) == pytest.approx(1.0, abs=0.3)
-    stop = threading.Event()
-    stop.set()
-    with pytest.raises(RenderingStopped):
-        model().irradiance(square, should_stop=stop.is_set)
+    assert heard == sorted(heard)
+    assert heard[-1] == 1.0
+
+
+class SlowPhase:
+    """No screen at all, but 5 ms a point, and a call to `at_third` when the third point is asked for."""
+
+    def __init__(self, at_third: Callable[[], object] = lambda: None) -> None:
+        self.points = 0
+        self._at_third = at_third
+        self._phase = np.zeros((len(model().sample_y_m), len(model().sample_x_m)), np.float32)
+
+    def __call__(self, _x_m: float, _y_m: float) -> NDArray[np.float32]:
+        self.points += 1
+        if self.points == 3:
+            self._at_third()
+        time.sleep(5e-3)
+        return self._phase
+
+
+def fail(_: float = 0.0) -> None:
+    raise ArithmeticError("enough")
+
+
+def interrupt() -> None:
+    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+
+MANY = source.square(Source(), object_samples=31)
+
+
+@pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (interrupt, KeyboardInterrupt)])
+def test_an_exception_in_one_thread_and_ctrl_c_end_them_all(
+    end: Callable[[], object], error: type[BaseException]
+) -> None:
+    phase = SlowPhase(end)
+    with pytest.raises(error):
+        model().irradiance(MANY, phase)
+    assert phase.points < 20
+    phase = SlowPhase(end)
+    with pytest.raises(error):
+        model().point_irradiances(MANY.position_m[:64], phase)
+    assert phase.points < 20
+
+
+def test_what_progress_raises_ends_the_rendering() -> None:
+    phase = SlowPhase()
+    with pytest.raises(ArithmeticError):
+        model().irradiance(MANY, phase, progress=fail)  # heard after one column of 31 points
+    assert phase.points < 3 * 31

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 
 from reconstruction.geometry import Field, Lattice, Sensor
 from simulated_devices import source
-from simulated_devices.forward_model import ForwardModel, PointPhase, RenderingStopped
+from simulated_devices.forward_model import ForwardModel, PointPhase
 from simulated_devices.measurement_matrix import MeasurementMatrix, StoredMatrix, StreamedMatrix
 from simulated_devices.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.ray_map import RayMap
@@ -111,26 +110,22 @@ def test_a_new_matrix_takes_the_place_of_an_old_one_but_of_nothing_else(
     assert (tmp_path / "letters" / "dear.txt").exists()
 
 
-def test_progress_is_heard_and_a_stop_leaves_nothing(tmp_path: Path, model: ForwardModel) -> None:
+def test_progress_is_heard_and_what_it_raises_leaves_nothing(tmp_path: Path, model: ForwardModel) -> None:
     matrix = StreamedMatrix(model, GRID.position_m)
     heard: list[float] = []
-    stop = threading.Event()
 
     def progress(part: float) -> None:
         heard.append(part)
         if part > 0.5:
-            stop.set()
+            raise InterruptedError
 
-    with pytest.raises(RenderingStopped):
-        StoredMatrix.write(tmp_path / "a.zarr", matrix, progress=progress, should_stop=stop.is_set)
+    with pytest.raises(InterruptedError):
+        StoredMatrix.write(tmp_path / "a.zarr", matrix, progress=progress)
     assert heard == sorted(heard)
     assert 0 < heard[0] < 0.2
     assert 0.5 < heard[-1] < 0.7
     assert not list(tmp_path.iterdir())
-    with pytest.raises(RenderingStopped):
-        matrix.block(0, 3, should_stop=lambda: True)
     heard.clear()
-    stop.clear()
     matrix.multiply(GRID.area_m2, progress=heard.append)
     assert heard[-1] == 1
 
