@@ -13,6 +13,8 @@ from simulated_devices.phase_screen import PhaseScreen, read_screen, shape_to_pv
 from simulated_devices.ray_map import RayMap, truth_wavefront
 from simulated_devices.settings import Screen, Simulation
 
+_LARGEST_SIDE = 12_000  # samples; takes 4 GB and a minute, and the square of it more
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
@@ -74,10 +76,33 @@ def mean_view_rms(wavefront: Floats) -> float:
 
 
 def _enlargement(simulation: Simulation, sensor: Sensor, field: Field, rays: RayMap) -> int:
-    """How many samples the rays and the drift need on each side beyond those that were asked for."""
+    """How many samples the rays and the drift need on each side beyond those that were asked for.
+
+    Raises `ValueError` if the generated screen, with the margins of its smoothing, were larger than can be computed.
+    """
     border_m = simulation.border_lenslets * sensor.lenslet_pitch_m
     pupil_m = tuple(half + border_m for half in sensor.pupil_half_width_m)
     footprint_m = rays.footprint_half_width_m((pupil_m[0], pupil_m[1]), field.half_width_m)
     drift_m = np.abs(shift_m(simulation, simulation.drifting_states))
-    reach = float((footprint_m + drift_m).max()) / simulation.screen.sample_spacing_m
-    return max(0, math.ceil(reach - (simulation.screen.samples - 1) / 2))
+    screen = simulation.screen
+    margin = 4 * screen.correlation_length_m / screen.sample_spacing_m
+
+    def side(half_width_m: float) -> float:
+        return max(screen.samples, 2 * half_width_m / screen.sample_spacing_m + 1) + 2 * margin
+
+    half_width_m = float((footprint_m + drift_m).max())
+    if not side(float(max(footprint_m))) <= _LARGEST_SIDE:
+        raise ValueError(
+            f"sample_spacing_m must be larger than {screen.sample_spacing_m:g}, or correlation_length_m smaller: the "
+            f"screen would have {side(half_width_m):,.0f} samples a side, and the most is {_LARGEST_SIDE:,}"
+        )
+    if not side(half_width_m) <= _LARGEST_SIDE:
+        room_m = (_LARGEST_SIDE - 1 - 2 * margin) / 2 * screen.sample_spacing_m - np.array(footprint_m)
+        # The least room serves both axes; 0.5 % less, so that rounding leads nobody over the edge.
+        allowed = 0.995 * float(room_m.min()) / (simulation.drifting_states * simulation.state_duration_s)
+        raise ValueError(
+            f"drift_x_m_per_s and drift_y_m_per_s must be at most {allowed:.3g} either way with drifting_states = "
+            f"{simulation.drifting_states} and sample_spacing_m = {screen.sample_spacing_m:g}: the screen would have "
+            f"{side(half_width_m):,.0f} samples a side, and the most is {_LARGEST_SIDE:,}"
+        )
+    return max(0, math.ceil(half_width_m / screen.sample_spacing_m - (screen.samples - 1) / 2))

@@ -15,7 +15,7 @@ from app.config import load_bench
 from reconstruction.geometry import Field, Sensor
 from simulated_devices.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
 from simulated_devices.ray_map import truth_wavefront
-from simulated_devices.sample import make_sample, mean_view_rms, shift_m
+from simulated_devices.sample import _enlargement, make_sample, mean_view_rms, ray_map, shift_m
 from simulated_devices.settings import Screen, Simulation
 
 SENSOR = Sensor(
@@ -95,7 +95,10 @@ def test_the_samples_near_the_pupil_are_the_ensemble_to_the_bit(length_m: float,
 def test_the_sample_of_the_experiment_preset_is_the_ensemble_near_the_source_to_the_bit() -> None:
     simulation = load_bench("paper_experiment", ("simulation.seed=2",)).simulation
     assert simulation.screen.correlation_length_m == 1.2e-3
-    assert_is_of_the_ensemble(simulation, samples=481, spacing_m=5e-6, rms_rad=30.0, pupil_scale=0.1, field_scale=0.9)
+    rms_rad = simulation.screen.rms_rad  # how strong it is is the preset's own affair
+    assert_is_of_the_ensemble(
+        simulation, samples=481, spacing_m=5e-6, rms_rad=rms_rad, pupil_scale=0.1, field_scale=0.9
+    )
 
 
 ENLARGED = {
@@ -200,6 +203,23 @@ def test_a_drift_makes_the_screen_larger_and_moves_it() -> None:
     need_m = 8.5 * 0.5e-3 + 0.975 * 0.6e-3
     assert make_sample(still, SENSOR, FIELD).screen.half_width_m[0] >= need_m
     assert make_sample(moving, SENSOR, FIELD).screen.half_width_m[0] >= need_m + 48 * 0.1 * 2e-4
+
+
+def test_a_screen_too_large_to_compute_is_refused_with_what_would_be_right() -> None:
+    def drifting(drift_m_per_s: float) -> Simulation:
+        return Simulation(screen=Screen(drift_y_m_per_s=-drift_m_per_s))
+
+    for drift_m_per_s in (10.0, 1e308):
+        with pytest.raises(ValueError, match=r"^drift_x_m_per_s .* drifting_states .* sample_spacing_m ") as caught:
+            make_sample(drifting(drift_m_per_s), SENSOR, FIELD)
+    allowed = float(str(caught.value).split("at most ")[1].split()[0])
+    assert allowed == pytest.approx((12000 / 2 * 25e-6 - 8e-3 - 4.3e-3) / (48 * 0.1), rel=0.01)
+    rays = ray_map(Screen(), FIELD)
+    enlarged_by = _enlargement(drifting(allowed), SENSOR, FIELD, rays)
+    assert 11900 < 385 + 2 * enlarged_by + 2 * 320 <= 12000
+    for screen in (Screen(sample_spacing_m=1e-9), Screen(correlation_length_m=10.0)):
+        with pytest.raises(ValueError, match=r"^sample_spacing_m must be larger .* samples a side"):
+            make_sample(Simulation(screen=screen), SENSOR, FIELD)
 
 
 def test_screens_from_files(tmp_path: Path) -> None:
