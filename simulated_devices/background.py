@@ -36,11 +36,6 @@ class BackgroundRendering:
         pickle.dump((scene, mask, str(cache_folder)), self._process.stdin)
         self._process.stdin.flush()
 
-    @property
-    def is_running(self) -> bool:
-        """Whether it is still at work."""
-        return self._process.poll() is None
-
     def close(self) -> None:
         """End the process now; whatever it had begun is forgotten."""
         self._process.kill()  # nothing to save: files appear complete or not at all
@@ -50,15 +45,17 @@ class BackgroundRendering:
 
 
 def render_missing(scene: Scene, mask: str, cache_folder: Path) -> None:
-    """Render, in order, every state that the cache does not hold."""
+    """Render, in order, every state that the cache does not hold; end early if nothing can be kept there."""
     cache, renderer = ImageCache(cache_folder, scene), Renderer(scene, threads=1)
     for state in range(scene.states):
-        if cache.load(mask, state) is None:
-            cache.save(mask, state, renderer.state(mask, state))
+        if cache.load(mask, state) is None and not cache.save(mask, state, renderer.state(mask, state)):
+            return
 
 
 def _end_with_parent() -> None:
-    sys.stdin.buffer.read()  # returns when the parent closes the pipe or dies
+    # Not sys.stdin.buffer.read(), whose lock, held at the interpreter's end, makes Python abort.
+    while os.read(sys.stdin.fileno(), 1):  # nothing, when the parent closes the pipe or dies
+        pass
     os._exit(0)
 
 

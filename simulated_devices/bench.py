@@ -27,6 +27,7 @@ lamp cannot give 70 % twice: optics alone makes the pinholes' exposure 1.44 time
 under 6.25e-6 sr, so that this is a radiance of 29 W/(m^2 sr) at 0.35 A: an LED behind a diffuser."""
 
 _POLL_S = 0.2
+_REFERENCE_SHARE = 0.25  # of the time to prepare: one lenslet's light, but all pixels
 _Progress = Callable[[float], None]
 
 
@@ -51,8 +52,8 @@ class Exposed:
 class SimulatedBench:
     """One bench; its images are rendered once and then only played.
 
-    The first state is rendered here, heard by `progress` (0 ... 1), unless the cache holds it; the others by a process
-    in the background. Used by one thread.
+    The reference and the first state are rendered here, heard by `progress` (0 ... 1 over both), unless the cache holds
+    them; the other states by a process in the background. Used by one thread.
     """
 
     def __init__(  # noqa: PLR0913 - one section of the bench's TOML each
@@ -166,11 +167,11 @@ class SimulatedBench:
 
     def _prepare(self, mask: str, progress: _Progress | None) -> None:
         """See that there is something to show for `mask`, and that the rest is on its way."""
-        self.render_reference(mask)
+        self.render_reference(mask, _part(progress, 0.0, _REFERENCE_SHARE))
         if mask not in self._films:
             first = self._cache.load(mask, 0)
             if first is None:
-                first = self._renderer.state(mask, 0, progress)
+                first = self._renderer.state(mask, 0, _part(progress, _REFERENCE_SHARE, 1.0))
                 self._cache.save(mask, 0, first)
             self._films[mask] = [first]
             self._playbacks[mask] = Playback(
@@ -197,3 +198,8 @@ class SimulatedBench:
                 break
             film.append(image)
         self._playbacks[mask].states = len(film)
+
+
+def _part(progress: _Progress | None, start: float, end: float) -> _Progress | None:
+    """Return what maps a step's own 0 ... 1 to its part of the whole."""
+    return progress and (lambda fraction: progress(start + fraction * (end - start)))

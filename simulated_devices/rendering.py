@@ -13,6 +13,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -119,14 +120,15 @@ class Renderer:
 
 
 class ImageCache:
-    """The images of one scene on disk: `folder / fingerprint / mask-state.npy`."""
+    """The images of one scene on disk: `folder / fingerprint / mask-state.npy`; where none can be kept, it is empty."""
 
     def __init__(self, cache_folder: Path, scene: Scene) -> None:
         self._shape = scene.rows, scene.columns
         self._folder = cache_folder / scene.fingerprint()
-        self._folder.mkdir(parents=True, exist_ok=True)
-        os.utime(self._folder)  # used now: the last to be cleared away
-        _keep_newest(cache_folder)
+        with suppress(OSError):  # a folder that cannot be written keeps nothing, and that is all
+            self._folder.mkdir(parents=True, exist_ok=True)
+            os.utime(self._folder)  # used now: the last to be cleared away
+            _keep_newest(cache_folder)
 
     def path(self, mask: str, state: int | str) -> Path:
         """Where an image is, or will be; `state` may be "reference"."""
@@ -142,16 +144,20 @@ class ImageCache:
             return None
         return image
 
-    def save(self, mask: str, state: int | str, image: NDArray[np.float32]) -> None:
-        """Write the image, complete or not at all."""
+    def save(self, mask: str, state: int | str, image: NDArray[np.float32]) -> bool:
+        """Write the image, complete or not at all; return whether it is kept."""
         path = self.path(mask, state)
         part = path.with_name(f"{path.stem}-{uuid.uuid4().hex}.part")
         try:
             with part.open("wb") as file:
                 np.save(file, image)
             part.replace(path)
+        except OSError:  # read-only, or full
+            return False
         finally:
-            part.unlink(missing_ok=True)
+            with suppress(OSError):
+                part.unlink()  # of what came to nothing
+        return True
 
 
 def _content(path: Path) -> bytes:

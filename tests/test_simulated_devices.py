@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from device_contract import CameraContract, LightContract, StageContract
 
 from drivers.interface import BadValue, DeviceTimeout, Disconnected
 from reconstruction.geometry import Field, Lattice, Sensor
-from simulated_devices.background import render_missing
+from simulated_devices.background import BackgroundRendering, render_missing
 from simulated_devices.bench import PHOTONS_PER_S_M2_A, SimulatedBench
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
 from simulated_devices.clock import ManualClock
@@ -47,7 +49,10 @@ CAMERA = SimulatedCameraSettings(rows=100, columns=140)
 
 
 def open_bench(
-    folder: Path, simulation: Simulation = STILL, camera: SimulatedCameraSettings = CAMERA
+    folder: Path,
+    simulation: Simulation = STILL,
+    camera: SimulatedCameraSettings = CAMERA,
+    progress: Callable[[float], None] | None = None,
 ) -> SimulatedBench:
     return SimulatedBench(
         SENSOR,
@@ -58,6 +63,7 @@ def open_bench(
         SimulatedLightSettings(),
         cache_folder=folder,
         clock=ManualClock(),
+        progress=progress,
     )
 
 
@@ -287,12 +293,71 @@ def test_the_background_process_ends_at_once(tmp_path: Path) -> None:
     bench = open_bench(tmp_path, replace(slow, object_samples=5))
     process = bench._background
     assert process is not None
-    assert process.is_running
+    assert process._process.poll() is None
     start = time.monotonic()
     bench.close()
     bench.close()
-    assert not process.is_running
+    assert process._process.poll() is not None
     assert time.monotonic() - start < 1
+
+
+def test_the_background_process_comes_to_a_quiet_end(
+    bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scene = replace(bench._scene, simulation=DRIFTING)
+    process = BackgroundRendering(scene, "square", tmp_path)
+    assert process._process.wait(60) == 0
+    process.close()
+    assert capfd.readouterr().err == ""
+    cache = ImageCache(tmp_path, scene)
+    assert all(cache.load("square", state) is not None for state in range(4))
+
+
+def test_a_cache_that_cannot_be_written_keeps_nothing_and_the_bench_goes_on(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    bench = open_bench(tmp_path / "file", DRIFTING)
+    assert bench._background is not None
+    assert bench._background._process.wait(60) == 0
+    bench.clock.sleep(10.0)
+    bench.change(is_light_on=True, is_sample_in=True)
+    bench.clock.sleep(1.0)
+    exposed = bench.expose(bench.clock.now() - 1.0, bench.clock.now())
+    assert (exposed.state, bench.states_rendered) == (0, 1)
+    assert exposed.photons.any()
+    bench.close()
+    assert capfd.readouterr().err == ""
+
+
+def test_a_full_disk_leaves_nothing_half_written(
+    bench: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_some(file: BinaryIO, _: object) -> None:
+        file.write(b"\x93NUMPY")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    cache = ImageCache(tmp_path, bench._scene)
+    image = bench.render_reference("square")
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "save", write_some)
+        assert not cache.save("square", 0, image)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert cache.save("square", 0, image)
+    np.testing.assert_array_equal(cache.load("square", 0), image)
+
+
+def test_progress_runs_over_the_reference_and_the_first_state(tmp_path: Path) -> None:
+    heard: list[float] = []
+    open_bench(tmp_path, progress=heard.append).close()
+    assert heard == sorted(heard)
+    assert 0 < heard[0] < 0.1
+    assert sum(fraction < 0.25 for fraction in heard) >= 3  # the reference
+    assert sum(0.25 < fraction < 1 for fraction in heard) >= 3  # the state
+    assert heard[-1] == 1
+    heard.clear()
+    open_bench(tmp_path, progress=heard.append).close()
+    assert heard == [1.0]
 
 
 def test_a_damaged_file_is_rendered_anew(tmp_path: Path) -> None:
