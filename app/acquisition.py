@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -46,7 +47,8 @@ class Measurement:
     wavefront: Wavefront | None
     problem: str  # why there is no wavefront; empty when there is one
     counts: Counts
-    latency_s: float  # from the end of the exposure to this result
+    exposure_end_s: float  # when it was exposed, by this computer's time.perf_counter()
+    latency_s: float  # from then to this result
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +204,9 @@ class Acquisition:
         except ReconstructionError as error:
             problem = str(error)
         self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (wavefront is not None))
-        measurement = Measurement(frame, wavefront, problem, self._counts, self._age_s(frame))
+        exposure_end_s = frame.camera_time_s + self._clock_lag_s
+        latency_s = time.perf_counter() - exposure_end_s
+        measurement = Measurement(frame, wavefront, problem, self._counts, exposure_end_s, latency_s)
         for sink in self._sinks:
             sink(measurement)
         self.newest = measurement
@@ -211,12 +215,11 @@ class Acquisition:
         """Wait for a frame; when it has lain in the camera for long, go on to the newest that is there."""
         frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.empty())
         self._count(frame)
-        while self._age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
-            try:
-                frame = camera.read(0.0)
-            except DeviceTimeout:
-                break
-            self._count(frame)
+        if self._age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
+            with suppress(DeviceTimeout):  # there is no newer one
+                while True:
+                    frame = camera.read(0.0)
+                    self._count(frame)
         return frame
 
     def _count(self, frame: Frame) -> None:

@@ -204,7 +204,9 @@ def make_measurement(
     coefficients[outcome != Outcome.CONVERGED] = np.nan
     displacement = Displacement(LegendreModes(3), coefficients, np.zeros_like(coefficients), outcome, np.zeros(shape))
     wavefront = Wavefront(FIELD, displacement, _NoSolution(), views)
-    return Measurement(make_frame(pixels, index=index), wavefront, "", Counts(index + 1, index + 1, 0), 0.004)
+    return Measurement(
+        make_frame(pixels, index=index), wavefront, "", Counts(index + 1, index + 1, 0), time.perf_counter(), 0.004
+    )
 
 
 class _NoSolution:

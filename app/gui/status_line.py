@@ -38,7 +38,7 @@ class StatusLine(QWidget):
         self.latency = self._add(
             "latency", "From the end of the exposure to the result, median over the last second", 56
         )
-        self.age = self._add("age", "How long ago the frame that is shown came from the camera", 56)
+        self.age = self._add("age", "How long ago the frame that is shown was exposed", 56)
         self.valid = self._add("valid lenslets", _VALID, 76)
         self._layout.addStretch()
         self.devices = label("", "dim")
@@ -74,7 +74,7 @@ class StatusLine(QWidget):
         frames = last.counts.acquired - first.counts.acquired
         self.rate.setText(f"{frames / seconds:.1f}" if is_running and seconds > 0 else "\N{EN DASH}")
         self.latency.setText(f"{median(one.latency_s for one in self._recent) * 1e3:.1f} ms")
-        self.age.setText(_duration(time.perf_counter() - last.frame.host_time_s))
+        self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
 
     def _show_valid(self, displacement: Displacement | None) -> None:
