@@ -7,13 +7,17 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.field_modes import FieldModes, LegendreModes, SampledModes
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings, Reconstructor
 from reconstruction.registration import RegistrationSettings, Warp
+from reconstruction.subimages import ReferenceSubimages
 from simulated_devices.forward_model import ForwardModel, PointPhase
 from simulated_devices.settings import Source
 from simulated_devices.source import square
 
+VIEWS = np.array([-5.0, 0.0, 5.0]) / 6  # where the views of FIELD lie, in units of its half width
+FLOW_MODES: dict[str, FieldModes] = {"warp": LegendreModes(3), "views": SampledModes(VIEWS, VIEWS)}
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
 
 
@@ -52,6 +56,10 @@ class SmallBench:
     def frame(self, phase: PointPhase) -> NDArray[np.float32]:
         """Render the frame behind a phase that each object point sees, phase(x_m, y_m) at the pupil samples."""
         return self.model.irradiance(self.source, phase) * np.float32(1e14)
+
+    def subimages(self) -> ReferenceSubimages:
+        """The reference as the methods of registration see it."""
+        return ReferenceSubimages(self.reference, sensor=self.sensor, lattice=self.lattice, field=FIELD)
 
     def samples(self) -> tuple[Floats, Floats]:
         """Pupil positions x (1, sample_column) and y (sample_row, 1) at which a phase is asked for."""

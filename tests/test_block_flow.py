@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from optics import FIELD, SmallBench
+from optics import FIELD, FLOW_MODES, VIEWS, SmallBench
 
 from reconstruction.block_flow import BlockFlow
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_modes import FieldModes, LegendreModes, SampledModes
+from reconstruction.field_modes import FieldModes, SampledModes
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 
 ROWS, COLUMNS = 2, 3
-VIEWS = np.array([-5.0, 0.0, 5.0]) / 6
-MODES: dict[str, FieldModes] = {"warp": LegendreModes(3), "views": SampledModes(VIEWS, VIEWS)}
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +23,11 @@ def bench() -> SmallBench:
 
 @pytest.fixture(scope="module")
 def reference(bench: SmallBench) -> ReferenceSubimages:
-    return ReferenceSubimages(bench.reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD)
+    return bench.subimages()
 
 
 # Blocks of a blurred square find their shift to a quarter of a pixel, their mean over the field better.
-@pytest.mark.parametrize("modes", MODES.values(), ids=MODES)
+@pytest.mark.parametrize("modes", FLOW_MODES.values(), ids=FLOW_MODES)
 @pytest.mark.parametrize(("tilt", "growth", "figure_px"), [(3000.0, 0.0, 0.3), (-6000.0, 2000.0, 0.3)])
 def test_known_displacements_come_back(
     bench: SmallBench,
@@ -58,7 +56,7 @@ def test_dark_and_saturated_lenslets_are_lost(bench: SmallBench, reference: Refe
     frame[y - 15 : y + 16, x - 15 : x + 16] = 0
     saturated = np.zeros(frame.shape, np.bool_)
     saturated[center[1, 2, 1], center[1, 2, 0]] = True
-    displacement = BlockFlow(reference, MODES["views"])(frame, saturated=saturated)
+    displacement = BlockFlow(reference, FLOW_MODES["views"])(frame, saturated=saturated)
     expected = np.zeros((ROWS, COLUMNS))
     expected[0, 0], expected[1, 2] = Outcome.DARK, Outcome.SATURATED
     np.testing.assert_array_equal(displacement.outcome, expected)

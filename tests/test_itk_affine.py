@@ -25,7 +25,7 @@ def bench() -> SmallBench:
 
 @pytest.fixture(scope="module")
 def reference(bench: SmallBench) -> ReferenceSubimages:
-    return ReferenceSubimages(bench.reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD)
+    return bench.subimages()
 
 
 def shown(bench: SmallBench, tilt: tuple[float, float], growth: tuple[float, float]) -> tuple[Image, Floats]:

@@ -5,7 +5,9 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from pytestqt.qtbot import QtBot
 
 from app.acquisition import Acquisition, Measurement
 from app.errors import RunError
+from app.gui import theme
 from app.gui.live import run_live
 from app.gui.main_window import MainWindow
 from app.gui.scale import MAGNIFICATIONS, RANGES, SteppedScale
@@ -213,6 +216,50 @@ def test_arrows_point_where_the_light_has_moved(make_window: MakeWindow) -> None
     np.testing.assert_allclose([x[1] - x[0], y[1] - y[0]], [1.2 * magnification, 0.3 * magnification])
 
 
+def test_lost_lenslets_are_counted_by_their_reasons(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = window.status_line.valid
+    for lost_rows, text, colour in (
+        (0, "117 of 117", theme.TEXT),
+        (2, "91 of 117", theme.AMBER),
+        (5, "52 of 117", theme.RED),
+    ):
+        outcome = np.zeros(LENSLETS, np.int8)
+        outcome[:lost_rows] = Outcome.DARK
+        outcome[:lost_rows, 0] = Outcome.SATURATED
+        window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
+        window.update_text()
+        assert shown.text() == text
+        assert colour.name() in shown.styleSheet()
+        assert (f"{12 * lost_rows} lost: no light\n{lost_rows} lost: saturated" in shown.toolTip()) == (lost_rows > 0)
+
+
+def test_lenslets_without_a_value_are_left_out_of_the_numbers(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = np.tile(np.where(np.arange(LENSLETS[1]) % 2, 1.0, -1.0)[1:], (3, 3, LENSLETS[0], 1))
+    shown = np.concatenate([np.full((*shown.shape[:3], 1), np.nan), shown], axis=3)  # lost in every view
+    shown[0, 0] = np.nan  # a view outside the field
+    window.show_measurement(make_measurement(dim_frame(), shown))
+    captions = window.wavefront_panel.grid.captions
+    assert captions[0, 0][0] == "RMS \N{EN DASH}   PV \N{EN DASH}"
+    assert {captions[at][0] for at in captions if at != (0, 0)} == {"RMS 1.00   PV 2.00"}
+    assert window.wavefront_panel._summary.text() == "mean RMS 1.00 rad"
+    picture(window.wavefront_panel.grid)
+
+
+def test_small_window_stays_readable(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.resize(400, 300)
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    QApplication.processEvents()
+    panel = window.camera_panel
+    assert panel.caption.geometry().top() > panel._graphics.geometry().bottom()
+    assert window.wavefront_panel.grid._has_captions()
+    panel.caption.setText("a very long line " * 20)
+    QApplication.processEvents()
+    assert window.width() == 900
+
+
 def test_scales_rise_at_once_and_fall_only_when_it_is_worth_it() -> None:
     scale = SteppedScale(MAGNIFICATIONS)
     assert [scale.follow(needed) for needed in (1.7, 2.1, 1.9, 1.7, 1.5, np.nan, 0.0)] == [2, 5, 5, 5, 2, 2, 2]
@@ -279,6 +326,48 @@ def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamer
     assert window._status.bench.reconstruction.pupil_modes == 15
     assert window.controls.method.currentText() == "zonal"
     assert not window.controls.pupil_modes.isEnabled()
+
+
+def test_reference_shines_green_only_while_it_serves(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    assert window._status is not None
+    status = window._status
+
+    def lamps(warning: str, *, has_reference: bool = True) -> tuple[str, str]:
+        window.controls.show_status(replace(status, warning=warning, has_reference=has_reference), is_settled=True)
+        images = [
+            button.icon().pixmap(32, 32).toImage() for button in (window.controls.dark, window.controls.reference)
+        ]
+        dark, reference = (image.pixelColor(image.rect().center()).name() for image in images)
+        return dark, reference
+
+    green, amber, off = theme.GREEN.name(), theme.AMBER.name(), theme.LINE.name()
+    assert lamps("") == (green, green)
+    assert lamps("no lattice in the reference") == (green, amber)
+    assert lamps("the dark was taken at 3 ms: take it again") == (amber, green)
+    assert lamps("no reference yet", has_reference=False) == (green, off)
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_used"),
+    [
+        ({"method": "gauss_newton"}, True),
+        ({"method": "correlation"}, False),
+        ({"method": "centroids"}, False),
+        ({"method": "itk_affine"}, False),
+        ({"method": "block_flow"}, False),
+        ({"method": "demons", "flow": "warp"}, True),
+        ({"method": "ffd", "flow": "warp"}, True),
+    ],
+)
+def test_warp_is_offered_where_it_has_an_effect(
+    live: tuple[MainWindow, FakeCamera], changes: dict[str, Any], is_used: bool
+) -> None:
+    window, _ = live
+    assert window._status is not None
+    bench = replace(window._status.bench, registration=replace(window._status.bench.registration, **changes))
+    window.controls.show_status(replace(window._status, bench=bench), is_settled=True)
+    assert window.controls.warp.isEnabled() == is_used
 
 
 def test_refused_value_is_told_and_the_loop_goes_on(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:

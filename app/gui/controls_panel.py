@@ -113,7 +113,8 @@ class ControlsPanel(QFrame):
             "registration",
             "warp",
             "How a subimage may differ from its reference: moved (translation), also stretched and turned (affine), "
-            "or bent (quadratic, cubic). The more, the finer the wavefront's change over the field",
+            "or bent (quadratic, cubic). The more, the finer the wavefront's change over the field. "
+            "Most other methods do without",
         )
         self.method = self._setting(
             "reconstruction",
@@ -132,7 +133,7 @@ class ControlsPanel(QFrame):
         grid.addLayout(_side_by_side(self.registration, self.warp), 1, 1)
         grid.addWidget(label("Integrate", "dim"), 2, 0)
         grid.addLayout(_side_by_side(self.method, self.basis), 2, 1)
-        grid.addWidget(label("Pupil modes", "dim"), 3, 0)
+        grid.addWidget(label("Modes", "dim"), 3, 0)
         grid.addWidget(self.pupil_modes, 3, 1)
 
     def _setting(self, section: str, key: str, tool_tip: str) -> QComboBox:
@@ -148,7 +149,7 @@ class ControlsPanel(QFrame):
         grid.setHorizontalSpacing(8)
         grid.setColumnStretch(1, 1)
         grid.addWidget(label(title, "title"), 0, 0, 1, 2)
-        self._layout.addLayout(grid, 1)
+        self._layout.addLayout(grid, 2 if is_last else 1)  # the last has the longest words
         if not is_last:
             rule = QFrame()
             rule.setFixedWidth(1)
@@ -227,5 +228,7 @@ def _show_choice(choice: QComboBox, allowed: tuple[str, ...], chosen: str) -> No
     if tuple(choice.itemText(index) for index in range(choice.count())) != allowed:
         choice.clear()
         choice.addItems(allowed)
+        if (words := choice.view()) is not None:
+            words.setMinimumWidth(words.sizeHintForColumn(0) + 8)  # whole words, however narrow the choice itself is
     choice.setCurrentText(chosen)  # no user's choice, so `textActivated` is silent
     choice.setEnabled(len(allowed) > 1)

@@ -6,6 +6,7 @@ Whatever the user wants becomes a command that the acquisition's worker executes
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from dataclasses import replace
@@ -32,8 +33,9 @@ from app.routines import Cancelled
 from app.start_up import FRAMES, start_up
 
 _LOOK_INTERVAL_MS = 40
+_SLOW_S = 1.0  # a frame that is shown for longer is explained
 _LOOKS_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
-_CLOSING_S = 5.0  # a device that takes longer than this to stop is not going to
+_CLOSING_S = 30.0  # the slowest method needs half of it for a frame; the light is on until then
 
 
 class MainWindow(QMainWindow):
@@ -147,7 +149,7 @@ class MainWindow(QMainWindow):
             failure=self.failure,
             problem=measurement.problem if is_live and measurement is not None else "",
             warning="" if status is None or self._activity.text else status.warning,
-            advice=_advice(status, self._activity),
+            advice=_advice(status, self._activity, measurement),
         )
 
     def save_screenshot(self, path: Path | None = None) -> bool:
@@ -268,9 +270,16 @@ class MainWindow(QMainWindow):
                 self.messages.warn(str(error))
 
 
-def _advice(status: Status | None, activity: Activity) -> str:
+def _advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
     if activity.text:
         return f"{activity.text}: Esc cancels" if status is not None else activity.text
     if status is None:
         return ""
-    return "F1 shows keys and conventions" if status.is_running else "the camera is stopped: Space starts it"
+    if not status.is_running:
+        return "the camera is stopped: Space starts it"
+    if (
+        measurement is not None
+        and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s
+    ):
+        return "the next frame is still being reconstructed; whatever is asked for now is done after it"
+    return "F1 shows keys and conventions"

@@ -30,16 +30,16 @@ class StatusLine(QWidget):
         self._layout = QHBoxLayout(self)
         self._layout.setContentsMargins(10, 0, 10, 2)
         self._layout.setSpacing(4)
-        self.acquired = self._add("acquired", "Frames read from the camera", 56)
-        self.reconstructed = self._add("reconstructed", "Frames that yielded a wavefront", 56)
-        self.shown_count = self._add("shown", "Frames drawn here: the newest one, up to 25 times a second", 56)
-        self.lost = self._add("lost", "Frames that the camera overwrote before they were read", 40)
-        self.rate = self._add("frames/s", "Frames acquired per second", 44)
+        self.acquired = self._add("acquired", "Frames read from the camera", 46)
+        self.reconstructed = self._add("reconstructed", "Frames that yielded a wavefront", 46)
+        self.shown_count = self._add("shown", "Frames drawn here: the newest one, up to 25 times a second", 46)
+        self.lost = self._add("lost", "Frames that the camera overwrote before they were read", 36)
+        self.rate = self._add("frames/s", "Frames acquired per second", 40)
         self.latency = self._add(
-            "latency", "From the end of the exposure to the result, median over the last second", 56
+            "latency", "From the end of the exposure to the result, median over the last second", 64
         )
         self.age = self._add("age", "How long ago the frame that is shown was exposed", 56)
-        self.valid = self._add("valid lenslets", _VALID, 76)
+        self.valid = self._add("valid", _VALID, 76)
         self._layout.addStretch()
         self.devices = label("", "dim")
         self._layout.addWidget(self.devices)
@@ -73,7 +73,7 @@ class StatusLine(QWidget):
         is_running = status is not None and status.is_running
         frames = last.counts.acquired - first.counts.acquired
         self.rate.setText(f"{frames / seconds:.1f}" if is_running and seconds > 0 else "\N{EN DASH}")
-        self.latency.setText(f"{median(one.latency_s for one in self._recent) * 1e3:.1f} ms")
+        self.latency.setText(_duration(median(one.latency_s for one in self._recent)))
         self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
 
@@ -102,4 +102,4 @@ class StatusLine(QWidget):
 
 
 def _duration(seconds: float) -> str:
-    return f"{seconds * 1e3:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
+    return f"{seconds * 1e3:.1f} ms" if seconds < 1 else f"{seconds:.1f} s"

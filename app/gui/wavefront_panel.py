@@ -69,7 +69,7 @@ class WavefrontPanel(QWidget):
         )
         known_rad = rms_rad[np.isfinite(rms_rad)]  # a view outside the field has none
         mean_rad = float(np.mean(known_rad)) if known_rad.size else np.nan
-        self._summary.setText(f"RMS and PV in rad    mean RMS {_number(mean_rad)}")
+        self._summary.setText(f"mean RMS {_number(mean_rad)} rad")
 
 
 def _reach(views: Floats) -> float:
