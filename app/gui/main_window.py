@@ -35,7 +35,7 @@ from app.start_up import FRAMES, start_up
 _LOOK_INTERVAL_MS = 40
 _SLOW_S = 1.0  # a frame that is shown for longer is explained
 _LOOKS_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
-_CLOSING_S = 30.0  # the slowest method needs half of it for a frame; the light is on until then
+_CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it; the light is on until then
 
 
 class MainWindow(QMainWindow):
