@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from reconstruction.geometry import Lattice
 from reconstruction.lattice import find_lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
+
+Standing = Literal["missing", "doubtful", "good"]  # of a dark or a reference
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +42,8 @@ class Status:
     masks: tuple[str, ...]
     mask: str
     is_sample_in: bool
-    has_dark: bool
-    has_reference: bool
+    dark: Standing
+    reference: Standing
     lattice: Lattice | None
     warning: str  # why the wavefronts are missing or doubtful; empty when they are not
 
@@ -86,8 +89,8 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
-            has_dark=self._dark is not None,
-            has_reference=self._reference is not None,
+            dark=self._standing("dark", self._dark),
+            reference=self._standing("reference", self._reference),
             lattice=self._lattice,
             warning=self._warning(),
         )
@@ -147,14 +150,23 @@ class Instrument:
     def _warning(self) -> str:
         if self._reconstructor is None:
             return self._problem
+        return self._doubt("dark", self._dark) or self._doubt("reference", self._reference)
+
+    def _doubt(self, what: str, average: Average | None) -> str:
+        """Why the dark or the reference does not go with the frames of now; empty when it does."""
         camera = self.devices.camera
-        for what, average in (("dark", self._dark), ("reference", self._reference)):
-            if average is None:
-                return f"no {what} yet: the background is a guess"
-            if (average.amplifier, average.em_gain) != (camera.amplifier, camera.em_gain):
-                return f"the {what} was taken with another amplifier or gain: take it again"
-            if not np.isclose(average.exposure_s, camera.exposure_s, rtol=1e-3):
-                return f"the {what} was taken at {average.exposure_s * 1e3:.1f} ms: take it again"
-        if self._reference_mask != self.devices.stage.mask:
+        if average is None:
+            return f"no {what} yet: the background is a guess"
+        if (average.amplifier, average.em_gain) != (camera.amplifier, camera.em_gain):
+            return f"the {what} was taken with another amplifier or gain: take it again"
+        if not np.isclose(average.exposure_s, camera.exposure_s, rtol=1e-3):
+            return f"the {what} was taken at {average.exposure_s * 1e3:.1f} ms: take it again"
+        if what == "reference" and self._reference_mask != self.devices.stage.mask:
             return f"the reference was taken with the mask {self._reference_mask}: take it again"
         return ""
+
+    def _standing(self, what: str, average: Average | None) -> Standing:
+        if average is None:
+            return "missing"
+        is_refused = what == "reference" and self._reconstructor is None
+        return "doubtful" if is_refused or self._doubt(what, average) else "good"

@@ -101,7 +101,7 @@ def test_routines_leave_the_devices_as_they_found_them(running: Running) -> None
     status = running.acquisition.status
     assert status is not None
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
-    assert (status.has_dark, status.has_reference, status.warning) == (True, True, "")
+    assert (status.dark, status.reference, status.warning) == ("good", "good", "")
 
 
 def test_a_cancelled_routine_leaves_the_devices_as_it_found_them(running: Running) -> None:
@@ -165,6 +165,7 @@ def test_a_reference_without_light_becomes_a_warning(running: Running) -> None:
     running.acquisition.take_reference(2).result(10)
     assert running.acquisition.status is not None
     assert "no light" in running.acquisition.status.warning
+    assert running.acquisition.status.reference == "doubtful"
     running.wait_until(lambda: "no light" in running.measurements[-1].problem)
 
 

@@ -24,6 +24,7 @@ from app.gui import theme
 from app.gui.live import run_live
 from app.gui.main_window import MainWindow
 from app.gui.scale import MAGNIFICATIONS, RANGES, SteppedScale
+from app.instrument import Standing
 from drivers.interface import Disconnected
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Floats
@@ -271,8 +272,8 @@ def test_goes_from_opening_to_live_wavefronts_without_a_click(live: tuple[MainWi
     assert camera.light.is_on
     assert camera.stage.is_sample_in
     assert window._status is not None
-    assert window._status.has_dark
-    assert window._status.has_reference
+    assert window._status.dark == "good"
+    assert window._status.reference == "good"
     assert window.controls.start.text() == "Stop"
 
 
@@ -333,8 +334,9 @@ def test_reference_shines_green_only_while_it_serves(live: tuple[MainWindow, Fak
     assert window._status is not None
     status = window._status
 
-    def lamps(warning: str, *, has_reference: bool = True) -> tuple[str, str]:
-        window.controls.show_status(replace(status, warning=warning, has_reference=has_reference), is_settled=True)
+    def lamps(dark_standing: Standing, reference_standing: Standing) -> tuple[str, str]:
+        shown = replace(status, dark=dark_standing, reference=reference_standing)
+        window.controls.show_status(shown, is_settled=True)
         images = [
             button.icon().pixmap(32, 32).toImage() for button in (window.controls.dark, window.controls.reference)
         ]
@@ -342,10 +344,9 @@ def test_reference_shines_green_only_while_it_serves(live: tuple[MainWindow, Fak
         return dark, reference
 
     green, amber, off = theme.GREEN.name(), theme.AMBER.name(), theme.LINE.name()
-    assert lamps("") == (green, green)
-    assert lamps("no lattice in the reference") == (green, amber)
-    assert lamps("the dark was taken at 3 ms: take it again") == (amber, green)
-    assert lamps("no reference yet", has_reference=False) == (green, off)
+    assert lamps("good", "good") == (green, green)
+    assert lamps("good", "doubtful") == (green, amber)
+    assert lamps("doubtful", "missing") == (amber, off)
 
 
 @pytest.mark.parametrize(

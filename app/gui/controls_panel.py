@@ -8,18 +8,21 @@ from __future__ import annotations
 from typing import get_args
 
 from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
 
 from app.gui import theme
 from app.gui.number_field import NumberField
 from app.gui.widgets import button, label, toggle
-from app.instrument import Status
+from app.instrument import Standing, Status
 from drivers.interface import Range
 from reconstruction.pupil_modes import PupilBasis
 from reconstruction.registration import FIELD_MODES, Method, RegistrationSettings
 
 _MOST_FRAMES = 1000
 _MOST_PUPIL_MODES = 400
+
+_LAMPS: dict[Standing, QColor] = {"missing": theme.LINE, "doubtful": theme.AMBER, "good": theme.GREEN}
 
 
 class ControlsPanel(QFrame):
@@ -189,13 +192,8 @@ class ControlsPanel(QFrame):
             shown.setText(words[is_on])
             shown.setChecked(is_on)
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
-        dark_is_doubtful = status.warning.startswith("the dark")
-        for taken, has_it, is_doubtful in (
-            (self.dark, status.has_dark, dark_is_doubtful),
-            (self.reference, status.has_reference, bool(status.warning) and not dark_is_doubtful),
-        ):
-            colour = theme.AMBER if is_doubtful else theme.GREEN
-            taken.setIcon(theme.lamp(colour if has_it else theme.LINE))
+        for taken, standing in ((self.dark, status.dark), (self.reference, status.reference)):
+            taken.setIcon(theme.lamp(_LAMPS[standing]))
 
     def show_busy(self, *, is_busy: bool) -> None:
         """Offer to cancel what is under way, if anything is."""
