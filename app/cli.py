@@ -43,7 +43,9 @@ SetOption = Annotated[
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
-    signal.signal(signal.SIGTERM, _interrupt)  # so that it, too, turns the light off and writes what was measured
+    # Not KeyboardInterrupt, which the library below would turn into silence; and SIGTERM, so that it, too, turns the
+    # light off and writes what was measured.
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         cli(standalone_mode=True)
     except InputError as error:
@@ -54,13 +56,16 @@ def main() -> None:
         _leave(error, 130)
     except OSError as error:  # standard output is full or gone
         _leave(error, 1)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _interrupt(_number: int, _frame: object) -> None:
-    raise KeyboardInterrupt
+    raise Interrupted("interrupted")
 
 
-def _leave(error: Exception, status: int) -> None:
+def _leave(error: BaseException, status: int) -> None:
     sys.stderr.write(f"svwfs: {error}\n")
     raise SystemExit(status) from error
 
@@ -197,9 +202,11 @@ def sources(
 
 def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path) -> None:
     """Make a table under a progress bar, write it and print it."""
+    from app.files import make_folder
     from app.paper.output import print_table, write_table
     from app.report import progress_bar
 
+    make_folder(out)
     with progress_bar() as report:
         table = run(report)
     write_table(table, out)

@@ -5,8 +5,11 @@ class InputError(Exception):
     """What was given cannot be used: a file, a setting, a frame. Exit status 2."""
 
 
-class Interrupted(Exception):
-    """Somebody ended it early; the text says what there is all the same. Exit status 130."""
+class Interrupted(BaseException):
+    """Somebody ended it early, by Ctrl-C or SIGTERM; the text says what there is all the same. Exit status 130.
+
+    No `Exception`, so that nothing takes it for a fault that could be survived.
+    """
 
 
 class RunError(Exception):

@@ -67,12 +67,13 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
     collected = Collected(bench, frames)
     acquisition = Acquisition(bench, open_devices, sinks=(collected.take,))
     acquisition.start()
+    is_stopped = False
     try:
         _take_calibration(acquisition, out, report)
         while acquisition.is_alive and not collected.complete.wait(_POLL_S):
             report(f"measuring {frames} frames", collected.taken / frames)
-    except KeyboardInterrupt as interrupt:
-        raise Interrupted(f"stopped: {len(collected.wavefronts)} of {frames} frames are in {out}") from interrupt
+    except Interrupted:
+        is_stopped = True
     except DeviceError as error:
         raise acquisition.error or RunError(str(error)) from error
     finally:
@@ -82,6 +83,8 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
             results = stack_frames(datasets, collected.frame_index, collected.time_s)
             names = {"dark": "dark.tif", "reference": "reference.tif"}
             write_results(out / "results.nc", results, bench=bench, inputs=names)
+    if is_stopped:
+        raise Interrupted(f"stopped: {len(collected.wavefronts)} of {frames} frames are in {out}")
     if acquisition.error is not None:
         raise acquisition.error
     if not collected.wavefronts:

@@ -15,7 +15,9 @@ from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.subimages import ReferenceSubimages
 
 Warp = Literal["translation", "affine", "quadratic", "cubic"]
-Method = Literal["gauss_newton", "correlation", "centroids", "itk_affine", "block_flow", "demons", "ffd"]
+Method = Literal[
+    "gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine", "block_flow", "demons", "ffd"
+]
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10}
 
 
@@ -45,8 +47,8 @@ class RegistrationSettings:
 
 def prepare_registration(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> Estimator:
     """Prepare the method that the settings ask for, for one reference."""
-    if settings.method == "correlation":
-        return Correlation(reference)
+    if settings.method in {"correlation", "correlation_fft"}:
+        return Correlation(reference, method="fft" if settings.method == "correlation_fft" else "square_difference")
     if settings.method == "centroids":
         spacing = settings.star_spacing_m / field.half_width_m
         columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)

@@ -122,8 +122,11 @@ class StoredMatrix(MeasurementMatrix):
 
         What `progress` raises ends it, and nothing is left behind.
         """
-        if path.exists() and not (path / "zarr.json").is_file():
-            raise ValueError(f"{path} exists and is no measurement matrix; it is left alone")
+        if path.exists():
+            try:
+                cls(path)
+            except ValueError as error:
+                raise ValueError(f"{path} exists and is no measurement matrix; it is left alone") from error
         part = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
         try:
             array = zarr.create_array(
@@ -138,14 +141,19 @@ class StoredMatrix(MeasurementMatrix):
             )
             for start, images in matrix.blocks(progress=progress):
                 array[start : start + len(images)] = images
-            shutil.rmtree(path, ignore_errors=True)
+            old = part.with_suffix(".old")
+            if path.exists():
+                path.rename(old)
             part.rename(path)
+            shutil.rmtree(old, ignore_errors=True)
         finally:
             shutil.rmtree(part, ignore_errors=True)
         return cls(path)
 
     def block(self, start: int, end: int) -> Images:
         """Read the images of the points start ... end - 1, (point, row, column)."""
+        if self._array.nchunks_initialized < self._array.nchunks:  # zarr would read darkness
+            raise ValueError(f"{self.path} is damaged: a block has gone")
         try:
             return np.asarray(self._array[start:end], np.float32)
         except (OSError, ValueError) as error:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +96,25 @@ def test_measure(
         assert results["frame_index"].to_numpy().tolist() == list(range(5))
     assert "5 frames, 0 lost by the camera" in capsys.readouterr().out
     assert tifffile.imread(tmp_path / "m" / "reference.tif").shape == (172, 240)
+
+
+def test_ctrl_c_writes_what_was_measured_and_says_so(tmp_path: Path, small_toml: Path) -> None:
+    command = [sys.executable, "-c", "from app.cli import main; main()", "measure", "--bench", str(small_toml)]
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [*command, "--frames", "100000", "--out", str(tmp_path / "m")], stderr=subprocess.PIPE, text=True
+    )
+    deadline_s = time.monotonic() + 60
+    while not (tmp_path / "m" / "reference.tif").exists():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130
+    said = re.search(r"svwfs: stopped: (\d+) of 100000 frames are in", errors)
+    assert said is not None
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert results.sizes["frame"] == int(said[1]) > 0
 
 
 def test_measure_without_light_fails_with_a_reason(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from reconstruction.deformable import Demons, FreeForm
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import FieldModes, SampledModes
+from reconstruction.itk_affine import ItkAffine
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 
@@ -49,6 +51,30 @@ def test_known_displacements_come_back(  # noqa: PLR0917 - parameters come by na
     expected = np.stack(np.broadcast_arrays(tilt + growth * VIEWS, np.full((3, 3), 1000.0)), axis=-1)
     assert np.abs(found - expected).max() < figure_px * bench.sensor.slope_per_px
     assert np.all(displacement.variance > 0)
+
+
+@pytest.mark.parametrize(
+    ("method", "bend", "figure"),
+    [(Demons, lambda x, y: x * y, 0.9), (FreeForm, lambda _x, y: y**2, 0.4)],  # each what its edges show best
+)
+def test_a_bend_is_followed_beyond_the_affine_start(
+    bench: SmallBench,
+    reference: ReferenceSubimages,
+    method: type[Demons | FreeForm],
+    bend: Callable[[float, float], float],
+    figure: float,
+) -> None:
+    u, v = bench.samples()
+    half_m = FIELD.half_width_m
+    frame = bench.frame(lambda x, y: (4000.0 * bend(x / half_m, y / half_m) * u + 0 * v).astype(np.float32))
+    expected = np.array([[4000.0 * bend(x, y) for x in VIEWS] for y in VIEWS]) / bench.sensor.slope_per_px
+    errors = []
+    for estimator in (ItkAffine(reference), method(reference, FLOW_MODES["views"])):
+        displacement = estimator(frame, saturated=np.zeros(frame.shape, np.bool_))
+        values = displacement.modes.values(VIEWS, VIEWS[:, None])
+        found = np.einsum("rcqd,qyx->rcyxd", displacement.coefficients, values)[..., 0]
+        errors.append(np.sqrt(np.mean((found - expected) ** 2)))
+    assert errors[1] < figure * errors[0]
 
 
 @pytest.mark.parametrize("method", [Demons, FreeForm])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zarr
 
 from reconstruction.geometry import Field, Lattice, Sensor
 from simulated_devices import source
@@ -172,3 +173,19 @@ def test_a_dark_block_is_kept_as_one_that_is_there(tmp_path: Path) -> None:
     beside = Lattice(center_x_px=900.0, center_y_px=68.9, pitch_px=31.25)
     dark = ForwardModel(SENSOR, beside, FIELD, rows=140, columns=170, pupil_samples=12)
     assert not write(tmp_path / "dark.zarr", dark, None).multiply(GRID.area_m2).any()
+
+
+def test_a_block_that_has_gone_is_a_fault_and_not_darkness(
+    tmp_path: Path, model: ForwardModel, phase: PointPhase
+) -> None:
+    matrix = write(tmp_path / "a.zarr", model, phase)
+    next(path for path in (tmp_path / "a.zarr" / "c").rglob("*") if path.is_file()).unlink()
+    with pytest.raises(ValueError, match="is damaged: a block has gone"):
+        matrix.multiply(GRID.area_m2)
+
+
+def test_a_zarr_store_of_something_else_is_left_alone(tmp_path: Path, model: ForwardModel) -> None:
+    zarr.create_array(str(tmp_path / "a.zarr"), shape=(3,), dtype="f4")
+    with pytest.raises(ValueError, match="left alone"):
+        write(tmp_path / "a.zarr", model, None)
+    assert zarr.open_array(str(tmp_path / "a.zarr"), mode="r").shape == (3,)

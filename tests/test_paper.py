@@ -73,6 +73,32 @@ def test_table_2(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert "affine_zonal_resized" in ours
 
 
+def test_the_stars_are_looked_for_where_the_bench_has_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    ours = table(monkeypatch, tmp_path, "table1", "--set", "simulation.source.star_spacing_m=0.45e-3")["ours"]
+    assert ours["stars_zonal"]["mean_rad"] < 0.15
+
+
+def test_a_circular_field_is_judged_by_the_views_inside_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    written = table(monkeypatch, tmp_path, "table1", "--set", "field.shape=circle")
+    assert written["problems"] == {}
+    assert written["ours"]["quadratic_modal"]["mean_rad"] < 0.12
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [("camera.readout_speed=3", "need another amplifier or readout_speed"), ("camera.exposure_s=9999.0", "exposure_s")],
+)
+def test_a_bench_that_cannot_do_the_experiment_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, sentence: str
+) -> None:
+    words = ["svwfs", "paper", "table2", "--out", str(tmp_path), "--set", change]
+    monkeypatch.setattr(sys, "argv", [*words, *(word for coarse in COARSE for word in ("--set", coarse))])
+    with pytest.raises(SystemExit) as leaving:
+        main()
+    assert leaving.value.code == 2
+    assert sentence in capsys.readouterr().err
+
+
 def test_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "sources")["ours"]
     assert len(ours) == 5 * 4

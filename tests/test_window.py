@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 from app.acquisition import Acquisition, Measurement
-from app.errors import RunError
+from app.errors import Interrupted, RunError
 from app.gui import theme
 from app.gui.live import run_live
 from app.gui.main_window import MainWindow
@@ -509,7 +509,7 @@ def test_signal_closes_the_window_and_turns_the_light_off(
     camera = FakeCamera()
     before = signal.getsignal(number)
     QTimer.singleShot(800, lambda: os.kill(os.getpid(), number))
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(Interrupted):
         run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
     assert camera.is_closed
     assert not camera.light.is_on

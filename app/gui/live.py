@@ -12,7 +12,7 @@ from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageH
 from PyQt6.QtWidgets import QApplication
 
 from app.acquisition import Acquisition, Measurement
-from app.errors import InputError, RunError
+from app.errors import InputError, Interrupted, RunError
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 
@@ -32,7 +32,7 @@ def run_live(
     With `offscreen_s` it closes by itself, so long after its first wavefront: a picture of it is saved to
     `screenshot`, and the last measurement that has a wavefront is given to `on_finish`. `RunError` is raised when
     that does not come about: no wavefront comes, the devices fail, somebody closes the window before; `InputError`
-    when the bench cannot be. Ctrl-C and SIGTERM close the window as its user would; then `KeyboardInterrupt` is raised.
+    when the bench cannot be. Ctrl-C and SIGTERM close the window as its user would; then `Interrupted` is raised.
     """
     qInstallMessageHandler(_pass_on)
     application = QApplication.instance()
@@ -60,7 +60,7 @@ def run_live(
     if window.is_stuck:
         raise RunError("a device does not answer: the light may still be on, switch it off by hand")
     if signals:
-        raise KeyboardInterrupt
+        raise Interrupted("interrupted: the light is off")
     if run is not None:
         run.check()
     return status

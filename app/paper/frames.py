@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from app.config import Bench
 from app.devices import simulated_bench
+from app.errors import InputError
 from app.paper.methods import Mask
+from drivers.interface import BadValue
 from reconstruction.geometry import Floats, nominal_lattice
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
@@ -53,7 +55,10 @@ def exposed_frames(
     frames: dict[str, Frames] = {}
     with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
         for mask, exposure_s in exposures_s.items():
-            camera.set_exposure(exposure_s)
+            try:
+                camera.set_exposure(exposure_s)
+            except BadValue as error:
+                raise InputError(f"camera: the {mask} need another amplifier or readout_speed: {error}") from error
             simulated.change(mask=mask, is_light_on=False, is_sample_in=False)
             dark = np.mean([_photograph(camera) for _ in range(_DARKS)], axis=0)
             simulated.change(is_light_on=True)

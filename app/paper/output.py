@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from rich import box
 from rich.console import Console
 
+from app.errors import InputError
 from app.files import appearing_whole
 from app.paper.tables import Table
 from reconstruction.geometry import Floats
@@ -26,6 +27,8 @@ def write_table(table: Table, out: Path) -> None:
     """Write NAME.json, NAME.csv and NAME.png into the folder `out`."""
     paper = {name: dict(zip(_NUMBERS, values, strict=True)) for name, values in table.paper.items()}
     ours = {name: entry.summary() for name, entry in table.entries.items()}
+    if not ours:
+        raise InputError("; ".join(f"{name}: {problem}" for name, problem in table.problems.items()))
     with appearing_whole(out / f"{table.name}.json") as path:
         path.write_text(json.dumps({"paper": paper, "ours": ours, "problems": table.problems}, indent=2) + "\n")
     with appearing_whole(out / f"{table.name}.csv") as path, path.open("w", newline="") as file:

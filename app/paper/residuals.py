@@ -17,7 +17,7 @@ from app.devices import cache_folder
 from app.files import appearing_whole
 from app.paper.frames import Frames
 from app.paper.methods import Method
-from reconstruction.geometry import Floats
+from reconstruction.geometry import Floats, nominal_lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import rms
 
@@ -36,9 +36,15 @@ class Measured:
 
 
 def measured(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Measured:
-    """Reconstruct with one method; what was computed before from the same frames by the same code is remembered."""
-    pair = frames[method.mask]
-    bench = replace(bench, registration=method.registration, reconstruction=method.reconstruction)
+    """Reconstruct with one method; what the same code of `reconstruction` made of the same frames is remembered."""
+    pair, stars = frames[method.mask], bench.simulation.source
+    registration = replace(
+        method.registration,
+        star_rows=stars.star_rows,
+        star_columns=stars.star_columns,
+        star_spacing_m=stars.star_spacing_m,
+    )
+    bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
     path = _folder() / f"{_fingerprint(bench, pair)}.npz"
     try:
         with np.load(path) as kept:
@@ -51,12 +57,10 @@ def measured(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Meas
 
 
 def _measure(bench: Bench, pair: Frames) -> Measured:
-    if bench.lattice is None:
-        raise ValueError("the bench of a table says where its lattice is")
     reconstructor = Reconstructor(
         pair.reference,
         sensor=bench.sensor,
-        lattice=bench.lattice,
+        lattice=bench.lattice or nominal_lattice(bench.sensor, *pair.reference.shape),
         field=bench.field,
         registration=bench.registration,
         reconstruction=bench.reconstruction,

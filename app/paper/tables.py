@@ -6,14 +6,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from app.config import Bench
+from app.errors import InputError
 from app.paper.frames import Frames, exposed_frames, noise_free_frames, resized
 from app.paper.methods import METHODS, PAPER_TABLE_1, PAPER_TABLE_2, Mask, Method
 from app.paper.residuals import Measured, measured
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats
 
+Views = NDArray[np.bool_]
 Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
 
 EXPOSURES_S: dict[Mask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
@@ -24,13 +27,14 @@ SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
 class Entry:
     """The residuals of one method, gathered over the seeds."""
 
-    rms_rad: list[Floats] = field(default_factory=list)  # of each seed: (view_row, view_column)
+    rms_rad: list[Floats] = field(default_factory=list)  # of each seed: (view,), those inside the field
     lost: int = 0
     seconds: float = 0.0
 
     def add(self, result: Measured, truth: Floats) -> None:
         """Gather the result of one more seed."""
-        self.rms_rad.append(result.residual_rms(truth))
+        rms_rad = result.residual_rms(truth)
+        self.rms_rad.append(rms_rad[np.isfinite(rms_rad)])
         self.lost += result.lost
         self.seconds = result.seconds
 
@@ -45,6 +49,7 @@ class Entry:
             "spread_rad": float(means.std(ddof=1)) if len(means) > 1 else 0.0,
             "lost_lenslets": self.lost / len(self.rms_rad),
             "seconds": self.seconds,
+            "seeds": len(self.rms_rad),
         }
 
 
@@ -56,13 +61,14 @@ class Table:
     title: str
     paper: Mapping[str, tuple[float, float, float]]
     reference: str  # what the residuals are measured against
+    inside: Views  # the views that lie in the field, (view_row, view_column)
     entries: dict[str, Entry] = field(default_factory=dict)
     last: dict[str, tuple[Floats, Floats]] = field(default_factory=dict)  # truth and views of the last seed
     problems: dict[str, str] = field(default_factory=dict)  # why a method gives nothing
 
     def add(self, name: str, result: Measured, truth: Floats) -> None:
-        """Gather a method's result for one seed; one that leaves a view unknown has no residual."""
-        if np.isnan(result.residual_rms(truth)).any():
+        """Gather a method's result for one seed; one that leaves a view of the field unknown has no residual."""
+        if np.isnan(result.residual_rms(truth)[self.inside]).any():
             self.problems[name] = f"{result.lost} lenslets are lost: a view is unknown"
             return
         self.entries.setdefault(name, Entry()).add(result, truth)
@@ -71,7 +77,7 @@ class Table:
 
 def table1(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
     """The paper's simulation: every method on noise-free frames of the same screens, against the truth."""
-    table = Table("table1", "Residual RMS (rad) in the simulation, against the truth", PAPER_TABLE_1, "truth")
+    table = Table("table1", "Simulation: residual RMS (rad) against the truth", PAPER_TABLE_1, "truth", _inside(bench))
     methods = _methods(peers=peers)
     for index, seeded in enumerate(_seeded(bench, seeds)):
         step = _part(report, index, seeds)
@@ -87,17 +93,18 @@ def table2(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
     Every method is run twice: on windows at their true sub-pixel centres, and (`_resized`) as in the paper on frames
     that were cut and resized first. `against_truth` compares the stars themselves with the true wavefronts.
     """
-    table = Table("table2", "Residual RMS (rad) in the experiment, against the stars", PAPER_TABLE_2, "stars")
+    table = Table("table2", "Experiment: residual RMS (rad) against the stars", PAPER_TABLE_2, "stars", _inside(bench))
     methods = {name: method for name, method in _methods(peers=peers).items() if method.mask == "square"}
     for index, seeded in enumerate(_seeded(bench, seeds)):
         step = _part(report, index, seeds)
         step("rendering and exposing", 0.0)
         frames, truth = exposed_frames(seeded, EXPOSURES_S, lambda _: None)
-        stars = measured(seeded, frames, METHODS["stars_zonal"])
+        stars = _stars(seeded, frames)
         table.add("stars_zonal_against_truth", stars, truth)
         _run(table, seeded, frames, stars.views, methods, _part(step, 0, 2))
         small_bench, small = resized(seeded, frames)
-        small_stars = measured(small_bench, small, METHODS["stars_zonal"])
+        small_stars = _stars(small_bench, small)
+        table.add("stars_zonal_resized_against_truth", small_stars, truth)
         small_methods = {f"{name}_resized": method for name, method in methods.items()}
         _run(table, small_bench, small, small_stars.views, small_methods, _part(step, 1, 2))
     return table
@@ -105,7 +112,7 @@ def table2(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
 
 def sources(bench: Bench, seeds: int, *, report: Report) -> Table:
     """The robustness study of the paper's supplement: the same screens behind sources of other shapes."""
-    table = Table("sources", "Residual RMS (rad) for sources of other shapes, against the truth", {}, "truth")
+    table = Table("sources", "Other sources: residual RMS (rad) against the truth", {}, "truth", _inside(bench))
     kinds = ("affine_zonal", "affine_modal", "quadratic_zonal", "quadratic_modal")
     for index, seeded in enumerate(_seeded(bench, seeds)):
         step = _part(report, index, seeds)
@@ -115,6 +122,20 @@ def sources(bench: Bench, seeds: int, *, report: Report) -> Table:
             methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
             _run(table, seeded, {"square": frames[source]}, truth, methods, step)
     return table
+
+
+def _inside(bench: Bench) -> Views:
+    """Which views lie in the field, (view_row, view_column)."""
+    x, y = bench.field.view_x_m, bench.field.view_y_m
+    return bench.field.contains(x / bench.field.half_width_m, y[:, None] / bench.field.half_width_m)
+
+
+def _stars(bench: Bench, frames: Mapping[str, Frames]) -> Measured:
+    """What the stars show: without them the experiment has nothing to be measured against."""
+    try:
+        return measured(bench, frames, METHODS["stars_zonal"])
+    except ReconstructionError as error:
+        raise InputError(f"the stars cannot be measured on this bench: {error}") from error
 
 
 def _methods(*, peers: bool) -> dict[str, Method]:
