@@ -147,13 +147,19 @@ class Acquisition:
             try:
                 routine(instrument)(
                     frames,
-                    progress=lambda fraction: setattr(self, "activity", Activity(text, fraction)),
+                    progress=lambda frame, fraction: self._show_progress(frame, text, fraction),
                     should_stop=lambda: self._stopping.is_set() or self._cancelling.is_set(),
                 )
             finally:
                 self.activity = Activity()
 
         return self.submit(command)
+
+    def _show_progress(self, frame: Frame, text: str, fraction: float) -> None:
+        """Let a frame that a routine averages be seen; it is neither measured nor counted."""
+        self.activity = Activity(text, fraction)
+        self._set_clock(frame)
+        self.newest = self._measurement(frame, None, text)
 
     def _work(self) -> None:
         try:
@@ -204,9 +210,7 @@ class Acquisition:
         except ReconstructionError as error:
             problem = str(error)
         self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (wavefront is not None))
-        exposure_end_s = frame.camera_time_s + self._clock_lag_s
-        latency_s = time.perf_counter() - exposure_end_s
-        measurement = Measurement(frame, wavefront, problem, self._counts, exposure_end_s, latency_s)
+        measurement = self._measurement(frame, wavefront, problem)
         for sink in self._sinks:
             sink(measurement)
         self.newest = measurement
@@ -228,10 +232,20 @@ class Acquisition:
         lost = frame.index if was_restarted else frame.index - self._next_index
         self._next_index = frame.index + 1
         self._counts = replace(self._counts, acquired=self._counts.acquired + 1, lost=self._counts.lost + lost)
+        self._set_clock(frame)
+
+    def _set_clock(self, frame: Frame) -> None:
+        """Set the camera's clock by the frame that came the fastest."""
         self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
 
+    def _measurement(self, frame: Frame, wavefront: Wavefront | None, problem: str) -> Measurement:
+        exposure_end_s = frame.camera_time_s + self._clock_lag_s
+        return Measurement(
+            frame, wavefront, problem, self._counts, exposure_end_s, time.perf_counter() - exposure_end_s
+        )
+
     def _age_s(self, frame: Frame) -> float:
-        """Time since the end of the exposure; the camera's clock is set by the frame that came the fastest."""
+        """Time since the end of the exposure."""
         return time.perf_counter() - (frame.camera_time_s + self._clock_lag_s)
 
     def _end(self) -> None:

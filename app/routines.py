@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from app.devices import Devices
 from drivers.interface import Camera, DeviceTimeout, Frame
 
-Progress = Callable[[float], None]
+Progress = Callable[[Frame, float], None]  # the frame that has come, and how much is done, 0 ... 1
 ShouldStop = Callable[[], bool]
 
 WAIT_SLICE_S = 0.1  # no wait is longer, so that a stop takes effect at once even in a long exposure
@@ -60,10 +60,11 @@ def average(camera: Camera, frames: int, *, progress: Progress, should_stop: Sho
     shape = (camera.capabilities.rows, camera.capabilities.columns)
     total, squares = np.zeros((2, *shape))
     for index in range(frames):
-        pixels = next_frame(camera, should_stop).pixels.astype(np.float64)
+        frame = next_frame(camera, should_stop)
+        pixels = frame.pixels.astype(np.float64)
         total += pixels
         squares += pixels**2
-        progress((index + 1) / frames)
+        progress(frame, (index + 1) / frames)
     mean = total / frames
     variance = np.maximum(squares / frames - mean**2, 0) * frames / max(frames - 1, 1)
     return Average(

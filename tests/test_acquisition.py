@@ -107,8 +107,11 @@ def test_routines_leave_the_devices_as_they_found_them(running: Running) -> None
 def test_a_cancelled_routine_leaves_the_devices_as_it_found_them(running: Running) -> None:
     running.begin()
     long = running.acquisition.take_dark(10_000)
-    running.wait_until(lambda: "dark" in running.acquisition.activity.text)
-    assert running.acquisition.status is not None
+    running.wait_until(lambda: running.acquisition.activity.progress > 0)
+    newest = running.acquisition.newest
+    assert newest is not None
+    assert (newest.wavefront, newest.problem) == (None, running.acquisition.activity.text)  # seen, not measured
+    assert newest.frame.pixels.mean() == pytest.approx(500, abs=10)
     running.acquisition.cancel()
     with pytest.raises(Cancelled):
         long.result(5)
