@@ -65,12 +65,13 @@ class GaussNewton:
         diverged = ~((last_step_px < _CONVERGED_PX) & (residual_rms < _MISFIT * reference.contrast))
         outcome = reference.judge(fit, self._modes, contrast=contrast, diverged=diverged, saturated=saturated)
         parameters, pixels = self._warp.inverse.shape[1:]
-        # The residual holds interpolated noise, weaker than the pixels' own. The fit's broad steepest-descent images see
-        # the slow part of the noise, which interpolation leaves as it is.
+        lost = outcome != Outcome.CONVERGED
+        fit[lost] = 0  # a fit that ran away may hold anything
+        # The residual holds interpolated noise, weaker than the pixels' own. The broad steepest-descent images see the
+        # slow part of the noise, which interpolation leaves as it is.
         landing_px = reference.center_px + reference.offset_px[0] @ reference.turn + fit[:, :, 0] @ reference.turn
         noise = residual_rms.astype(np.float64) ** 2 * pixels / (pixels - parameters) / noise_power(landing_px)
         variance = self._warp.variance * noise[:, None, None]
-        lost = outcome != Outcome.CONVERGED
         variance[lost], fit[lost], residual_rms[lost] = np.nan, np.nan, np.nan
         return Displacement(
             modes=self._modes,
