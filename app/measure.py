@@ -75,7 +75,7 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
     except Interrupted:
         is_stopped = True
     except DeviceError as error:
-        raise acquisition.error or RunError(str(error)) from error
+        raise _as_reported(acquisition.error or error) from error
     finally:
         acquisition.close()
         if collected.wavefronts:
@@ -86,11 +86,16 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
     if is_stopped:
         raise Interrupted(f"stopped: {len(collected.wavefronts)} of {frames} frames are in {out}")
     if acquisition.error is not None:
-        raise acquisition.error
+        raise _as_reported(acquisition.error) from acquisition.error
     if not collected.wavefronts:
         raise RunError(f"no frame could be reconstructed: {collected.problems[0]}")
     report(f"measuring {frames} frames", 1.0)
     return collected
+
+
+def _as_reported(error: Exception) -> Exception:
+    """A device's error as the failure that ends a command; any other as it is."""
+    return RunError(str(error)) if isinstance(error, DeviceError) else error
 
 
 def _take_calibration(acquisition: Acquisition, out: Path, report: Report) -> None:

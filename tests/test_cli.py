@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +16,13 @@ import pytest
 import tifffile
 import xarray as xr
 
+from app import start_up
 from app.cli import main
+from app.config import Bench
+from app.devices import Devices, open_devices
+from drivers.interface import Frame
 from reconstruction.wavefront import rms
+from simulated_devices.camera import SimulatedCamera, Unplug
 
 FRAMES = Path(__file__).parent / "foreign_frames"
 
@@ -115,6 +122,34 @@ def test_ctrl_c_writes_what_was_measured_and_says_so(tmp_path: Path, small_toml:
     assert said is not None
     with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
         assert results.sizes["frame"] == int(said[1]) > 0
+
+
+def test_a_camera_that_is_unplugged_ends_measuring_with_what_there_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    def open_then_unplug(bench: Bench, progress: Callable[[float], None]) -> Devices:
+        devices = open_devices(bench, progress)
+        camera, read = devices.camera, devices.camera.read
+        assert isinstance(camera, SimulatedCamera)
+        left = itertools.count(2 * start_up.FRAMES + 5, -1)  # of frames until it is unplugged
+
+        def read_while_plugged(timeout_s: float) -> Frame:
+            frame = read(timeout_s)
+            if next(left) == 0:
+                camera.inject(Unplug())
+            return frame
+
+        monkeypatch.setattr(camera, "read", read_while_plugged)
+        return devices
+
+    monkeypatch.setattr("app.measure.open_devices", open_then_unplug)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "50", "--out", tmp_path / "m") == 1
+    errors = capsys.readouterr().err
+    assert "svwfs: " in errors
+    assert "camera" in errors
+    assert "Traceback" not in errors
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert results.sizes["frame"] in {5, 6}
 
 
 def test_measure_without_light_fails_with_a_reason(
