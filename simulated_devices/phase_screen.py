@@ -95,7 +95,7 @@ def smooth_screen(
     `enlarged_by` adds that many samples on each of the four sides and leaves the middle the screen that it is without
     them: the middle's noise is drawn first, and its mean is the one that is subtracted. (Where 4 sigma is no whole
     number of samples, the recipe's margin can be one sample less than the smoothing reaches; the middle's
-    outermost ring then differs, by the Gaussian's last tap: 1e-4 of the RMS at the most.)
+    outermost ring then differs, by the Gaussian's last tap: up to 2.5e-4 of the RMS in what was tried.)
     """
     sigma = correlation_length_m / sample_spacing_m
     # Not int(4 * sigma), which rounds differently now and then: the ensemble divides last.

@@ -7,6 +7,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.displacement import Displacement
 from reconstruction.field_modes import FieldModes, LegendreModes, SampledModes
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings, Reconstructor
@@ -33,6 +34,12 @@ def sensor_of(rows: int, columns: int) -> Sensor:
     )
 
 
+def at_views(displacement: Displacement) -> Floats:
+    """Displacements at the views, px: (lenslet_row, lenslet_column, view_row, view_column, xy)."""
+    values = displacement.modes.values(VIEWS, VIEWS[:, None])
+    return np.asarray(np.einsum("rcqd,qyx->rcyxd", displacement.coefficients, values))
+
+
 class SmallBench:
     """A non-square lattice, off centre and turned, on a non-square camera; renders without noise."""
 
@@ -56,6 +63,14 @@ class SmallBench:
     def frame(self, phase: PointPhase) -> NDArray[np.float32]:
         """Render the frame behind a phase that each object point sees, phase(x_m, y_m) at the pupil samples."""
         return self.model.irradiance(self.source, phase) * np.float32(1e14)
+
+    def tilted(self, tilt: float, growth: float) -> tuple[NDArray[np.float32], Floats]:
+        """A frame of a tilt that grows with the field's x, rad/m, and the displacements at the views it makes, px."""
+        u, v = self.samples()
+        half_m = FIELD.half_width_m
+        frame = self.frame(lambda x, _y: ((tilt + growth * x / half_m) * u + 1000.0 * v).astype(np.float32))
+        slopes = np.stack(np.broadcast_arrays(tilt + growth * VIEWS, np.full((3, 3), 1000.0)), axis=-1)
+        return frame, slopes / self.sensor.slope_per_px
 
     def subimages(self) -> ReferenceSubimages:
         """The reference as the methods of registration see it."""
