@@ -15,7 +15,7 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.correlation import correlation_spectrum, cross_correlation, normalised
-from reconstruction.displacement import Displacement, Mask, Outcome
+from reconstruction.displacement import Displacement, Mask, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import SampledModes
 from reconstruction.geometry import Floats, require
@@ -110,9 +110,10 @@ class Centroids:
         return Displacement(
             modes=self._modes,
             coefficients=np.swapaxes(displacement, 1, 2).reshape(*reference.lenslets, -1, 2),
-            variance=np.swapaxes(variance, 1, 2).reshape(*reference.lenslets, -1, 2),
+            covariance=diagonal_covariance(np.swapaxes(variance, 1, 2).reshape(*reference.lenslets, -1, 2)),
             outcome=outcome.reshape(reference.lenslets),
             residual_rms=(residual_rms * reference.contrast / reference.contrast.max()).reshape(reference.lenslets),
+            chi_square=np.full(reference.lenslets, np.nan),
         )
 
     def _follow(self, coefficients: Image, start_px: Floats) -> _Stars:

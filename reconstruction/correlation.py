@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from reconstruction.displacement import Displacement, Mask, Outcome
+from reconstruction.displacement import Displacement, Mask, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats, require
@@ -62,9 +62,10 @@ class Correlation:
         return Displacement(
             modes=self._modes,
             coefficients=displacement.reshape(*reference.lenslets, 1, 2),
-            variance=variance.reshape(*reference.lenslets, 1, 2),
+            covariance=diagonal_covariance(variance.reshape(*reference.lenslets, 1, 2)),
             outcome=outcome.reshape(reference.lenslets),
             residual_rms=(residual_rms * reference.contrast / reference.contrast.max()).reshape(reference.lenslets),
+            chi_square=np.full(reference.lenslets, np.nan),
         )
 
     def _mismatch(self, window: Floats) -> tuple[Floats, int]:

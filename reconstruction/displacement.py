@@ -34,9 +34,10 @@ class Displacement:
 
     modes: FieldModes  # the T_q in which the displacements are written
     coefficients: Floats  # c_q, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where not converged
-    variance: Floats  # of each coefficient, px^2, the same shape
+    covariance: Floats  # px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy); NaN likewise
     outcome: Outcomes  # (lenslet_row, lenslet_column)
     residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN likewise
+    chi_square: Floats  # misfit over what the camera's noise makes, squares; NaN likewise, and where it is not known
 
     @property
     def valid(self) -> Mask:
@@ -44,11 +45,25 @@ class Displacement:
         return np.asarray(self.outcome == Outcome.CONVERGED)
 
     @property
+    def variance(self) -> Floats:
+        """Variance of each coefficient, px^2, (lenslet_row, lenslet_column, field_mode, xy)."""
+        return np.asarray(np.einsum("rcqdqd->rcqd", self.covariance))
+
+    @property
     def mean(self) -> Floats:
         """Mean displacement over the field, px, (lenslet_row, lenslet_column, xy)."""
         nodes, weights = np.polynomial.legendre.leggauss(6)
         values = self.modes.values(nodes, nodes[:, None])
         return np.tensordot(np.einsum("qyx,y,x->q", values, weights, weights) / 4, self.coefficients, axes=([0], [2]))
+
+
+def diagonal_covariance(variance: Floats) -> Floats:
+    """Covariance (..., field_mode, xy, field_mode, xy) of coefficients whose errors are independent.
+
+    `variance` (..., field_mode, xy) of each, px^2.
+    """
+    modes, axes = variance.shape[-2:]
+    return np.asarray(variance[..., None, None] * np.eye(modes * axes).reshape(modes, axes, modes, axes))
 
 
 class Estimator(Protocol):

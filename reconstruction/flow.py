@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from reconstruction.displacement import Displacement, Mask, Outcome
+from reconstruction.displacement import Displacement, Mask, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import FieldModes, SampledModes
 from reconstruction.geometry import Floats
@@ -56,7 +56,7 @@ class FlowReading:
             self._reference,
             self._modes,
             np.swapaxes(self._matrix @ flow, 1, 2),
-            variance=self._variance * residual_rms[:, None, None] ** 2,
+            covariance=diagonal_covariance(np.swapaxes(self._variance * residual_rms[:, None, None] ** 2, 1, 2)),
             residual_rms=residual_rms,
             contrast=subimages.std(axis=(1, 2)),
             saturated=saturated,
@@ -97,26 +97,26 @@ def displacement_of(
     modes: FieldModes,
     coefficients: Floats,
     *,
-    variance: Floats,
+    covariance: Floats,
     residual_rms: Floats,
     contrast: NDArray[np.floating[Any]],
     saturated: Mask,
 ) -> Displacement:
     """Judge each lenslet and arrange the result on the lattice, NaN where lost.
 
-    coefficients c_q, px, and their variance (L, xy, Q); residual_rms (L,), counts; any of them NaN where the method
-    found nothing. contrast (L,) of the frame's subimages; saturated (row, column).
+    coefficients c_q, px, (L, xy, Q) and their covariance (L, Q, xy, Q, xy); residual_rms (L,), counts; any of them NaN
+    where the method found nothing. contrast (L,) of the frame's subimages; saturated (row, column).
     """
     found = np.isfinite(coefficients).all(axis=(1, 2)) & (residual_rms < _MISFIT * reference.contrast)
     outcome = reference.judge(coefficients, modes, contrast=contrast, diverged=~found, saturated=saturated)
     lost = outcome != Outcome.CONVERGED
-    coefficients, variance = (
-        np.swapaxes(np.where(lost[:, None, None], np.nan, values), 1, 2) for values in (coefficients, variance)
-    )
+    coefficients = np.where(lost[:, None, None], np.nan, np.swapaxes(coefficients, 1, 2))
+    covariance = np.where(lost[:, None, None, None, None], np.nan, covariance)
     return Displacement(
         modes=modes,
-        coefficients=coefficients.reshape(*reference.lenslets, -1, 2),
-        variance=variance.reshape(*reference.lenslets, -1, 2),
+        coefficients=coefficients.reshape(*reference.lenslets, *coefficients.shape[1:]),
+        covariance=covariance.reshape(*reference.lenslets, *covariance.shape[1:]),
         outcome=outcome.reshape(reference.lenslets),
         residual_rms=np.where(lost, np.nan, residual_rms / reference.contrast.max()).reshape(reference.lenslets),
+        chi_square=np.full(reference.lenslets, np.nan),
     )

@@ -43,7 +43,7 @@ class ItkAffine:
         windows = reference.light.reshape(-1, reference.width, reference.width)
         self._windows = (windows * self._scale).astype(np.float32)
         every = np.ones(len(reference.offset_px), np.bool_)
-        self._variance = prepare_template(reference, self._modes, every, conserve_flux=False).variance
+        self._covariance = prepare_template(reference, self._modes, every, conserve_flux=False).per_pixel.covariance
 
     def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
         """Compare a frame with the reference; see `displacement.Estimator`."""
@@ -60,7 +60,7 @@ class ItkAffine:
             reference,
             self._modes,
             coefficients,
-            variance=self._variance * noise[:, None, None],
+            covariance=self._covariance * noise[:, None, None, None, None],
             residual_rms=residual_rms,
             contrast=subimages.std(axis=(1, 2)),
             saturated=saturated,

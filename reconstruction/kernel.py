@@ -58,20 +58,24 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
     basis: Image,
     template: Image,
     inverse: Image,
+    weight: Image,
     iterations: int,
     tolerance_px: float,
     displacement: Image,
     contrast: Image,
-    residual_rms: Image,
+    fitted_gain: Image,
+    residual_square: Image,
+    weighted_square: Image,
     last_step_px: Image,
 ) -> None:
     """Fit the displacement of lenslets `first` ... `last - 1`, in place.
 
     Of the frame: its spline coefficients (row, column). Of the lattice: center_px (L, xy) and its turn (cosine,
-    sine). Of the reference: offset_px, basis, template and inverse, as `template.Template` holds them. In and out:
-    displacement (L, xy, Q), px. Out: contrast (L,), the standard deviation of the frame's subimage at the start;
-    residual_rms (L,) before the last step; last_step_px (L,), the largest change of a coefficient in it. Gain and
-    offset start from the two subimages' means and contrasts.
+    sine). Of the reference: offset_px, basis, template, inverse and weight, as `template.Template` holds them. In and
+    out: displacement (L, xy, Q), px. Out: contrast (L,), the standard deviation of the frame's subimage at the start;
+    fitted_gain (L,); residual_square and weighted_square (L,), the sums of the residual's squares before the last
+    step; last_step_px (L,), the largest change of a coefficient in it. Gain and offset start from the two subimages'
+    means and contrasts.
     """
     modes, pixels = basis.shape[1], basis.shape[2]
     one = np.float32(1.0)
@@ -92,7 +96,7 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
                     warp[4, n] += along_y * basis[1, q, n]
                     warp[5, n] += along_y * basis[2, q, n]
             center_x, center_y = np.float32(center_px[lenslet, 0]), np.float32(center_px[lenslet, 1])
-            square = np.float32(0.0)
+            square, weighted = np.float32(0.0), np.float32(0.0)
             for n in range(pixels):
                 x, y = offset_px[n, 0] + warp[0, n], offset_px[n, 1] + warp[1, n]
                 light = interpolate(
@@ -107,7 +111,8 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
             for n in range(pixels):
                 residual[n] = gain * residual[n] + offset - template[lenslet, n]
                 square += residual[n] * residual[n]
-            residual_rms[lenslet] = np.sqrt(square / np.float32(pixels))
+                weighted += weight[lenslet, n] * residual[n] * residual[n]
+            residual_square[lenslet], weighted_square[lenslet] = square, weighted
             step = np.float32(0.0)
             for q in range(modes):
                 for axis in range(2):
@@ -123,6 +128,6 @@ def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain a
                 offset_change += inverse[lenslet, 2 * modes + 1, n] * residual[n]
             gain *= one - gain_change
             offset -= offset_change
-            last_step_px[lenslet] = step
+            last_step_px[lenslet], fitted_gain[lenslet] = step, gain
             if not step >= tolerance_px:  # converged, or no longer a number
                 break

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from reconstruction.displacement import Mask, Outcome, Outcomes
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import FieldModes
-from reconstruction.geometry import Field, Floats, Lattice, Sensor, centered_steps
+from reconstruction.geometry import Field, Floats, Lattice, Sensor, centered_steps, require
+from reconstruction.noise import CameraNoise
 from reconstruction.spline import Image, sample, spline_coefficients
 
 _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice belongs to another frame
@@ -24,8 +25,22 @@ class ReferenceSubimages:
     Windows lie along the lattice's own axes; nothing of the frame is resampled but what lies in them.
     """
 
-    def __init__(self, reference: Image, *, sensor: Sensor, lattice: Lattice, field: Field) -> None:
-        """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing."""
+    def __init__(
+        self,
+        reference: Image,
+        *,
+        sensor: Sensor,
+        lattice: Lattice,
+        field: Field,
+        noise: CameraNoise | None = None,
+        reference_frames: float = np.inf,
+    ) -> None:
+        """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing.
+
+        `noise` is that of a single frame, where it is known; the reference is the mean of `reference_frames` frames.
+        """
+        require({"reference_frames must be at least 1": reference_frames >= 1})
+        self.noise, self.reference_frames = noise, reference_frames
         self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
         self._field_outline = field.outline
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage

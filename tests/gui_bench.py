@@ -22,7 +22,7 @@ from drivers.interface import (
     Stage,
     WrongState,
 )
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings
@@ -202,7 +202,13 @@ def make_measurement(
     if displacement_px is not None:
         coefficients[:, :, 0] = displacement_px
     coefficients[outcome != Outcome.CONVERGED] = np.nan
-    displacement = Displacement(LegendreModes(3), coefficients, np.zeros_like(coefficients), outcome, np.zeros(shape))
+    displacement = Displacement(
+        LegendreModes(3),
+        coefficients,
+        diagonal_covariance(np.zeros_like(coefficients)),
+        outcome,
+        *np.zeros((2, *shape)),
+    )
     wavefront = Wavefront(FIELD, displacement, _NoSolution(), views)
     return Measurement(
         make_frame(pixels, index=index), wavefront, "", Counts(index + 1, index + 1, 0), time.perf_counter(), 0.004

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reconstruction.displacement import Displacement
+from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.field_modes import LegendreModes, SampledModes
 
 
@@ -25,7 +25,8 @@ def test_the_mean_displacement_is_the_mean_over_the_field() -> None:
     shape = (2, 3)
     for modes in (LegendreModes(6), SampledModes(np.array([-0.8, 0.0, 0.8]), np.array([-0.8, 0.1, 0.8]))):
         coefficients = np.random.default_rng(1).normal(size=(*shape, modes.count, 2))
-        displacement = Displacement(modes, coefficients, coefficients**2, np.zeros(shape, np.int8), np.zeros(shape))
+        known = diagonal_covariance(coefficients**2), np.zeros(shape, np.int8), np.zeros(shape), np.zeros(shape)
+        displacement = Displacement(modes, coefficients, *known)
         steps = np.linspace(-1, 1, 401)
         steps = (steps[1:] + steps[:-1]) / 2
         values = modes.values(*np.meshgrid(steps, steps)).mean(axis=(1, 2))
