@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -222,20 +223,27 @@ def reconstruct(
     out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
     dark: Annotated[Path | None, typer.Option(help="A frame with the light off.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the views to write: PNG, PDF or SVG.")] = None,
+    refine: Annotated[
+        int, typer.Option(min=0, max=100, help="Rounds of refinement by the forward model, at most.")
+    ] = 0,
     setting: SetOption = None,
 ) -> None:
     """Reconstruct the wavefronts of one frame from image files."""
     from app.from_files import reconstruct_files
     from app.plot import check_plot_path, plot_views
-    from app.report import print_views
+    from app.report import print_refinement, print_views, progress_bar
     from app.results import result_dataset, write_results
 
     if plot is not None:
         check_plot_path(plot)
     loaded = load(bench, setting)
-    wavefront = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded)
+    with progress_bar() if refine else nullcontext(lambda *_: None) as report:
+        found = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, report=report)
     inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
-    write_results(out, result_dataset(wavefront, loaded), bench=loaded, inputs=inputs)
+    dataset = result_dataset(found.wavefront, loaded).assign_attrs(refinement_rounds=len(found.changes_rad))
+    write_results(out, dataset, bench=loaded, inputs=inputs)
     if plot is not None:
-        plot_views(wavefront, plot)
-    print_views(wavefront)
+        plot_views(found.wavefront, plot)
+    print_views(found.wavefront)
+    if refine:
+        print_refinement(found.changes_rad)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +13,32 @@ from numpy.typing import NDArray
 from app.config import Bench
 from app.errors import InputError
 from app.files import read_image
+from app.imaging_model import BenchModel
 from reconstruction.errors import ReconstructionError
 from reconstruction.lattice import find_lattice
 from reconstruction.pipeline import Reconstructor
+from reconstruction.refinement import Refinement
 from reconstruction.wavefront import Wavefront
 
 
-def reconstruct_files(frame: Path, *, reference: Path, dark: Path | None, bench: Bench) -> Wavefront:
-    """Reconstruct one frame from image files; whatever is wrong with them is an `InputError` that names the file."""
+@dataclass(frozen=True, slots=True)
+class Reconstructed:
+    """What came of a frame."""
+
+    wavefront: Wavefront
+    changes_rad: tuple[float, ...]  # mean over the views of the RMS by which each round of refinement changed it
+
+
+Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
+
+
+def reconstruct_files(
+    frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, report: Report
+) -> Reconstructed:
+    """Reconstruct one frame from image files and refine it in at most `refine` rounds.
+
+    Whatever is wrong with the files is an `InputError` that names the file.
+    """
     frame_image, reference_image = read_image(frame), read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     for path, image in ((frame, frame_image), (dark, dark_image)):
@@ -39,7 +59,17 @@ def reconstruct_files(frame: Path, *, reference: Path, dark: Path | None, bench:
             dark=dark_image,
             full_scale=min(_full_scale(image, bench.camera.bits) for image in (reference_image, frame_image)),
         )
-        return reconstructor(frame_image)
+        displacement = reconstructor.register(frame_image)
+        wavefront = reconstructor.solve(displacement)
+        changes_rad = []
+        if refine:
+            report("modelling the bench", 0.0)
+            refinement = Refinement(reconstructor, BenchModel(bench, reconstructor))
+            for done, step in enumerate(refinement.rounds(displacement, refine), 1):
+                wavefront = step.wavefront
+                changes_rad.append(step.change_rad)
+                report("refining", done / refine)
+        return Reconstructed(wavefront, tuple(changes_rad))
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
 

@@ -18,6 +18,8 @@ from drivers.interface import BadValue, CameraCapabilities, Frame, Range
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice import find_lattice
+from reconstruction.noise import CameraNoise
+from reconstruction.photon_transfer import photon_transfer
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
 
@@ -141,11 +143,22 @@ class Instrument:
                 reconstruction=bench.reconstruction,
                 dark=dark,
                 full_scale=self.devices.camera.capabilities.full_scale,
+                noise=self._noise(),
+                reference_frames=self._reference.frames,
             )
         except ReconstructionError as error:
             self._problem = str(error)
         if was_running:
             camera.start()
+
+    def _noise(self) -> CameraNoise | None:
+        """The camera's noise, from the scatter of the frames that made dark and reference; None without a dark."""
+        dark, reference = self._dark, self._reference
+        if dark is None or reference is None:
+            return None
+        return photon_transfer(
+            reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
+        )
 
     def _warning(self) -> str:
         if self._reconstructor is None:

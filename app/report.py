@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -27,6 +27,17 @@ def print_views(wavefront: Wavefront) -> None:
     console = Console()
     console.print(table)
     console.print(lenslet_summary(wavefront))
+
+
+def print_refinement(changes_rad: Sequence[float]) -> None:
+    """Say how much each round of refinement changed the wavefront."""
+    changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
+    rounds = f"{len(changes_rad)} round" + "s" * (len(changes_rad) != 1)
+    Console().print(
+        f"refined in {rounds}, each changing the wavefront by {changes} rad RMS"
+        if changes
+        else "not refined: it would not improve"
+    )
 
 
 def print_measurement(collected: Collected, out: Path) -> None:

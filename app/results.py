@@ -25,6 +25,7 @@ def result_dataset(wavefront: Wavefront, bench: Bench) -> xr.Dataset:
     vectors = (*_LENSLET, "field_mode", "xy")
     variables = {
         **_wavefront_variables(wavefront.views),
+        "wavefront_sigma": ((*_VIEW, *_LENSLET), wavefront.sigma(), _about("rad", "standard deviation of wavefront")),
         "displacement": (vectors, displacement.coefficients, _about("px", "coefficients of the field modes")),
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), _about("px", "standard deviation")),
         "valid": (_LENSLET, displacement.valid, _about("1", "whether the lenslet yields a slope")),
@@ -34,11 +35,23 @@ def result_dataset(wavefront: Wavefront, bench: Bench) -> xr.Dataset:
             displacement.residual_rms,
             _about("1", "RMS misfit of the registered subimage over the contrast of the brightest one"),
         ),
+        "chi_square": (
+            _LENSLET,
+            displacement.chi_square,
+            _about("1", "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"),
+        ),
     }
     if isinstance(wavefront.solution, ModalSolution):
         modes = ("pupil_mode", "field_mode")
-        variables["coefficients"] = (modes, wavefront.solution.coefficients, _about("rad", "e_pq"))
-        variables["coefficients_sigma"] = (modes, wavefront.solution.sigma, _about("rad", "standard deviation of e_pq"))
+        solution = wavefront.solution
+        variables["coefficients"] = (modes, solution.coefficients, _about("rad", "e_pq"))
+        variables["coefficients_sigma"] = (
+            modes,
+            solution.coefficients_sigma,
+            _about("rad", "standard deviation of e_pq"),
+        )
+        about = _about("1", "reduced chi-square of the slopes against the fit")
+        variables["slope_chi_square"] = ((), np.float64(solution.chi_square), about)
     return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=_coordinates(bench))
 
 

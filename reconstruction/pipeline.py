@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.automatic_warp import freest_warp
+from reconstruction.displacement import Displacement, Estimator
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Field, Lattice, Sensor, require
+from reconstruction.geometry import Field, Floats, Lattice, Sensor, require
 from reconstruction.modal import ModalSolver
+from reconstruction.noise import CameraNoise
 from reconstruction.pupil_modes import PupilBasis, pupil_modes
-from reconstruction.registration import RegistrationSettings, prepare_registration
+from reconstruction.registration import RegistrationSettings, Warp, prepare_registration
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 from reconstruction.wavefront import Solution, Wavefront
@@ -26,20 +29,20 @@ _BACKGROUND_PERCENT = 1.0  # where no dark was given, the darkest pixels that st
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReconstructionSettings:
-    """How displacements become wavefronts."""
+    """How displacements become wavefronts; without `pupil_modes`, by as many as the lattice carries, smoothly."""
 
     method: Literal["zonal", "modal"] = "modal"
     basis: PupilBasis = "legendre"
-    pupil_modes: int = 66
+    pupil_modes: int | None = None
 
     def __post_init__(self) -> None:
-        require({"pupil_modes must be 3 ... 1000": 3 <= self.pupil_modes <= 1000})
+        require({"pupil_modes must be 3 ... 1000": self.pupil_modes is None or 3 <= self.pupil_modes <= 1000})
 
 
 class Reconstructor:
     """Turns frames into wavefronts. It never changes: another reference or setting makes another one."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - the whole of a measurement but the frame; each beyond the settings has its default
         self,
         reference: Counts,
         *,
@@ -50,43 +53,106 @@ class Reconstructor:
         reconstruction: ReconstructionSettings,
         dark: Counts | None = None,
         full_scale: float = np.inf,
+        noise: CameraNoise | None = None,
+        reference_frames: float = np.inf,
     ) -> None:
         """Prepare for a reference and a dark (row, column) in counts; `full_scale` is the count of saturation.
 
-        Without a dark, the darkest percent of each image's pixels is taken for the background.
+        Without a dark, the darkest percent of each image's pixels is taken for the background. `noise` is that of a
+        single frame, where it is known; the reference is the mean of `reference_frames` frames.
         """
-        self._shape = reference.shape
+        self.frame_shape = reference.shape[0], reference.shape[-1]
         self._dark = None if dark is None else _checked(dark, "dark", reference.shape)
         self._full_scale = full_scale
-        self._sensor, self._field = sensor, field
+        self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
+        self._reference_frames = reference_frames
         light = self._light(reference, "reference")
-        subimages = ReferenceSubimages(light, sensor=sensor, lattice=lattice, field=field)
-        self._register = prepare_registration(subimages, registration, field)
+        self.subimages = self._cut(light)
         self._modal = None
         if reconstruction.method == "modal":
-            self._modal = ModalSolver(pupil_modes(sensor, reconstruction.basis, reconstruction.pupil_modes))
+            count = reconstruction.pupil_modes
+            self._modal = ModalSolver(pupil_modes(sensor, reconstruction.basis, count), is_smooth=count is None)
+        self._weights = np.ones((sensor.lenslet_rows, sensor.lenslet_columns, 2))
+        self._prepare(light, registration)
 
-    def __call__(self, frame: Counts) -> Wavefront:
-        """Measure the wavefront that a frame (row, column), counts, shows against the reference."""
+    def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
+        """Measure the wavefront that a frame (row, column), counts, shows against the reference.
+
+        `bias` (lenslet_row, lenslet_column, field_mode, xy), px, is what displacements are known to be too large by.
+        """
+        return self.solve(self.register(frame), bias=bias)
+
+    def register(self, frame: Counts) -> Displacement:
+        """Find how the subimages of a frame (row, column), counts, lie with respect to the reference."""
         light = self._light(frame, "frame")
-        saturated = frame >= self._full_scale
-        displacement = self._register(light, saturated=saturated)
-        valid = displacement.valid
-        if np.count_nonzero(valid) < 2:
+        displacement = self._register(light, saturated=frame >= self._full_scale)
+        if np.count_nonzero(displacement.valid) < 2:
             raise ReconstructionError(
                 "no lenslet of the frame could be matched with the reference: is the light on?", image="frame"
             )
-        slopes = displacement.coefficients * self._sensor.slope_per_px
+        return displacement
+
+    def solve(self, displacement: Displacement, *, bias: Floats | None = None) -> Wavefront:
+        """Turn displacements, less their `bias`, into the wavefront."""
+        if bias is not None:
+            displacement = replace(displacement, coefficients=displacement.coefficients - bias)
+        valid, per_px = displacement.valid, self.sensor.slope_per_px
+        slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
+        weights = self.weights_of(displacement)
         solution: Solution
         if self._modal is None:
-            solution = ZonalSolution(slopes, valid, self._sensor.lenslet_pitch_m)
+            solution = ZonalSolution(slopes, valid, self.sensor.lenslet_pitch_m, weights, covariance)
         else:
-            solution = self._modal(slopes, displacement.variance * self._sensor.slope_per_px**2, valid)
-        return Wavefront.of(self._field, displacement, solution)
+            solution = self._modal(slopes, covariance, valid, weights=weights)
+        return Wavefront.of(self.field, displacement, solution)
+
+    def against(self, reference: Image) -> Estimator:
+        """Prepare the same registration for another reference (row, column), counts above the dark."""
+        return prepare_registration(self._cut(reference), self.registration, self.field)
+
+    def _prepare(self, light: Image, registration: RegistrationSettings) -> None:
+        """Prepare the registration; what it makes of the reference itself tells how certain each lenslet is."""
+
+        def prepare(warp: Warp) -> Displacement:
+            self.registration = replace(registration, warp=warp)
+            self._register = prepare_registration(self.subimages, self.registration, self.field)
+            return self._register(light, saturated=np.zeros(light.shape, np.bool_))
+
+        if registration.warp is not None:
+            own = prepare(registration.warp)
+        elif self.noise is None:
+            own = prepare("quadratic")
+        else:
+            own = freest_warp(prepare, self.sensor, self.field)
+        self._expected = np.mean(own.variance, axis=2)  # (lenslet_row, lenslet_column, xy), px^2
+        if self.noise is not None:
+            self._weights = np.nan_to_num(np.nanmedian(self._expected) / self._expected)
+
+    def weights_of(self, displacement: Displacement) -> Floats:
+        """How much each slope counts: as the reference lets expect, less where this frame's lenslet shows less.
+
+        Less means in steps of four, so that what the weights determine need not be computed anew for every frame.
+        """
+        if self.noise is None:
+            return self._weights
+        ratio = np.mean(displacement.variance, axis=2) / self._expected
+        with np.errstate(invalid="ignore"):
+            steps = np.round(np.log(ratio / np.nanmedian(ratio)) / np.log(4.0))
+        return np.asarray(self._weights * 4.0 ** -np.maximum(np.nan_to_num(steps), 0.0))
+
+    def _cut(self, light: Image) -> ReferenceSubimages:
+        return ReferenceSubimages(
+            light,
+            sensor=self.sensor,
+            lattice=self.lattice,
+            field=self.field,
+            noise=self.noise,
+            reference_frames=self._reference_frames,
+        )
 
     def _light(self, image: Counts, what: str) -> Image:
         """Check an image and return it as float32 (row, column) counts above the dark or the background."""
-        light = _checked(image, what, self._shape)
+        light = _checked(image, what, self.frame_shape)
         if np.count_nonzero(image >= self._full_scale) > _SATURATED_FRACTION * image.size:
             raise ReconstructionError(
                 f"the {what} is saturated: shorten the exposure or lower the light's current", image=what

@@ -26,7 +26,7 @@ class RegistrationSettings:
     """How subimages are compared, how they may move, and where the stars are if the source has any."""
 
     method: Method = "gauss_newton"
-    warp: Warp = "quadratic"
+    warp: Warp | None = None  # the one with the most freedom that the noise allows; quadratic where it is not known
     conserve_flux: bool = True
     flow: Literal["views", "warp"] = (
         "views"  # block_flow, demons, ffd: kept as it is at the views, or fitted by the warp
@@ -53,7 +53,7 @@ def prepare_registration(reference: ReferenceSubimages, settings: RegistrationSe
         spacing = settings.star_spacing_m / field.half_width_m
         columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)
         return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
-    modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp])
+    modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
     if settings.method == "gauss_newton":
         return GaussNewton(reference, modes, conserve_flux=settings.conserve_flux)
     if settings.method == "itk_affine":

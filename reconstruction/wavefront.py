@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -21,6 +22,10 @@ class Solution(Protocol):
         """
         ...
 
+    def sigma(self, field_modes: Floats) -> Floats:
+        """Standard deviation of `wavefront`, rad, the same shape."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wavefront:
@@ -34,10 +39,11 @@ class Wavefront:
     @classmethod
     def of(cls, field: Field, displacement: Displacement, solution: Solution) -> Self:
         """Evaluate a solution at the views of the field."""
-        x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
-        views = solution.wavefront(np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1))
-        views[~field.contains(x, y[:, None])] = np.nan
-        return cls(field, displacement, solution, views)
+        return cls(field, displacement, solution, _at_views(field, displacement, solution.wavefront))
+
+    def sigma(self) -> Floats:
+        """Standard deviation of each view's wavefront, rad, the shape of `views`; takes some milliseconds."""
+        return _at_views(self.field, self.displacement, self.solution.sigma)
 
     def at(self, x_m: float, y_m: float) -> Floats:
         """Wavefront at the field position (x, y) in m, at the lenslet centres: (lenslet_row, lenslet_column), rad."""
@@ -74,3 +80,11 @@ def _mean(values: Floats) -> Floats:
     known = ~np.isnan(values)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sum(values, axis=(-2, -1), where=known) / np.count_nonzero(known, axis=(-2, -1)))
+
+
+def _at_views(field: Field, displacement: Displacement, evaluate: Callable[[Floats], Floats]) -> Floats:
+    """Evaluate a function of the field modes at the views, NaN outside the field."""
+    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
+    values = evaluate(np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1))
+    values[~field.contains(x, y[:, None])] = np.nan
+    return values

@@ -219,6 +219,9 @@ class _NoSolution:
     def wavefront(self, field_modes: Floats) -> Floats:
         raise NotImplementedError
 
+    def sigma(self, field_modes: Floats) -> Floats:
+        raise NotImplementedError
+
 
 def _squares(shape: tuple[int, int], lattice: Lattice, strength: float) -> Floats:
     """Soft squares behind every lenslet, between 0 and 1, moved as by a sample of the given strength."""

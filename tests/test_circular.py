@@ -7,6 +7,7 @@ import pytest
 from optics import FIELD, SmallBench, sensor_of
 
 from reconstruction.geometry import Field, Floats
+from reconstruction.displacement import diagonal_covariance
 from reconstruction.modal import ModalSolver
 from reconstruction.pipeline import ReconstructionSettings, Reconstructor
 from reconstruction.pupil_modes import pupil_modes
@@ -24,7 +25,7 @@ def test_coefficients_of_a_wavefront_made_of_zernikes_come_back() -> None:
     coefficients[0] = 0  # slopes show no piston
     slopes = np.einsum("prcv,pq->rcqv", modes.gradients, coefficients)
     slopes[~modes.inside] = 1e9  # what lies outside the pupil does not count
-    solution = ModalSolver(modes)(slopes, np.ones_like(slopes), np.ones((11, 13), bool))
+    solution = ModalSolver(modes)(slopes, diagonal_covariance(np.ones_like(slopes)), np.ones((11, 13), bool))
     np.testing.assert_allclose(solution.coefficients, coefficients, atol=1e-9)
     wavefront = solution.wavefront(np.array([1.0, 0.0]))
     assert np.array_equal(np.isfinite(wavefront), modes.inside)

@@ -89,7 +89,7 @@ def test_coefficients_scatter_as_their_sigma_says(small_bench: SmallBench) -> No
         reconstructor(frame + generator.normal(0, noise, frame.shape).astype(np.float32)).solution for _ in range(DRAWS)
     ]
     coefficients = np.array([solution.coefficients for solution in solutions])  # type: ignore[attr-defined] # modal
-    sigma = np.array([solution.sigma for solution in solutions]).mean(axis=0)  # type: ignore[attr-defined] # the same
+    sigma = np.array([solution.coefficients_sigma for solution in solutions]).mean(axis=0)  # type: ignore[attr-defined] # the same
     ratio = coefficients.std(axis=0, ddof=1)[1:] / sigma[1:]  # the piston has neither
     assert 0.9 < np.sqrt(np.mean(ratio**2)) < 1.1
 

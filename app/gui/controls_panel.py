@@ -20,7 +20,9 @@ from reconstruction.pupil_modes import PupilBasis
 from reconstruction.registration import FIELD_MODES, Method, RegistrationSettings
 
 _MOST_FRAMES = 1000
-_MOST_PUPIL_MODES = 400
+_AUTOMATIC = "automatic"  # what the bench's file leaves out
+_FEWEST_PUPIL_MODES, _MOST_PUPIL_MODES = 3, 400
+_PUPIL_MODES_RANGE = Range(_FEWEST_PUPIL_MODES - 1, _MOST_PUPIL_MODES)  # its lowest is shown as the word above
 
 _LAMPS: dict[Standing, QColor] = {"missing": theme.LINE, "doubtful": theme.AMBER, "good": theme.GREEN}
 
@@ -127,9 +129,15 @@ class ControlsPanel(QFrame):
         self.basis = self._setting(
             "reconstruction", "basis", "Polynomials of the modal method: for a square pupil, or for a circular one"
         )
-        self.pupil_modes = NumberField(tool_tip="How many polynomials over the pupil the modal method fits")
+        self.pupil_modes = NumberField(
+            tool_tip="How many polynomials over the pupil the modal method fits; automatic: as many as the lattice"
+            " carries, smoothed by as much as the noise demands",
+            lowest=_AUTOMATIC,
+        )
         self.pupil_modes.entered.connect(
-            lambda value: self.setting_requested.emit("reconstruction", "pupil_modes", round(value))
+            lambda value: self.setting_requested.emit(
+                "reconstruction", "pupil_modes", None if value < _FEWEST_PUPIL_MODES else round(value)
+            )
         )
         grid = self._section("Reconstruction", is_last=True)
         grid.addWidget(label("Register", "dim"), 1, 0)
@@ -142,7 +150,9 @@ class ControlsPanel(QFrame):
     def _setting(self, section: str, key: str, tool_tip: str) -> QComboBox:
         """A choice of one of the bench's settings."""
         choice = _choice(tool_tip)
-        choice.textActivated.connect(lambda value: self.setting_requested.emit(section, key, value))
+        choice.textActivated.connect(
+            lambda value: self.setting_requested.emit(section, key, None if value == _AUTOMATIC else value)
+        )
         return choice
 
     def _section(self, title: str, *, is_last: bool = False) -> QGridLayout:
@@ -170,7 +180,7 @@ class ControlsPanel(QFrame):
             (self.exposure, status.exposure_s, allowed.exposure_range_s),
             (self.em_gain, status.em_gain, allowed.em_gain_range),
             (self.current, status.current_a, status.current_range_a),
-            (self.pupil_modes, status.bench.reconstruction.pupil_modes, Range(3, _MOST_PUPIL_MODES)),
+            (self.pupil_modes, status.bench.reconstruction.pupil_modes or 0, _PUPIL_MODES_RANGE),
         ):
             if is_settled or not field.hasFocus():
                 field.show_value(value, interval)
@@ -179,7 +189,7 @@ class ControlsPanel(QFrame):
         _show_choice(self.mask_choice, status.masks, status.mask)
         registration, reconstruction = status.bench.registration, status.bench.reconstruction
         _show_choice(self.registration, get_args(Method), registration.method)
-        _show_choice(self.warp, tuple(FIELD_MODES), registration.warp)
+        _show_choice(self.warp, (_AUTOMATIC, *FIELD_MODES), registration.warp or _AUTOMATIC)
         _show_choice(self.method, ("zonal", "modal"), reconstruction.method)
         _show_choice(self.basis, get_args(PupilBasis), reconstruction.basis)
         self.warp.setEnabled(_uses_warp(registration))

@@ -15,13 +15,21 @@ class NumberField(QDoubleSpinBox):
     entered = pyqtSignal(float)
 
     def __init__(
-        self, *, tool_tip: str, unit: float = 1.0, suffix: str = "", decimals: int = 0, parent: QWidget | None = None
+        self,
+        *,
+        tool_tip: str,
+        unit: float = 1.0,
+        suffix: str = "",
+        decimals: int = 0,
+        lowest: str = "",
+        parent: QWidget | None = None,
     ) -> None:
-        """Show values in `unit`, for example 1e-3 with the suffix " ms"."""
+        """Show values in `unit`, for example 1e-3 with the suffix " ms"; the lowest one as the word `lowest`."""
         super().__init__(parent)
         self._unit, self._allowed = unit, Range(0, 0)
         self.setSuffix(suffix)
         self.setDecimals(decimals)
+        self.setSpecialValueText(lowest)
         self.setToolTip(tool_tip)
         self.setKeyboardTracking(False)
         self.setCorrectionMode(QAbstractSpinBox.CorrectionMode.CorrectToNearestValue)

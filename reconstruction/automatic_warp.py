@@ -1,0 +1,46 @@
+"""How freely a warp may bend when the settings leave it open: as freely as the camera's noise allows.
+
+Every field mode more removes a part of what the estimator gets wrong systematically and adds noise. Which is more
+follows from the reference and the camera alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from reconstruction.displacement import Displacement
+from reconstruction.geometry import Field, Sensor
+from reconstruction.modal import ModalSolver
+from reconstruction.pupil_modes import pupil_modes
+from reconstruction.registration import Warp
+from reconstruction.wavefront import Wavefront
+
+_PUPIL_MODES = 45  # with which noise is predicted: about as many as a smooth wavefront needs
+# By how much the residual shrinks on the screens of docs/estimator.md (4.2 rad RMS), as the root of the difference of
+# squares: from affine to quadratic at once, from quadratic to cubic once it is refined.
+_QUADRATIC_GAIN_RAD = 0.15
+_CUBIC_GAIN_RAD = 0.03
+
+
+def freest_warp(prepare: Callable[[Warp], Displacement], sensor: Sensor, field: Field) -> Displacement:
+    """Prepare the warp of choice; `prepare` does it and returns what the warp makes of the reference itself."""
+    cubic, quadratic = prepare("cubic"), prepare("quadratic")
+    quadratic_rad2 = _noise_rad2(quadratic, sensor, field)
+    if _noise_rad2(cubic, sensor, field) - quadratic_rad2 < _CUBIC_GAIN_RAD**2:
+        return prepare("cubic")
+    affine = prepare("affine")
+    if quadratic_rad2 - _noise_rad2(affine, sensor, field) < _QUADRATIC_GAIN_RAD**2:
+        return prepare("quadratic")
+    return affine
+
+
+def _noise_rad2(displacement: Displacement, sensor: Sensor, field: Field) -> float:
+    """Mean variance of the views' wavefronts, rad^2, that these displacements' covariance makes."""
+    lattice_count = pupil_modes(sensor, "legendre", None).values.shape[0]
+    solver = ModalSolver(pupil_modes(sensor, "legendre", min(_PUPIL_MODES, lattice_count)), is_smooth=False)
+    slopes = displacement.coefficients * sensor.slope_per_px
+    covariance = displacement.covariance * sensor.slope_per_px**2
+    wavefront = Wavefront.of(field, displacement, solver(slopes, covariance, displacement.valid))
+    return float(np.nanmean(wavefront.sigma() ** 2))
