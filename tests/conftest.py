@@ -5,9 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from optics import SmallBench
+
+if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
+    from gui_bench import FakeCamera
+    from PyQt6.QtWidgets import QApplication
+    from pytestqt.qtbot import QtBot
+    from window_tools import MakeWindow
+
+    from app.gui.main_window import MainWindow
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -34,6 +43,28 @@ def small_toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bench") / "small.toml"
     path.write_text(SMALL_TOML)
     return path
+
+
+@pytest.fixture
+def make_window(qapp: QApplication) -> Iterator[MakeWindow]:
+    """Make windows; see `window_tools.windows`."""
+    from window_tools import windows  # noqa: PLC0415 - only where a window is wanted
+
+    with windows(qapp) as make:
+        yield make
+
+
+@pytest.fixture
+def live(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, FakeCamera]:
+    """A window with live wavefronts."""
+    from gui_bench import FakeCamera  # noqa: PLC0415 - only where a window is wanted
+    from window_tools import wait_for_wavefront  # noqa: PLC0415 - likewise
+
+    camera = FakeCamera()
+    window = make_window(camera)
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    return window, camera
 
 
 SMALL_TOML = """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from optics import FIELD, sensor_of
@@ -10,6 +12,7 @@ from reconstruction.comparison import compare
 from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats
+from reconstruction.modal import ModalSolver
 from reconstruction.pupil_modes import pupil_modes
 from reconstruction.wavefront import Wavefront, without_piston
 from reconstruction.zonal import ZonalSolution
@@ -34,23 +37,30 @@ def displacement() -> Displacement:
     )
 
 
-class Tilted:
-    """A solution with the bowl's tilt alone."""
-
-    def wavefront(self, field_modes: Floats) -> Floats:
-        return np.asarray((field_modes[..., 0] + field_modes[..., 1])[..., None, None] * 800 * V)
-
-
 def over_the_field(phase: Floats) -> Floats:
     return np.tile(1 + np.array([-5, 0, 5])[:, None, None] / 6, (3, 1, 1, 1)) * without_piston(phase)
 
 
 def test_modal_is_compared_with_the_slopes_integrated() -> None:
     modes = pupil_modes(SENSOR, "legendre", 3)  # piston and tilt alone: the fit misses the curvature
-    found = compare(Wavefront.of(FIELD, displacement(), Tilted()), SENSOR, modes)
+    measured = displacement()
+    slopes = measured.coefficients * SENSOR.slope_per_px
+    solution = ModalSolver(modes)(slopes, diagonal_covariance(slopes**2), measured.valid)
+    found = compare(Wavefront.of(FIELD, measured, solution), SENSOR, modes)
     np.testing.assert_allclose(found.measured, over_the_field(BOWL), atol=1e-9)
     np.testing.assert_allclose(found.fitted, over_the_field(800 * V), atol=1e-9)
     np.testing.assert_allclose(found.difference, over_the_field(BOWL - 800 * V), atol=1e-9)
+
+
+def test_fit_that_says_all_leaves_nothing() -> None:
+    modes = pupil_modes(SENSOR, "legendre", 10)
+    coefficients = np.zeros((7, 9, 1, 2))
+    coefficients[:, :, 0] = modes.gradients[8] / SENSOR.slope_per_px  # a cubic: zonal integration only comes near it
+    measured = replace(displacement(), modes=LegendreModes(1), coefficients=coefficients)
+    solution = ModalSolver(modes)(modes.gradients[8][:, :, None], diagonal_covariance(coefficients), measured.valid)
+    found = compare(Wavefront.of(FIELD, measured, solution), SENSOR, modes)
+    np.testing.assert_allclose(found.difference, 0, atol=1e-9)
+    np.testing.assert_allclose(found.measured[0, 0], without_piston(modes.values[8]), atol=1e-9)
 
 
 def test_zonal_is_compared_with_the_modes_that_fit_it_best() -> None:

@@ -33,6 +33,9 @@ class Tilting:
         x, y = field_modes[..., 1, None, None], field_modes[..., 2, None, None]
         return np.asarray(self.along_x * x * U + self.along_y * y * V)
 
+    def sigma(self, field_modes: Floats) -> Floats:
+        return np.zeros((*field_modes.shape[:-1], ROWS, COLUMNS))
+
 
 def wavefront(along_x: float, along_y: float, field: Field = FIELD) -> Wavefront:
     zeros = np.zeros((ROWS, COLUMNS, 3, 2))

@@ -6,7 +6,6 @@ Whatever the user wants becomes a command that the acquisition's worker executes
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from dataclasses import replace
@@ -22,8 +21,12 @@ from PyQt6.QtWidgets import QMainWindow, QSplitter, QVBoxLayout, QWidget
 from app.acquisition import Acquisition, Activity, Measurement
 from app.errors import InputError, RunError
 from app.gui import commands
+from app.gui.advice import advice
+from app.gui.analysis import Quantity
+from app.gui.analysis_panel import AnalysisPanel
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
+from app.gui.live_analysis import LiveAnalysis
 from app.gui.menu import fill_menus
 from app.gui.message_strip import MessageStrip
 from app.gui.status_line import StatusLine
@@ -33,7 +36,6 @@ from app.routines import Cancelled
 from app.start_up import FRAMES, start_up
 
 _LOOK_INTERVAL_MS = 40
-_SLOW_S = 1.0  # a frame that is shown for longer is explained
 _LOOKS_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 _CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it; the light is on until then
 
@@ -61,9 +63,12 @@ class MainWindow(QMainWindow):
 
         self.camera_panel = CameraPanel()
         self.wavefront_panel = WavefrontPanel()
+        self.analysis_panel = AnalysisPanel()
         self.controls = ControlsPanel(FRAMES)
         self.messages = MessageStrip()
         self.status_line = StatusLine()
+        self._analysis = LiveAnalysis(self.wavefront_panel, self.analysis_panel, self)
+        self._analysis.failed.connect(self.messages.warn)
         self._lay_out()
         self._connect_intents()
         self._fill_menus()
@@ -125,6 +130,7 @@ class MainWindow(QMainWindow):
         wavefront = measurement.wavefront
         self.camera_panel.show_frame(measurement.frame, None if wavefront is None else wavefront.displacement)
         self.wavefront_panel.show_wavefront(wavefront)
+        self._analysis.show_wavefront(wavefront)
         self.status_line.count(measurement)
         if is_first:
             self.update_text()
@@ -135,6 +141,7 @@ class MainWindow(QMainWindow):
         self._status = status
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
         self.controls.show_status(status, is_settled=not self._pending)
+        self._analysis.show_bench(status.bench)
         self.camera_panel.show_running(is_running=status.is_running)
         self.camera_panel.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
 
@@ -149,7 +156,7 @@ class MainWindow(QMainWindow):
             failure=self.failure,
             problem=measurement.problem if is_live and measurement is not None else "",
             warning="" if status is None or self._activity.text else status.warning,
-            advice=_advice(status, self._activity, measurement),
+            advice=advice(status, self._activity, measurement),
         )
 
     def save_screenshot(self, path: Path | None = None) -> bool:
@@ -167,6 +174,7 @@ class MainWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off and let go of the devices."""
         self._timer.stop()
+        self._analysis.close()
         self.hide()
         if self._acquisition is not None:
             self._acquisition.close(timeout_s=_CLOSING_S)
@@ -175,10 +183,16 @@ class MainWindow(QMainWindow):
 
     def _lay_out(self) -> None:
         self.setWindowTitle("svwfs")
-        self.setMinimumSize(900, 600)  # smaller, and the captions under the views have no room
+        self.setMinimumSize(900, 640)  # smaller, and captions and plots have no room
         self.resize(1440, 900)
+        left = QSplitter(Qt.Orientation.Vertical)
+        left.addWidget(self.camera_panel)
+        left.addWidget(self.analysis_panel)
+        left.setSizes([1000, 450])
+        left.setHandleWidth(10)
+        left.setChildrenCollapsible(False)
         images = QSplitter(Qt.Orientation.Horizontal)
-        images.addWidget(self.camera_panel)
+        images.addWidget(left)
         images.addWidget(self.wavefront_panel)
         images.setSizes([1000, 1000])
         images.setHandleWidth(16)
@@ -214,9 +228,17 @@ class MainWindow(QMainWindow):
                     ("Lattice", "G", camera.lattice_toggle.toggle),
                     ("Arrows", "A", camera.arrows_toggle.toggle),
                     ("Hold the colour scale", "H", self.wavefront_panel.hold_scale.toggle),
+                    ("MTF and isoplanatism", "I", self._toggle_analysis),
+                    *(
+                        (f"{quantity} over the field", str(index + 1), partial(self.wavefront_panel.choose, quantity))
+                        for index, quantity in enumerate(Quantity)
+                    ),
                 ),
             },
         )
+
+    def _toggle_analysis(self) -> None:
+        self.analysis_panel.setVisible(not self.analysis_panel.isVisible())
 
     def _connect_intents(self) -> None:
         controls = self.controls
@@ -268,18 +290,3 @@ class MainWindow(QMainWindow):
                 self.messages.warn("cancelled")
             except Exception as error:  # noqa: BLE001 - whatever it is, it is told
                 self.messages.warn(str(error))
-
-
-def _advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
-    if activity.text:
-        return f"{activity.text}: Esc cancels" if status is not None else activity.text
-    if status is None:
-        return ""
-    if not status.is_running:
-        return "the camera is stopped: Space starts it"
-    if (
-        measurement is not None
-        and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s
-    ):
-        return "the next frame is still being reconstructed; whatever is asked for now is done after it"
-    return "F1 shows keys and conventions"

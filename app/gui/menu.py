@@ -21,6 +21,9 @@ moves towards <b>+x</b>: displacement&nbsp;=&nbsp;(f/k)&nbsp;d&phi;/dx.</p>
 All share one colour scale. <b>RMS</b> and <b>PV</b> are taken over its valid lenslets.</p>
 <p>A lenslet that could not be measured is <b>hatched</b>, and crossed out in red on the camera image:
 it has no value, not the value zero.</p>
+<p>Instead of the wavefront the tiles can show what follows from it: the point-spread function (<b>1</b> is the peak
+without aberration, the middle is the Strehl ratio), what was measured, fitted, and their difference, and the
+standard deviation. A click or the arrow keys select the view whose modulation transfer is plotted.</p>
 <p>Arrows show the displacement of each lenslet's light averaged over the field, magnified as written.</p>
 """
 

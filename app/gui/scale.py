@@ -21,15 +21,15 @@ class SteppedScale:
     def __init__(self, steps: tuple[float, ...]) -> None:
         """Take values from `steps` within a decade, times any power of ten."""
         self._steps = steps
-        self._follows = False  # whether it has ever been told anything
+        self.is_set = False  # whether it has ever been told anything
         self.value = 1.0
 
     def follow(self, needed: float) -> float:
         """Make room for `needed`; what is no positive number changes nothing."""
         if not (math.isfinite(needed) and needed > 0):
             return self.value
-        if needed > self.value or not self._follows:
-            self._follows = True
+        if needed > self.value or not self.is_set:
+            self.is_set = True
             self.value = step_above(needed, self._steps)
         else:
             self.value = min(self.value, step_above(needed / _SLACK, self._steps))

@@ -2,60 +2,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
-import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, QPoint, QRect, QSize, Qt
-from PyQt6.QtGui import QHelpEvent, QImage, QPainter, QPaintEvent
+from PyQt6.QtCore import QEvent, QPoint, QRect, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
+from app.gui.colours import ColourScale, Pixels
 from reconstruction.geometry import Floats
 
 _GAP = 10
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, what is left of it, and right of it up to its numbers
-_BAR_FRACTIONS = (1.0, 0.5, 0.0, -0.5, -1.0)  # of the limit: where it has numbers
 _SMALLEST_CAPTIONED = 48  # px: narrower views have no room for a number; their tool tips tell it
-_COLOURS: np.ndarray[tuple[int, int], np.dtype[np.uint8]] = pg.colormap.get("CET-D1").getLookupTable(nPts=255)
-_ARGB = np.uint32(0xFF000000) | (_COLOURS.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
+_MARGIN = 3  # px around all views, for the frame of the selected one
+_STEPS = {
+    Qt.Key.Key_Left: (0, -1),
+    Qt.Key.Key_Right: (0, 1),
+    Qt.Key.Key_Up: (-1, 0),
+    Qt.Key.Key_Down: (1, 0),
+}
+
+
+Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each in several wordings, the longest first
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Maps:
+    """A map for every view; what is NaN in it is hatched."""
+
+    values: Floats  # (view_row, view_column, row, column)
+    scale: ColourScale
+    describe: Callable[[int, int, float], str]  # the row, column and value of a map's pixel, in words
+    is_smooth: bool = False  # whether the pixels are samples of something smooth, not lenslets
 
 
 class ViewGrid(QWidget):
-    """Paints every view as a map of its lenslets; a lenslet of which nothing is known is hatched."""
+    """Paints a map of every view, side by side as the views lie in the field; one view is selected."""
+
+    selected = pyqtSignal(int, int)  # view row and column
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._views: Floats | None = None
-        self._limit_rad = 1.0
+        self._maps: Maps | None = None
+        self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._number_width = 0  # px
-        self._captions: Mapping[tuple[int, int], tuple[str, str]] = {}
+        self._captions: Mapping[tuple[int, int], Caption] = {}
+        self._selection: tuple[int, int] | None = None
         self.setMinimumSize(260, 220)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
     @property
-    def limit_rad(self) -> float:
-        """Where the colour scale ends on either side of zero."""
-        return self._limit_rad
+    def maps(self) -> Maps | None:
+        """What is shown; None when nothing is."""
+        return self._maps
 
     @property
-    def captions(self) -> Mapping[tuple[int, int], tuple[str, str]]:
-        """The two lines under each view (view_row, view_column)."""
+    def captions(self) -> Mapping[tuple[int, int], Caption]:
+        """What is written under each view (view_row, view_column)."""
         return self._captions
 
-    def show_views(self, views: Floats, limit_rad: float) -> None:
-        """Show wavefronts (view_row, view_column, lenslet_row, lenslet_column), rad, on the scale -limit ... +limit."""
-        self._views, self._limit_rad = views, limit_rad
-        numbers = (_signed(fraction * limit_rad) for fraction in _BAR_FRACTIONS)
+    def show_maps(self, maps: Maps) -> None:
+        """Show a map of every view."""
+        self._maps, self._pixels = maps, maps.scale.pixels(maps.values)
+        numbers = (text for _, text in maps.scale.ticks)
         self._number_width = max(self.fontMetrics().horizontalAdvance(number) for number in numbers) + 1
         self.update()
 
     def show_nothing(self) -> None:
         """Show that there is no wavefront now."""
-        self._views = None
+        self._maps = None
         self.update()
 
-    def set_captions(self, captions: Mapping[tuple[int, int], tuple[str, str]]) -> None:
-        """Write two lines under each view (view_row, view_column)."""
+    def select(self, view: tuple[int, int] | None) -> None:
+        """Frame a view (view_row, view_column), or none."""
+        self._selection = view
+        self.update()
+
+    def set_captions(self, captions: Mapping[tuple[int, int], Caption]) -> None:
+        """Write two lines under each view (view_row, view_column), in the longest wording there is room for."""
         if captions != self._captions:
             self._captions = captions
             self.update()
@@ -68,22 +95,24 @@ class ViewGrid(QWidget):
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint all views."""
         painter = QPainter(self)
-        if self._views is None:
+        maps = self._maps
+        if maps is None:
             painter.setPen(theme.DIM)
             painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, "no wavefront")
             return
-        pixels = _argb(self._views, self._limit_rad)
         hatching = theme.hatching()
-        for row, column in np.ndindex(self._views.shape[:2]):
-            tile, view = self.tile(row, column), pixels[row, column]
-            if not view.all():  # something is transparent
+        for row, column in np.ndindex(self._pixels.shape[:2]):
+            tile, view = self.tile(row, column), self._pixels[row, column]
+            is_known = view.all()  # what is transparent is not
+            if not is_known:
                 painter.fillRect(tile, theme.RAISED)
                 painter.fillRect(tile, hatching)
-            image = QImage(view.tobytes(), view.shape[1], view.shape[0], 4 * view.shape[1], QImage.Format.Format_ARGB32)
-            painter.drawImage(tile, image)
+            painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, maps.is_smooth and bool(is_known))
+            painter.drawImage(tile, _image(view))
         if self._has_captions():
             self._paint_captions(painter)
-        self._paint_color_bar(painter)
+        self._paint_selection(painter)
+        self._paint_color_bar(painter, maps)
 
     def event(self, event: QEvent | None) -> bool:
         """Say what lies under the pointer when it rests."""
@@ -92,78 +121,97 @@ class ViewGrid(QWidget):
             return True
         return super().event(event)
 
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Ask for the view under the pointer to be selected."""
+        if event is not None and (view := self._view_at(event.pos())) is not None:
+            self.selected.emit(*view)
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Ask for the neighbour of the selected view to be selected."""
+        if event is None:
+            return
+        step = _STEPS.get(Qt.Key(event.key()))
+        if step is None or self._selection is None or self._maps is None:
+            super().keyPressEvent(event)
+            return
+        row, column = self._selection[0] + step[0], self._selection[1] + step[1]
+        if 0 <= row < self._maps.values.shape[0] and 0 <= column < self._maps.values.shape[1]:
+            self.selected.emit(row, column)
+
+    def _view_at(self, position: QPoint) -> tuple[int, int] | None:
+        if self._maps is None:
+            return None
+        views = np.ndindex(self._maps.values.shape[:2])
+        return next(((row, column) for row, column in views if self.tile(row, column).contains(position)), None)
+
     def _value_at(self, position: QPoint) -> str:
-        if self._views is None:
+        view = self._view_at(position)
+        if self._maps is None or view is None:
             return ""
-        for row, column in np.ndindex(self._views.shape[:2]):
-            tile, view = self.tile(row, column), self._views[row, column]
-            if tile.contains(position):
-                inside = position - tile.topLeft()
-                lenslet_row = inside.y() * view.shape[0] // tile.height()
-                lenslet_column = inside.x() * view.shape[1] // tile.width()
-                value = view[lenslet_row, lenslet_column]
-                text = f"{value:+.2f} rad" if np.isfinite(value) else "nothing is known here: the lenslet is lost"
-                caption = "\n".join(self._captions.get((row, column), ()))
-                return f"Lenslet row {lenslet_row}, column {lenslet_column}: {text}\n{caption}".strip()
-        return "Phase in rad, piston removed. Hatched: nothing is known there."
+        tile, values = self.tile(*view), self._maps.values[view]
+        inside = position - tile.topLeft()
+        row = inside.y() * values.shape[0] // tile.height()
+        column = inside.x() * values.shape[1] // tile.width()
+        text = self._maps.describe(row, column, float(values[row, column]))
+        return "\n".join([text, *(wordings[0] for wordings in self._captions.get(view, ()))])
 
     def _has_captions(self) -> bool:
         return self._layout(captions=True)[1].width() >= _SMALLEST_CAPTIONED
 
     def _layout(self, *, captions: bool | None = None) -> tuple[QPoint, QSize, QSize]:
         """Return the first view's corner, the size of each, and the step from one to the next."""
-        if self._views is None:
+        if self._maps is None:
             return QPoint(), QSize(), QSize()
-        view_rows, view_columns, lenslet_rows, lenslet_columns = self._views.shape
+        view_rows, view_columns, rows, columns = self._maps.values.shape
         has_captions = self._has_captions() if captions is None else captions
         bar_space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
         below = 2 * self.fontMetrics().height() + 4 if has_captions else 0
         gap = _GAP if has_captions else 3
-        width = (self.width() - bar_space - (view_columns - 1) * gap) / view_columns
-        height = (self.height() - (view_rows - 1) * gap) / view_rows - below
-        scale = max(min(width / lenslet_columns, height / lenslet_rows), 0)
-        size = QSize(int(scale * lenslet_columns), int(scale * lenslet_rows))
+        width = (self.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
+        height = (self.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
+        scale = max(min(width / columns, height / rows), 0)
+        size = QSize(int(scale * columns), int(scale * rows))
         step = QSize(size.width() + gap, size.height() + below + gap)
         used = QSize(view_columns * step.width() - gap + bar_space, view_rows * step.height() - gap)
-        first = QPoint(max(self.width() - used.width(), 0) // 2, max(self.height() - used.height(), 0) // 2)
-        return first, size, step
+        left, top = (self.width() - used.width()) // 2, (self.height() - used.height()) // 2
+        return QPoint(max(left, _MARGIN), max(top, _MARGIN)), size, step
 
     def _paint_captions(self, painter: QPainter) -> None:
-        line = self.fontMetrics().height()
-        for (row, column), texts in self._captions.items():
+        metrics = self.fontMetrics()
+        line = metrics.height()
+        for (row, column), lines in self._captions.items():
             tile = self.tile(row, column)
-            for index, (text, colour) in enumerate(zip(texts, (theme.TEXT, theme.DIM), strict=True)):
+            for index, (wordings, colour) in enumerate(zip(lines, (theme.TEXT, theme.DIM), strict=True)):
+                fitting = (text for text in wordings if metrics.horizontalAdvance(text) <= tile.width())
                 painter.setPen(colour)
                 place = QRect(tile.left(), tile.bottom() + 3 + index * line, tile.width(), line)
-                fitting = self.fontMetrics().elidedText(text, Qt.TextElideMode.ElideRight, tile.width())
-                painter.drawText(place, Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignVCenter, fitting)
+                painter.drawText(place, Qt.AlignmentFlag.AlignCenter, next(fitting, ""))
 
-    def _paint_color_bar(self, painter: QPainter) -> None:
-        if self._views is None:
+    def _paint_selection(self, painter: QPainter) -> None:
+        if self._selection is None:
             return
-        top = self.tile(0, self._views.shape[1] - 1)
-        bottom = self.tile(self._views.shape[0] - 1, self._views.shape[1] - 1)
+        painter.setPen(QPen(theme.ACCENT, 2))
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.drawRect(self.tile(*self._selection).adjusted(-1, -1, 1, 1))
+
+    def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
+        view_rows, view_columns = maps.values.shape[:2]
+        top, bottom = self.tile(0, view_columns - 1), self.tile(view_rows - 1, view_columns - 1)
         line = self.fontMetrics().height()
         bar = QRect(top.right() + _BAR_MARGIN, top.top() + line + 4, _BAR_WIDTH, bottom.bottom() - top.top() - line - 3)
-        ramp = np.ascontiguousarray(_ARGB[::-1, None])
-        painter.drawImage(bar, QImage(ramp.tobytes(), 1, len(ramp), 4, QImage.Format.Format_ARGB32))
+        painter.drawImage(bar, _image(maps.scale.bar[::-1, None]))
         painter.setPen(theme.TEXT)
-        painter.drawText(QRect(bar.left(), top.top(), self.width(), line), Qt.AlignmentFlag.AlignVCenter, "rad")
-        for fraction in _BAR_FRACTIONS:
-            y = bar.top() + round((1 - fraction) / 2 * (bar.height() - 1))
+        title = QRect(bar.left(), top.top(), self.width(), line)
+        painter.drawText(title, Qt.AlignmentFlag.AlignVCenter, maps.scale.title)
+        for fraction, text in maps.scale.ticks:
+            y = bar.top() + round((1 - fraction) * (bar.height() - 1))
             text_y = min(max(y - line // 2, bar.top() - 2), bar.bottom() + 2 - line)
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
             place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
-            painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, _signed(fraction * self._limit_rad))
+            painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
 
 
-def _signed(value_rad: float) -> str:
-    return f"{value_rad:+g}".replace("-", "\N{MINUS SIGN}") if value_rad else "0"
-
-
-def _argb(views: Floats, limit_rad: float) -> np.ndarray[tuple[int, ...], np.dtype[np.uint32]]:
-    """Colour wavefronts (..., lenslet_row, lenslet_column); what is NaN stays transparent."""
-    known = np.isfinite(views)
-    fraction = np.clip(np.where(known, views, 0) / limit_rad, -1, 1)
-    index = np.rint((fraction + 1) / 2 * (len(_ARGB) - 1)).astype(np.intp)
-    return np.where(known, _ARGB[index], np.uint32(0))
+def _image(pixels: Pixels) -> QImage:
+    """A picture of pixels (row, column)."""
+    rows, columns = pixels.shape
+    return QImage(np.ascontiguousarray(pixels).tobytes(), columns, rows, 4 * columns, QImage.Format.Format_ARGB32)

@@ -1,34 +1,47 @@
-"""The wavefront at every view of the field, side by side as the views lie in the field, on one colour scale."""
+"""The wavefront at every view of the field, or what follows from it, side by side as the views lie in the field."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
+from app.gui.analysis import Analysis, Quantity
+from app.gui.quantities import PRESENTATIONS, Presentation, place
 from app.gui.scale import RANGES, SteppedScale
-from app.gui.view_grid import ViewGrid
+from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, label, toggle
 from reconstruction.geometry import Floats
-from reconstruction.wavefront import Wavefront, peak_to_valley, rms
-
-_FINEST_RAD = 0.01  # no finer scale: it would show noise in full colours
-_SHOWN_PERCENT = 99.5  # of the lenslets lie within the colour scale
+from reconstruction.wavefront import Wavefront
 
 
 class WavefrontPanel(QWidget):
-    """Shows wavefronts; where none is known it says so."""
+    """Shows the quantity that is chosen; where there is none it says so."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._wavefront: Wavefront | None = None
-        self._limit = SteppedScale(RANGES)
+        self._shown: tuple[Quantity, Floats] | None = None  # the maps in the grid
+        self._limits = {one.family: SteppedScale(RANGES) for one in PRESENTATIONS.values()}
+        self._reach_mrad = SteppedScale(RANGES)  # of point-spread functions
+        self._choice = QComboBox()
+        self._choice.addItems(list(Quantity))
+        for index, quantity in enumerate(Quantity):
+            tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
+            self._choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
+        self._choice.setToolTip("What is shown of every view (keys 1 to 6)")
+        self._choice.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self._choice.currentIndexChanged.connect(self._change_quantity)
         self._summary = ElidedLabel("dim")
         self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.hold_scale = toggle("Hold scale", "Keep the colour scale, instead of letting it follow (H)")
         self.grid = ViewGrid()
         header = QHBoxLayout()
-        header.addWidget(label("Wavefront over the field", "title"))
+        header.addWidget(self._choice)
+        header.addWidget(label("over the field", "title"))
         header.addWidget(self._summary, 1)
         header.addSpacing(12)
         header.addWidget(self.hold_scale)
@@ -37,50 +50,99 @@ class WavefrontPanel(QWidget):
         layout.addLayout(header)
         layout.addWidget(self.grid, 1)
 
+    @property
+    def quantity(self) -> Quantity:
+        """What the grid is to show."""
+        return Quantity(self._choice.currentText())
+
+    @property
+    def reach_rad(self) -> float | None:
+        """How far point-spread functions are to be shown; None until it is known how far there is light."""
+        return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
+
+    def choose(self, quantity: Quantity) -> None:
+        """Show another quantity."""
+        self._choice.setCurrentText(quantity)
+
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
-        """Show the views of a wavefront, or that there is none."""
+        """Show the views of a wavefront, or that there is none; what follows from it comes by `show_analysis`."""
         if wavefront is None and self._wavefront is None:
             return
         self._wavefront = wavefront
-        if wavefront is not None:
-            if not self.hold_scale.isChecked():
-                self._limit.follow(max(_reach(wavefront.views), _FINEST_RAD))
-            self.grid.show_views(wavefront.views, self._limit.value)
+        if wavefront is None:
+            self._show_nothing()
+        elif self.quantity is Quantity.WAVEFRONT:
+            self._show(wavefront.views, _describe_lenslet)
+
+    def show_analysis(self, analysis: Analysis) -> None:
+        """Show the maps that were asked for, unless something else is wanted by now."""
+        is_wanted = analysis.question.quantity is self.quantity is not Quantity.WAVEFRONT
+        if self._wavefront is None or not is_wanted:
+            return
+        if analysis.maps is None:
+            self._show_nothing()
+        elif self.quantity is Quantity.PSF:
+            self._follow(self._reach_mrad, analysis.light_reach_rad * 1e3)
+            self._show(analysis.maps, partial(_describe_angle, analysis), is_smooth=True)
+            self.update_text()
         else:
-            self.grid.show_nothing()
+            self._show(analysis.maps, _describe_lenslet)
+            self.update_text()
 
     def update_text(self) -> None:
         """Write the numbers under the views."""
-        if self._wavefront is None:
+        if self._shown is None or self._wavefront is None:
             self._summary.setText("")
             self.grid.set_captions({})
             return
-        views, field = self._wavefront.views, self._wavefront.field
-        rms_rad, pv_rad = rms(views), peak_to_valley(views)
-        x, y = ([_millimetres(float(at_m)) for at_m in axis] for axis in (field.view_x_m, field.view_y_m))
+        quantity, maps = self._shown
+        presentation, field = PRESENTATIONS[quantity], self._wavefront.field
         self.grid.set_captions(
             {
                 (row, column): (
-                    f"RMS {_number(float(rms_rad[row, column]))}   PV {_number(float(pv_rad[row, column]))}",
-                    f"x {x[column]}  y {y[row]} mm",
+                    presentation.caption(maps[row, column]),
+                    place(float(field.view_x_m[column]), float(field.view_y_m[row])),
                 )
-                for row, column in np.ndindex(views.shape[:2])
+                for row, column in np.ndindex(maps.shape[:2])
             }
         )
-        known_rad = rms_rad[np.isfinite(rms_rad)]  # a view outside the field has none
-        mean_rad = float(np.mean(known_rad)) if known_rad.size else np.nan
-        self._summary.setText(f"mean RMS {_number(mean_rad)} rad")
+        reach = f"\N{PLUS-MINUS SIGN}{self._reach_mrad.value:g} mrad; " if quantity is Quantity.PSF else ""
+        self._summary.setText(reach + presentation.summary(maps))
+        self._summary.setToolTip(self._summary.text())
+
+    def _change_quantity(self) -> None:
+        if self._wavefront is None:
+            self._show_nothing()
+        else:
+            self.show_wavefront(self._wavefront)
+            self.update_text()
+
+    def _show(
+        self, maps: Floats, describe: Callable[[Presentation, int, int, float], str], *, is_smooth: bool = False
+    ) -> None:
+        presentation = PRESENTATIONS[self.quantity]
+        limit = self._limits[presentation.family]
+        self._follow(limit, max(presentation.limit(maps), presentation.finest))
+        self._shown = (self.quantity, maps)
+        self.grid.show_maps(Maps(maps, presentation.scale(limit.value), partial(describe, presentation), is_smooth))
+
+    def _follow(self, scale: SteppedScale, needed: float) -> None:
+        if not (self.hold_scale.isChecked() and scale.is_set):
+            scale.follow(needed)
+
+    def _show_nothing(self) -> None:
+        self._shown = None
+        self.grid.show_nothing()
+        self.update_text()
 
 
-def _reach(views: Floats) -> float:
-    """How far the colour scale must reach, rad; NaN where nothing is known."""
-    known = np.abs(views[np.isfinite(views)])
-    return float(np.percentile(known, _SHOWN_PERCENT)) if known.size else np.nan
+def _describe_lenslet(presentation: Presentation, row: int, column: int, value: float) -> str:
+    text = presentation.value.format(value) if np.isfinite(value) else "nothing is known here: the lenslet is lost"
+    return f"Lenslet row {row}, column {column}: {text}"
 
 
-def _number(value_rad: float) -> str:
-    return f"{value_rad:.2f}" if np.isfinite(value_rad) else "\N{EN DASH}"
-
-
-def _millimetres(position_m: float) -> str:
-    return f"{position_m * 1e3:+.2f}".replace("-", "\N{MINUS SIGN}").replace("+0.00", "0")
+def _describe_angle(analysis: Analysis, presentation: Presentation, row: int, column: int, value: float) -> str:
+    if analysis.maps is None or not np.isfinite(value):
+        return "nothing is known here"
+    angle_mrad = np.linspace(-analysis.reach_rad, analysis.reach_rad, analysis.maps.shape[-1]) * 1e3
+    return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {presentation.value.format(value)}"

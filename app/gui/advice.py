@@ -1,0 +1,26 @@
+"""What to say when nothing is the matter."""
+
+from __future__ import annotations
+
+import time
+
+from app.acquisition import Activity, Measurement
+from app.instrument import Status
+
+_SLOW_S = 1.0  # a frame that is shown for longer is explained
+
+
+def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
+    """Say what is under way, or what the user might do next."""
+    if activity.text:
+        return f"{activity.text}: Esc cancels" if status is not None else activity.text
+    if status is None:
+        return ""
+    if not status.is_running:
+        return "the camera is stopped: Space starts it"
+    if (
+        measurement is not None
+        and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s
+    ):
+        return "the next frame is still being reconstructed; whatever is asked for now is done after it"
+    return "F1 shows keys and conventions"

@@ -1,0 +1,78 @@
+"""The window that nobody watches, or that a signal closes."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from gui_bench import BENCH, FakeCamera, opener
+from PyQt6.QtCore import QTimer
+from PyQt6.QtGui import QColor, QImage
+from PyQt6.QtWidgets import QApplication
+
+from app.acquisition import Acquisition, Measurement
+from app.errors import Interrupted, RunError
+from app.gui.live import run_live
+from drivers.interface import Disconnected
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def test_unattended_run_leaves_a_picture_and_a_result(qapp: QApplication, tmp_path: Path) -> None:
+    camera = FakeCamera()
+    finished: list[Measurement] = []
+    status = run_live(
+        lambda: Acquisition(BENCH, opener(camera)),
+        offscreen_s=0.3,
+        screenshot=tmp_path / "window.png",
+        on_finish=finished.append,
+    )
+    assert status == 0
+    assert finished[0].wavefront is not None
+    image = QImage(str(tmp_path / "window.png"))
+    assert image.width() > 800
+    assert len({QColor(image.pixel(x, image.height() // 2)).rgb() for x in range(0, image.width(), 7)}) > 10
+    assert camera.is_closed
+    assert qapp is QApplication.instance()
+
+
+def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplication) -> None:
+    camera = FakeCamera()
+    camera.fault = Disconnected("no camera was found")
+    with pytest.raises(RunError, match="no camera was found"):
+        run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.3)
+    assert qapp is QApplication.instance()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("offscreen_s", [None, 60.0])
+def test_signal_closes_the_window_and_turns_the_light_off(
+    qapp: QApplication, number: signal.Signals, offscreen_s: float | None
+) -> None:
+    assert qapp is QApplication.instance()
+    camera = FakeCamera()
+    before = signal.getsignal(number)
+    QTimer.singleShot(800, lambda: os.kill(os.getpid(), number))
+    with pytest.raises(Interrupted):
+        run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
+    assert camera.is_closed
+    assert not camera.light.is_on
+    assert signal.getsignal(number) == before
+
+
+def test_unattended_run_whose_window_is_closed_is_no_success(qapp: QApplication, tmp_path: Path) -> None:
+    camera = FakeCamera()
+    finished: list[Measurement] = []
+    QTimer.singleShot(800, qapp.closeAllWindows)
+    with pytest.raises(RunError, match="closed before the run had finished"):
+        run_live(
+            lambda: Acquisition(BENCH, opener(camera)),
+            offscreen_s=60,
+            screenshot=tmp_path / "window.png",
+            on_finish=finished.append,
+        )
+    assert not finished
+    assert not list(tmp_path.iterdir())
+    assert camera.is_closed
