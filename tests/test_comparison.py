@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from optics import FIELD, sensor_of
+from optics import FIELD, SmallBench, sensor_of
 
 from reconstruction.comparison import compare
 from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats
-from reconstruction.modal import ModalSolver
+from reconstruction.isoplanatism import without_tilt
 from reconstruction.pupil_modes import pupil_modes
 from reconstruction.wavefront import Wavefront, without_piston
 from reconstruction.zonal import ZonalSolution
@@ -41,24 +41,23 @@ def over_the_field(phase: Floats) -> Floats:
     return np.tile(1 + np.array([-5, 0, 5])[:, None, None] / 6, (3, 1, 1, 1)) * without_piston(phase)
 
 
-def test_modal_is_compared_with_the_slopes_integrated() -> None:
+def test_modal_is_compared_with_the_slopes(small_bench: SmallBench) -> None:
     modes = pupil_modes(SENSOR, "legendre", 3)  # piston and tilt alone: the fit misses the curvature
-    measured = displacement()
-    slopes = measured.coefficients * SENSOR.slope_per_px
-    solution = ModalSolver(modes)(slopes, diagonal_covariance(slopes**2), measured.valid)
-    found = compare(Wavefront.of(FIELD, measured, solution), SENSOR, modes)
+    wavefront = small_bench.reconstructor(warp="affine", pupil_modes=3).solve(displacement())
+    found = compare(wavefront, SENSOR, modes)
     np.testing.assert_allclose(found.measured, over_the_field(BOWL), atol=1e-9)
-    np.testing.assert_allclose(found.fitted, over_the_field(800 * V), atol=1e-9)
-    np.testing.assert_allclose(found.difference, over_the_field(BOWL - 800 * V), atol=1e-9)
+    np.testing.assert_array_equal(found.fitted, wavefront.views)
+    np.testing.assert_allclose(without_tilt(found.fitted), 0, atol=1e-9)
+    np.testing.assert_allclose(found.fitted + found.difference, found.measured, atol=1e-9)
 
 
-def test_fit_that_says_all_leaves_nothing() -> None:
+def test_fit_that_says_all_leaves_nothing(small_bench: SmallBench) -> None:
     modes = pupil_modes(SENSOR, "legendre", 10)
-    coefficients = np.zeros((7, 9, 1, 2))
+    coefficients = np.zeros((7, 9, 3, 2))
     coefficients[:, :, 0] = modes.gradients[8] / SENSOR.slope_per_px  # a cubic: zonal integration only comes near it
-    measured = replace(displacement(), modes=LegendreModes(1), coefficients=coefficients)
-    solution = ModalSolver(modes)(modes.gradients[8][:, :, None], diagonal_covariance(coefficients), measured.valid)
-    found = compare(Wavefront.of(FIELD, measured, solution), SENSOR, modes)
+    measured = replace(displacement(), coefficients=coefficients)
+    wavefront = small_bench.reconstructor(warp="affine", pupil_modes=10).solve(measured)
+    found = compare(wavefront, SENSOR, modes)
     np.testing.assert_allclose(found.difference, 0, atol=1e-9)
     np.testing.assert_allclose(found.measured[0, 0], without_piston(modes.values[8]), atol=1e-9)
 

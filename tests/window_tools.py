@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 from gui_bench import BENCH, SENSOR, FakeCamera, opener
 from numpy.typing import NDArray
-from PyQt6.QtCore import QEvent, QRect, Qt
+from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
@@ -56,6 +56,10 @@ def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
 
 def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
     qtbot.keyClick(widget, key)  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
+
+
+def click(qtbot: QtBot, widget: QWidget, at: QPoint) -> None:
+    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # likewise
 
 
 def picture(widget: QWidget) -> NDArray[np.uint8]:

@@ -29,12 +29,14 @@ class _Plot(QWidget):
         self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
         self._graphics.setMinimumSize(150, 80)
         self._view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
-        axes = {side: pg.AxisItem(side, linkView=self._view, pen=theme.LINE, textPen=theme.DIM) for side in _SIDES}
+        self._axes = axes = {
+            side: pg.AxisItem(side, linkView=self._view, pen=theme.LINE, textPen=theme.DIM) for side in _SIDES
+        }
         for axis in axes.values():
             axis.enableAutoSIPrefix(enable=False)
             axis.setStyle(tickLength=4, tickTextOffset=3)
         axes["left"].setWidth(30)
-        axes["bottom"].setHeight(34)
+        axes["bottom"].setHeight(38)
         axes["bottom"].setLabel(bottom, color=theme.DIM.name())
         grid = pg.GraphicsLayout()
         grid.setContentsMargins(0, 5, 12, 0)
@@ -80,6 +82,7 @@ class MtfPlot(_Plot):
         )
         self._limits = [self._add_curve(theme.DIM, 1, Qt.PenStyle.DashLine) for _ in "xy"]
         self._curves = [self._add_curve(colour) for colour in (theme.ACCENT, theme.AMBER)]
+        self._axes["left"].setTicks([[(0, "0"), (0.5, "0.5"), (1, "1")]])
         self._set_ranges(1, 1)
 
     def show_transfer(self, transfer: Mtf | None, where: str) -> None:

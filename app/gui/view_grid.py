@@ -177,15 +177,22 @@ class ViewGrid(QWidget):
         return QPoint(max(left, _MARGIN), max(top, _MARGIN)), size, step
 
     def _paint_captions(self, painter: QPainter) -> None:
-        metrics = self.fontMetrics()
-        line = metrics.height()
-        for (row, column), lines in self._captions.items():
-            tile = self.tile(row, column)
-            for index, (wordings, colour) in enumerate(zip(lines, (theme.TEXT, theme.DIM), strict=True)):
-                fitting = (text for text in wordings if metrics.horizontalAdvance(text) <= tile.width())
-                painter.setPen(colour)
+        line = self.fontMetrics().height()
+        for index, colour in enumerate((theme.TEXT, theme.DIM)):
+            wording = self._wording(index)
+            if wording is None:
+                continue
+            painter.setPen(colour)
+            for (row, column), lines in self._captions.items():
+                tile = self.tile(row, column)
                 place = QRect(tile.left(), tile.bottom() + 3 + index * line, tile.width(), line)
-                painter.drawText(place, Qt.AlignmentFlag.AlignCenter, next(fitting, ""))
+                painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
+
+    def _wording(self, line: int) -> int | None:
+        """Which wording of a line has room under all views; None when none has."""
+        width, advance = self._layout()[1].width(), self.fontMetrics().horizontalAdvance
+        by_wording = zip(*(lines[line] for lines in self._captions.values()), strict=True)
+        return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 
     def _paint_selection(self, painter: QPainter) -> None:
         if self._selection is None:
