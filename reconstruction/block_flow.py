@@ -59,7 +59,7 @@ class BlockFlow:
         self._templates = blocks / np.where(norm > 0, norm, 1.0)  # (L, block_row, block_column, row, column)
         self._structure, self._plate = self._prepare_plate()
 
-    def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Compare a frame with the reference; see `displacement.Estimator`."""
         subimages = self._reference.cut(light)
         seen = self._structure @ self._search(subimages)[..., None]

@@ -19,7 +19,8 @@ from reconstruction.displacement import Displacement, Mask, Outcome, diagonal_co
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import SampledModes
 from reconstruction.geometry import Floats, require
-from reconstruction.spline import Image, spline_coefficients
+from reconstruction.judgement import judged
+from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 
 _THRESHOLD = 0.1  # of the star's height above the background
@@ -78,7 +79,7 @@ class Centroids:
             raise ReconstructionError("the reference shows no stars where they are expected: is the pinhole mask in?")
         self._contrast = self._stars.window.std(axis=-1)  # (L, S)
 
-    def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Compare a frame with the reference; see `displacement.Estimator`.
 
         A lenslet that has lost one of its stars yields nothing at all: the others do not say where it went.
@@ -89,7 +90,7 @@ class Centroids:
         shifts = correlation.shape[1]
         best = np.divmod(correlation.reshape(len(window), -1).argmax(axis=1), shifts)
         start_px = before.position_px + (np.stack(best[::-1], axis=-1) - self._search)[:, None, :]
-        after = self._follow(spline_coefficients(light), start_px)
+        after = self._follow(reference.spline(light), start_px)
 
         # The window of the reference's star, as bright as the frame's, is what the frame's should show.
         gain = np.einsum("lsn,lsn->ls", after.window, before.window)
@@ -99,21 +100,15 @@ class Centroids:
         lost = ~(self._are_stars(after, start_px) & self._known & (misfit < _MISFIT))
 
         displacement = np.swapaxes(after.position_px - before.position_px, 1, 2)  # (L, xy, S)
-        faintest = after.height.min(axis=1)
-        outcome = reference.judge(
-            displacement, self._modes, contrast=faintest, diverged=lost.any(axis=1), saturated=saturated
-        )
-        variance = np.broadcast_to(self._variance(after, difference)[:, None], displacement.shape).copy()
-        residual_rms = np.sqrt(np.mean(misfit**2, axis=1))
-        gone = outcome != Outcome.CONVERGED
-        displacement[gone], variance[gone], residual_rms[gone] = np.nan, np.nan, np.nan
-        return Displacement(
-            modes=self._modes,
-            coefficients=np.swapaxes(displacement, 1, 2).reshape(*reference.lenslets, -1, 2),
-            covariance=diagonal_covariance(np.swapaxes(variance, 1, 2).reshape(*reference.lenslets, -1, 2)),
-            outcome=outcome.reshape(reference.lenslets),
-            residual_rms=(residual_rms * reference.contrast / reference.contrast.max()).reshape(reference.lenslets),
-            chi_square=np.full(reference.lenslets, np.nan),
+        variance = np.repeat(self._variance(after, difference)[..., None], 2, axis=-1)  # (L, S, xy)
+        return judged(
+            reference,
+            self._modes,
+            displacement,
+            covariance=diagonal_covariance(variance),
+            residual_rms=np.sqrt(np.mean(misfit**2, axis=1)) * reference.contrast / reference.contrast.max(),
+            contrast=after.height.min(axis=1),
+            faults={Outcome.DIVERGED: lost.any(axis=1), Outcome.SATURATED: reference.touched(saturated)},
         )
 
     def _follow(self, coefficients: Image, start_px: Floats) -> _Stars:

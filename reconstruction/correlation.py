@@ -18,6 +18,7 @@ from reconstruction.displacement import Displacement, Mask, Outcome, diagonal_co
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats, require
+from reconstruction.judgement import judged
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 
@@ -40,7 +41,7 @@ class Correlation:
         self._light = normalised(reference.light.reshape(-1, reference.width, reference.width))
         self._spectrum = correlation_spectrum(self._light)
 
-    def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Compare a frame with the reference; see `displacement.Estimator`."""
         reference = self._reference
         window = reference.cut(light)
@@ -49,23 +50,17 @@ class Correlation:
         residual_rms = np.sqrt(least / pixels)
         variance *= least[:, None] / (pixels - 3)  # what the shift does not explain is taken for noise
 
-        displacement = (shift - self._search)[..., None]
-        outcome = reference.judge(
-            displacement,
+        return judged(
+            reference,
             self._modes,
+            (shift - self._search)[..., None],
+            covariance=diagonal_covariance(variance[:, None]),
+            residual_rms=residual_rms * reference.contrast / reference.contrast.max(),
             contrast=window.std(axis=(1, 2)),
-            diverged=~(found & (residual_rms < _MISFIT)),
-            saturated=saturated,
-        )
-        lost = outcome != Outcome.CONVERGED
-        displacement[lost], variance[lost], residual_rms[lost] = np.nan, np.nan, np.nan
-        return Displacement(
-            modes=self._modes,
-            coefficients=displacement.reshape(*reference.lenslets, 1, 2),
-            covariance=diagonal_covariance(variance.reshape(*reference.lenslets, 1, 2)),
-            outcome=outcome.reshape(reference.lenslets),
-            residual_rms=(residual_rms * reference.contrast / reference.contrast.max()).reshape(reference.lenslets),
-            chi_square=np.full(reference.lenslets, np.nan),
+            faults={
+                Outcome.DIVERGED: ~(found & (residual_rms < _MISFIT)),
+                Outcome.SATURATED: reference.touched(saturated),
+            },
         )
 
     def _mismatch(self, window: Floats) -> tuple[Floats, int]:

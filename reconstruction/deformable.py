@@ -51,7 +51,7 @@ class _Deformable(ABC):
         self._read = FlowReading(reference, modes)
         self._windows = _equally_bright(reference.light.reshape(-1, reference.width, reference.width))
 
-    def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Compare a frame with the reference; see `displacement.Estimator`."""
         subimages = self._reference.cut(light)
         shape = (len(self._reference.offset_px), 2)

@@ -38,6 +38,7 @@ class Displacement:
     outcome: Outcomes  # (lenslet_row, lenslet_column)
     residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN likewise
     chi_square: Floats  # misfit over what the camera's noise makes, squares; NaN likewise, and where it is not known
+    range_used: Floats  # how far the field's edge is displaced over how far it may be; above 1 only where LEFT_CELL
 
     @property
     def valid(self) -> Mask:
@@ -69,9 +70,10 @@ def diagonal_covariance(variance: Floats) -> Floats:
 class Estimator(Protocol):
     """A method of registration, prepared for one reference."""
 
-    def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
         """Compare a frame (row, column), counts above the dark, with the reference.
 
-        `saturated` (row, column) marks the pixels at full scale: a lenslet that sees one yields no displacement.
+        `saturated` (row, column) marks the pixels at full scale. `start`, the displacement of a frame not long before,
+        may save time; it does not change the result.
         """
         ...

@@ -16,6 +16,7 @@ from reconstruction.displacement import Displacement, Mask, Outcome, diagonal_co
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import FieldModes, SampledModes
 from reconstruction.geometry import Floats
+from reconstruction.judgement import judged
 from reconstruction.subimages import ReferenceSubimages
 
 _MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
@@ -102,21 +103,18 @@ def displacement_of(
     contrast: NDArray[np.floating[Any]],
     saturated: Mask,
 ) -> Displacement:
-    """Judge each lenslet and arrange the result on the lattice, NaN where lost.
+    """Judge each lenslet by its misfit and arrange the result on the lattice, NaN where lost.
 
     coefficients c_q, px, (L, xy, Q) and their covariance (L, Q, xy, Q, xy); residual_rms (L,), counts; any of them NaN
     where the method found nothing. contrast (L,) of the frame's subimages; saturated (row, column).
     """
     found = np.isfinite(coefficients).all(axis=(1, 2)) & (residual_rms < _MISFIT * reference.contrast)
-    outcome = reference.judge(coefficients, modes, contrast=contrast, diverged=~found, saturated=saturated)
-    lost = outcome != Outcome.CONVERGED
-    coefficients = np.where(lost[:, None, None], np.nan, np.swapaxes(coefficients, 1, 2))
-    covariance = np.where(lost[:, None, None, None, None], np.nan, covariance)
-    return Displacement(
-        modes=modes,
-        coefficients=coefficients.reshape(*reference.lenslets, *coefficients.shape[1:]),
-        covariance=covariance.reshape(*reference.lenslets, *covariance.shape[1:]),
-        outcome=outcome.reshape(reference.lenslets),
-        residual_rms=np.where(lost, np.nan, residual_rms / reference.contrast.max()).reshape(reference.lenslets),
-        chi_square=np.full(reference.lenslets, np.nan),
+    return judged(
+        reference,
+        modes,
+        coefficients,
+        covariance=covariance,
+        residual_rms=residual_rms / reference.contrast.max(),
+        contrast=contrast,
+        faults={Outcome.DIVERGED: ~found, Outcome.SATURATED: reference.touched(saturated)},
     )

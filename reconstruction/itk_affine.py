@@ -45,7 +45,7 @@ class ItkAffine:
         every = np.ones(len(reference.offset_px), np.bool_)
         self._covariance = prepare_template(reference, self._modes, every, conserve_flux=False).per_pixel.covariance
 
-    def __call__(self, light: Image, *, saturated: Mask) -> Displacement:
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Compare a frame with the reference; see `displacement.Estimator`."""
         reference = self._reference
         subimages = reference.cut(light)

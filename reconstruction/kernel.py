@@ -1,15 +1,23 @@
-"""The compiled inner loop of the registration: Gauss-Newton steps of one lenslet after another.
+"""The compiled inner loop of the registration: what a frame shows where a warped window lands.
 
-It releases the interpreter's lock, so that threads can share the lenslets; the mathematics is in `registration`.
+A warp is a pair of cubic polynomials of the normalised position (u, v) in the window, with the ten monomials
+
+    1, u, v, u^2, uv, v^2, u^3, u^2 v, u v^2, v^3
+
+for x and for y: so positions and their derivatives cost a few operations a pixel. All compiled code releases the
+interpreter's lock, so that threads can share the lenslets.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.geometry import Floats
 from reconstruction.spline import Image
@@ -17,117 +25,148 @@ from reconstruction.spline import Image
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_COMPILED_FILES = ("kernel", "alignment", "search", "lenslet_fits")
+_SOURCES = hashlib.sha256(
+    b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _COMPILED_FILES)
+).hexdigest()
+
+MONOMIALS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))  # powers of u and v
+_ONE, _TWO, _THREE, _HALF = np.float32(1.0), np.float32(2.0), np.float32(3.0), np.float32(0.5)
+_SIXTH, _TWO_THIRDS = np.float32(1 / 6), np.float32(2 / 3)
+_NEXT, _NEXT_BUT_ONE, _LAST = np.uint64(1), np.uint64(2), np.uint64(3)  # columns of a 4 x 4 neighbourhood
+
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile with Numba on the first call and keep the result on disk; a typed face for an untyped decorator."""
-    compile_function = numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
-    return cast("Callable[P, R]", compile_function(function))
+    dispatcher: Any = numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")(
+        function
+    )
+    # Numba looks for changes in the function's own file alone, but keeps with it what it calls in the others.
+    dispatcher._cache._cache_file._source_stamp = _SOURCES  # noqa: SLF001 - there is no public way to say so
+    return cast("Callable[P, R]", dispatcher)
+
+
+class Scratch(NamedTuple):
+    """Where one thread keeps what it knows of the N pixels of a window."""
+
+    x: Image  # where each pixel lands on the camera, px, (N,)
+    y: Image
+    light: Image  # what the frame shows there, times the stretch of the warp: light is spread thinner, counts, (N,)
+    corner: NDArray[np.uint64]  # flat index of the first of the 4 x 4 coefficients about it, (N,)
+    weights: Image  # of the four columns and the four rows of coefficients, (8, N)
+    residual: Image  # counts, (N,)
+    masked: NDArray[np.bool_]  # pixels that do not count, (N,)
 
 
 @compiled
-def interpolate(coefficients: Image, x: np.float32, y: np.float32) -> np.float32:
-    """Cubic B-spline value at (x, y); beyond the border the nearest inner position is taken."""
-    one, half, sixth, two_thirds = np.float32(1.0), np.float32(0.5), np.float32(1 / 6), np.float32(2 / 3)
-    x = min(max(x, one), np.float32(coefficients.shape[1] - 3))
-    y = min(max(y, one), np.float32(coefficients.shape[0] - 3))
-    column, row = int(x), int(y)
-    t, v = x - np.float32(column), y - np.float32(row)
-    s, w = one - t, one - v
-    x0, x1 = sixth * s * s * s, two_thirds - t * t * (one - half * t)
-    x2, x3 = two_thirds - s * s * (one - half * s), sixth * t * t * t
-    y0, y1 = sixth * w * w * w, two_thirds - v * v * (one - half * v)
-    y2, y3 = two_thirds - w * w * (one - half * w), sixth * v * v * v
-    weights = (y0, y1, y2, y3)
-    total = np.float32(0.0)
-    for i in range(4):
-        line = coefficients[row + i - 1]
-        total += weights[i] * (
-            x0 * line[column - 1] + x1 * line[column] + x2 * line[column + 1] + x3 * line[column + 2]
-        )
-    return total
+def new_scratch(pixels: int) -> Scratch:
+    """Make room for windows of some pixels."""
+    return Scratch(
+        np.empty(pixels, np.float32),
+        np.empty(pixels, np.float32),
+        np.empty(pixels, np.float32),
+        np.empty(pixels, np.uint64),
+        np.empty((8, pixels), np.float32),
+        np.empty(pixels, np.float32),
+        np.zeros(pixels, np.bool_),
+    )
 
 
 @compiled
-def align(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one loop nest over plain arrays is what compiles to fast code
+def warp_polynomials(displacement: Image, monomials: Image) -> Image:
+    """Polynomials (xy, monomial) of a displacement (xy, Q) whose field modes are those of `monomials` (Q, monomial)."""
+    polynomials = np.zeros((2, monomials.shape[1]), np.float32)
+    for axis in range(2):
+        for q in range(monomials.shape[0]):
+            for m in range(monomials.shape[1]):
+                polynomials[axis, m] += displacement[axis, q] * monomials[q, m]
+    return polynomials
+
+
+@compiled
+def warp_value(p: Image, u: np.float32, v: np.float32) -> np.float32:
+    """Value of one polynomial (monomial,) at (u, v)."""
+    along = p[2] + v * (p[5] + v * p[9])
+    across = p[1] + v * (p[4] + v * p[8])
+    value: np.float32 = p[0] + v * along + u * (across + u * (p[3] + v * p[7] + u * p[6]))
+    return value
+
+
+@compiled
+def look(  # noqa: PLR0917 - compiled code takes its arguments by their place
     coefficients: Image,
-    first: int,
-    last: int,
+    warp: Image,
+    uv: Image,
     center_px: Floats,
-    offset_px: Image,
     turn: Image,
-    basis: Image,
-    template: Image,
-    inverse: Image,
-    weight: Image,
-    iterations: int,
-    tolerance_px: float,
-    displacement: Image,
-    contrast: Image,
-    fitted_gain: Image,
-    residual_square: Image,
-    weighted_square: Image,
-    last_step_px: Image,
+    scale: tuple[np.float32, np.float32],
+    scratch: Scratch,
 ) -> None:
-    """Fit the displacement of lenslets `first` ... `last - 1`, in place.
+    """Sample a frame where the pixels uv (xy, N) of a lenslet's window land; fill `scratch`.
 
-    Of the frame: its spline coefficients (row, column). Of the lattice: center_px (L, xy) and its turn (cosine,
-    sine). Of the reference: offset_px, basis, template, inverse and weight, as `template.Template` holds them. In and
-    out: displacement (L, xy, Q), px. Out: contrast (L,), the standard deviation of the frame's subimage at the start;
-    fitted_gain (L,); residual_square and weighted_square (L,), the sums of the residual's squares before the last
-    step; last_step_px (L,), the largest change of a coefficient in it. Gain and offset start from the two subimages'
-    means and contrasts.
+    Of the frame: its spline coefficients (row, column); beyond the border the nearest inner position is taken. Of the
+    lenslet: center_px (xy,) and the lattice's turn (cosine, sine). `warp` (xy, monomial), px. `scale`: px per unit of
+    u and v; and 1 / that if light spreads as the warp stretches, 0 if not.
     """
-    modes, pixels = basis.shape[1], basis.shape[2]
-    one = np.float32(1.0)
-    warp = np.empty((6, pixels), np.float32)  # dx, dy, and their derivatives xx, xy, yx, yy
-    residual = np.empty(pixels, np.float32)
-    gain, offset = one, np.float32(0.0)
-    for lenslet in range(first, last):
-        for iteration in range(iterations):
-            warp[:] = 0
-            for q in range(modes):
-                along_x, along_y = displacement[lenslet, 0, q], displacement[lenslet, 1, q]
-                for n in range(pixels):
-                    warp[0, n] += along_x * basis[0, q, n]
-                    warp[1, n] += along_y * basis[0, q, n]
-                for n in range(pixels):
-                    warp[2, n] += along_x * basis[1, q, n]
-                    warp[3, n] += along_x * basis[2, q, n]
-                    warp[4, n] += along_y * basis[1, q, n]
-                    warp[5, n] += along_y * basis[2, q, n]
-            center_x, center_y = np.float32(center_px[lenslet, 0]), np.float32(center_px[lenslet, 1])
-            square, weighted = np.float32(0.0), np.float32(0.0)
-            for n in range(pixels):
-                x, y = offset_px[n, 0] + warp[0, n], offset_px[n, 1] + warp[1, n]
-                light = interpolate(
-                    coefficients, center_x + turn[0] * x - turn[1] * y, center_y + turn[1] * x + turn[0] * y
-                )
-                stretch = (one + warp[2, n]) * (one + warp[5, n]) - warp[3, n] * warp[4, n]
-                residual[n] = light * stretch
-            if iteration == 0:
-                contrast[lenslet] = residual.std()
-                gain = template[lenslet].std() / max(contrast[lenslet], np.float32(1e-30))
-                offset = template[lenslet].mean() - gain * residual.mean()
-            for n in range(pixels):
-                residual[n] = gain * residual[n] + offset - template[lenslet, n]
-                square += residual[n] * residual[n]
-                weighted += weight[lenslet, n] * residual[n] * residual[n]
-            residual_square[lenslet], weighted_square[lenslet] = square, weighted
-            step = np.float32(0.0)
-            for q in range(modes):
-                for axis in range(2):
-                    change = np.float32(0.0)
-                    row = inverse[lenslet, axis * modes + q]
-                    for n in range(pixels):
-                        change += row[n] * residual[n]
-                    displacement[lenslet, axis, q] -= change
-                    step = max(step, abs(change))
-            gain_change, offset_change = np.float32(0.0), np.float32(0.0)
-            for n in range(pixels):
-                gain_change += inverse[lenslet, 2 * modes, n] * residual[n]
-                offset_change += inverse[lenslet, 2 * modes + 1, n] * residual[n]
-            gain *= one - gain_change
-            offset -= offset_change
-            last_step_px[lenslet], fitted_gain[lenslet] = step, gain
-            if not step >= tolerance_px:  # converged, or no longer a number
-                break
+    per_unit, flux = scale
+    rows, columns = coefficients.shape
+    last_x, last_y = np.float32(columns - 3), np.float32(rows - 3)
+    # The warp, and the identity, on the camera.
+    to_x, to_y = np.empty(10, np.float32), np.empty(10, np.float32)
+    for m in range(10):
+        along_x, along_y = warp[0, m], warp[1, m]
+        if m == 1:
+            along_x += per_unit
+        if m == 2:
+            along_y += per_unit
+        to_x[m], to_y[m] = turn[0] * along_x - turn[1] * along_y, turn[1] * along_x + turn[0] * along_y
+    to_x[0] += np.float32(center_px[0])
+    to_y[0] += np.float32(center_px[1])
+    a, b = warp[0] * flux, warp[1] * flux
+    u_all, v_all, x_all, y_all, light, weights = uv[0], uv[1], scratch.x, scratch.y, scratch.light, scratch.weights
+    for n in range(x_all.size):
+        u, v = u_all[n], v_all[n]
+        x_all[n] = min(max(warp_value(to_x, u, v), _ONE), last_x)
+        y_all[n] = min(max(warp_value(to_y, u, v), _ONE), last_y)
+        xu = _ONE + a[1] + v * (a[4] + v * a[8]) + u * (_TWO * (a[3] + v * a[7]) + _THREE * u * a[6])
+        xv = a[2] + u * (a[4] + u * a[7]) + v * (_TWO * (a[5] + u * a[8]) + _THREE * v * a[9])
+        yu = b[1] + v * (b[4] + v * b[8]) + u * (_TWO * (b[3] + v * b[7]) + _THREE * u * b[6])
+        yv = _ONE + b[2] + u * (b[4] + u * b[7]) + v * (_TWO * (b[5] + u * b[8]) + _THREE * v * b[9])
+        light[n] = xu * yv - xv * yu
+    for n in range(x_all.size):
+        column, row = np.int32(x_all[n]), np.int32(y_all[n])
+        t, w = x_all[n] - np.float32(column), y_all[n] - np.float32(row)
+        s, r = _ONE - t, _ONE - w
+        weights[0, n], weights[3, n] = _SIXTH * s * s * s, _SIXTH * t * t * t
+        weights[1, n], weights[2, n] = (
+            _TWO_THIRDS - t * t * (_ONE - _HALF * t),
+            _TWO_THIRDS - s * s * (_ONE - _HALF * s),
+        )
+        weights[4, n], weights[7, n] = _SIXTH * r * r * r, _SIXTH * w * w * w
+        weights[5, n], weights[6, n] = (
+            _TWO_THIRDS - w * w * (_ONE - _HALF * w),
+            _TWO_THIRDS - r * r * (_ONE - _HALF * r),
+        )
+        scratch.corner[n] = (row - 1) * columns + column - 1
+    _interpolate(coefficients.reshape(-1), np.uint64(columns), scratch)
+
+
+@compiled
+def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
+    """Multiply the light in `scratch` by what the frame's coefficients, row after row, give at its corners."""
+    weights, light, corner = scratch.weights, scratch.light, scratch.corner
+    for n in range(light.size):
+        # Column by column, so that four neighbours of a row make one vector operation.
+        a = corner[n]
+        b, c, d = a + stride, a + stride + stride, a + stride + stride + stride
+        y0, y1, y2, y3 = weights[4, n], weights[5, n], weights[6, n], weights[7, n]
+        v0 = y0 * flat[a] + y1 * flat[b] + y2 * flat[c] + y3 * flat[d]
+        v1 = y0 * flat[a + _NEXT] + y1 * flat[b + _NEXT] + y2 * flat[c + _NEXT] + y3 * flat[d + _NEXT]
+        v2 = (
+            y0 * flat[a + _NEXT_BUT_ONE]
+            + y1 * flat[b + _NEXT_BUT_ONE]
+            + y2 * flat[c + _NEXT_BUT_ONE]
+            + y3 * flat[d + _NEXT_BUT_ONE]
+        )
+        v3 = y0 * flat[a + _LAST] + y1 * flat[b + _LAST] + y2 * flat[c + _LAST] + y3 * flat[d + _LAST]
+        light[n] *= (weights[0, n] * v0 + weights[1, n] * v1) + (weights[2, n] * v2 + weights[3, n] * v3)

@@ -57,6 +57,12 @@ def noise_power(position_px: Floats) -> Floats:
     return np.asarray(along[..., 0] * along[..., 1])
 
 
+def noise_power_polynomial() -> Floats:
+    """The same along one axis, as a cubic polynomial of t (1 - t), t the fraction of a pixel: rising powers, (4,)."""
+    fraction, power = _noise_power_table()
+    return np.asarray(np.polynomial.polynomial.polyfit(fraction * (1 - fraction), power, 3))
+
+
 @cache
 def _noise_power_table() -> tuple[Floats, Floats]:
     """Fractions of a pixel, and the sum of the squared weights of all pixels in a value interpolated there."""

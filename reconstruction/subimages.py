@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.displacement import Mask, Outcome, Outcomes
+from reconstruction.bad_pixels import repaired
+from reconstruction.displacement import Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import FieldModes
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, centered_steps, require
@@ -15,7 +16,9 @@ from reconstruction.noise import CameraNoise
 from reconstruction.spline import Image, sample, spline_coefficients
 
 _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice belongs to another frame
-_DARK_CONTRAST = 0.1  # of the median lenslet's contrast; below it a lenslet counts as unlit
+_SPOILT = 0.25  # of a subimage's squared gradients; a lenslet with more of them on bad pixels counts as unlit
+_NEXT_PX = 2.0  # from the border of a cell, where interpolation still sees a pixel
+DARK_CONTRAST = 0.1  # of the median lenslet's contrast; below it a lenslet counts as unlit
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is noise and no image
 
 
@@ -34,10 +37,12 @@ class ReferenceSubimages:
         field: Field,
         noise: CameraNoise | None = None,
         reference_frames: float = np.inf,
+        bad: Mask | None = None,
     ) -> None:
         """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing.
 
         `noise` is that of a single frame, where it is known; the reference is the mean of `reference_frames` frames.
+        `bad` (row, column) marks the camera's pixels that show no light, or always too much.
         """
         require({"reference_frames must be at least 1": reference_frames >= 1})
         self.noise, self.reference_frames = noise, reference_frames
@@ -47,6 +52,7 @@ class ReferenceSubimages:
         # A point's image falls to zero at the distance blur_px.
         blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
         self.blur_px = blur_px
+        self.pitch_px = lattice.pitch_px
         self.reach_px = (lattice.pitch_px - blur_px) / 2  # light of a field's edge beyond it meets the next cell
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
         cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
@@ -64,53 +70,67 @@ class ReferenceSubimages:
             raise ReconstructionError(
                 f"most lenslets lie beside the frame of {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
-        self._position_px = np.clip(position_px, 0, edge)
-        nearest = np.rint(self._position_px).astype(np.intp)
+        self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
+        nearest = np.rint(self.position_px).astype(np.intp)
         self._nearest = nearest[..., 1], nearest[..., 0]
 
-        self.coefficients = spline_coefficients(reference)  # of the whole frame, (row, column)
-        self.light, gradient = sample(self.coefficients, self._position_px)  # (L, N)
+        self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
+        self.coefficients = self.spline(reference)  # of the whole frame, (row, column)
+        self.light, gradient = sample(self.coefficients, self.position_px)  # (L, N)
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
+        self.usable = self._usable()  # positions that no bad pixel is next to, (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)
-        dark = ~(self.contrast > _DARK_CONTRAST * np.median(self.contrast[~self.off_camera]))
+        steepness = np.sum(self.gradient**2, axis=2)
+        spoilt = np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
+        dark = ~(self.contrast > DARK_CONTRAST * np.median(self.contrast[~self.off_camera])) | spoilt
         self.lit = ~dark & ~self.off_camera
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 
+    def spline(self, light: Image, *, saturated: Mask | None = None) -> Image:
+        """Spline coefficients of a frame (row, column), bad and saturated pixels put right from their neighbours."""
+        bad = self.bad if saturated is None or not saturated.any() else self.bad | saturated
+        return spline_coefficients(repaired(light, bad) if bad.any() else light)
+
     def cut(self, light: Image) -> Floats:
         """Cut another frame (row, column) into the same windows: (L, width, width)."""
-        values, _ = sample(spline_coefficients(light), self._position_px)
+        values, _ = sample(self.spline(light), self.position_px)
         return values.reshape(-1, self.width, self.width)
 
-    def judge(
-        self,
-        displacement: NDArray[np.floating[Any]],
-        modes: FieldModes,
-        *,
-        contrast: NDArray[np.floating[Any]],
-        diverged: Mask,
-        saturated: Mask,
-    ) -> Outcomes:
-        """Say what became of each lenslet, (L,).
+    def touched(self, pixels: Mask) -> Mask:
+        """Which lenslets' windows hold one of the pixels (row, column), (L,)."""
+        if not pixels.any():
+            return np.zeros(len(self.center_px), np.bool_)
+        return np.asarray(pixels[self._nearest].any(axis=1))
 
-        displacement (L, xy, Q) in the field modes, px; contrast (L,) of the frame's subimages; diverged (L,), whether
-        the method itself found no match; saturated (row, column) pixels of the frame.
+    def near(self, pixels: Mask) -> Mask:
+        """Which lenslets' cells one of the pixels (row, column) lies in or next to, (L,)."""
+        if not pixels.any():
+            return np.zeros(len(self.center_px), np.bool_)
+        row, column = np.nonzero(pixels)
+        away_px = (np.stack([column, row], axis=-1) - self.center_px[:, None]) @ self.turn.T
+        return np.asarray(np.any(np.abs(away_px).max(axis=-1) < self.pitch_px / 2 + _NEXT_PX, axis=1))
+
+    def range_used(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Floats:
+        """How far the field's edge is displaced over how far it may be until it leaves the lenslet's cell, (L,).
+
+        displacement (L, xy, Q) in the field modes, px.
         """
-        outcome = np.full(len(self.center_px), Outcome.CONVERGED, np.int8)
-        displacement = np.where(diverged[:, None, None], 0, displacement)  # a fit that ran away may hold anything
-        outcome[self._leaves_cell(displacement, modes)] = Outcome.LEFT_CELL
-        outcome[diverged] = Outcome.DIVERGED
-        if saturated.any():
-            outcome[saturated[self._nearest].any(axis=1)] = Outcome.SATURATED
-        outcome[~self.lit | ~(contrast > _DARK_CONTRAST * np.median(contrast[self.lit]))] = Outcome.DARK
-        outcome[self.off_camera] = Outcome.OFF_CAMERA
-        return outcome
-
-    def _leaves_cell(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Mask:
-        """Whether the field's edge is imaged beyond the lenslet's cell, (L,)."""
         x, y = self._field_outline.T
-        edge_px = displacement @ modes.values(x, y) + self.half_width_px * np.stack([x, y])
-        return np.asarray(np.abs(edge_px).max(axis=(1, 2)) > self.reach_px)
+        edge_px = displacement @ modes.values(x, y) + self.half_width_px * self._field_outline.T
+        farthest_px = np.abs(edge_px).max(axis=(1, 2))
+        allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
+        return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)
+
+    def _usable(self) -> Mask:
+        """Where no bad pixel is among the four about a position of the windows, (L, N)."""
+        usable = np.ones(self.position_px.shape[:2], np.bool_)
+        if self.bad.any():
+            rows, columns = self.bad.shape
+            column, row = np.moveaxis(np.floor(self.position_px).astype(np.intp), -1, 0)
+            for below, beside in np.ndindex(2, 2):
+                usable &= ~self.bad[np.minimum(row + below, rows - 1), np.minimum(column + beside, columns - 1)]
+        return usable
 
     def _smoothness(self) -> float:
         """Median correlation of horizontally neighbouring pixels in the lit windows: about 0 for pure noise."""

@@ -11,11 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
+from reconstruction.alignment import Grid
 from reconstruction.displacement import Mask
 from reconstruction.field_modes import PolynomialModes
-from reconstruction.geometry import Floats
+from reconstruction.geometry import Floats, require
+from reconstruction.kernel import MONOMIALS
 from reconstruction.noise import CameraNoise
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
@@ -25,6 +28,7 @@ from reconstruction.subimages import ReferenceSubimages
 # describes. The noise-free wavefronts of physics.md, section 7, would be 0.169 0.110 0.097 rad wrong instead of 0.098
 # 0.060 0.050, and those of dim frames would not be less noisy.
 _MODEL_ERROR = 0.1
+_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,15 +42,30 @@ class Propagated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Template:
-    """The reference as one warp sees it: L lenslets, N pixels a window, Q field modes."""
+    """The reference as one warp sees it: L lenslets, N pixels a window, Q field modes, P = 2Q + 2 parameters."""
 
-    offset_px: Image  # positions of the pixels about the lenslet centre, in the lattice frame, (N, xy)
-    light: Image  # I0, counts, (L, N)
-    basis: Image  # T_q and, per pixel, its derivatives along x and y, (3, Q, N); derivatives zero without flux
-    inverse: Image  # A, inverse of the steepest-descent images: x modes, y modes, gain, offset, (L, 2Q + 2, N)
-    weight: Image  # of the pixels, one on average, (L, N)
+    grid: Grid  # what the steps need
+    contrast: Floats  # standard deviation of the light, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of noise with as much variance as there is light, as shot noise has
+
+    def without(self, lenslets: NDArray[np.intp], masked: Mask) -> tuple[Propagated, Propagated, Floats]:
+        """`per_pixel` and `per_light` of some lenslets (K,) when pixels `masked` (K, N) do not count.
+
+        Also the share of what all pixels know about the parameters that is left, (K,).
+        """
+        inverse, descent = (np.asarray(part[lenslets], np.float64) for part in (self.grid.inverse, self.grid.descent))
+        inverse *= ~masked[:, None]
+        left = inverse @ np.swapaxes(descent, 1, 2)
+        share = np.clip(np.trace(left, axis1=1, axis2=2) / left.shape[1], 0, 1)
+        left[share < _NOTHING] = np.eye(left.shape[1])
+        inverse = np.linalg.pinv(left) @ inverse
+        weight = np.asarray(self.grid.weight[lenslets], np.float64)
+        whole = weight.sum(axis=1, keepdims=True)
+        weight *= ~masked
+        weight *= whole / np.maximum(weight.sum(axis=1, keepdims=True), _NOTHING)
+        light = np.maximum(self.grid.light[lenslets], 0)
+        return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share
 
 
 def prepare_template(
@@ -62,56 +81,73 @@ def prepare_template(
     For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, of which the second term is
     the flux; those of gain and offset are I0 and 1. Without `noise` all pixels count alike.
     """
-    lit, offset_px = reference.lit, reference.offset_px[pixels]
     light, gradient = reference.light[:, pixels], reference.gradient[:, pixels]
-    expected = _smooth(reference)[:, pixels]
-    weight = np.ones_like(light) if noise is None else _weight(expected, noise)
-    x, y = offset_px.T / reference.half_width_px
-    values = modes.values(x, y)
-    slopes = modes.gradients(x, y) / reference.half_width_px * conserve_flux
+    u, v = reference.offset_px[pixels].T / reference.half_width_px
+    values = modes.values(u, v)
+    slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
     descent = np.concatenate(
         [
-            gradient[lit, None, :, 0] * values + light[lit, None] * slopes[..., 0],
-            gradient[lit, None, :, 1] * values + light[lit, None] * slopes[..., 1],
-            light[lit, None],
-            np.ones((np.count_nonzero(lit), 1, light.shape[1])),
+            gradient[:, None, :, 0] * values + light[:, None] * slopes[..., 0],
+            gradient[:, None, :, 1] * values + light[:, None] * slopes[..., 1],
+            light[:, None],
+            np.ones((len(light), 1, light.shape[1])),
         ],
         axis=1,
     )
-    weighted = descent * weight[lit, None]
+    expected = np.maximum(_smooth(reference)[:, pixels], 0)
+    weight = np.ones_like(light) if noise is None else _weight(expected, noise)
+    weight *= reference.usable[:, pixels] & reference.lit[:, None]
+    weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
+    weighted = descent * weight[:, None]
     norm = np.sqrt(np.einsum("lkn,lkn->lk", descent, weighted))[..., None]
+    norm[norm == 0] = 1
     normal = weighted @ np.swapaxes(descent, 1, 2) / norm / np.swapaxes(norm, 1, 2)
-    inverse = np.zeros((len(light), *descent.shape[1:]))
-    inverse[lit] = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
-    leverage = np.zeros_like(light)
-    leverage[lit] = np.einsum("lkn,lkn->ln", inverse[lit], descent)
+    inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
+    flux = 1 / reference.half_width_px if conserve_flux else 0.0
     return Template(
-        offset_px=offset_px.astype(np.float32),
-        light=light.astype(np.float32),
-        basis=np.stack([values, slopes[..., 0], slopes[..., 1]]).astype(np.float32),
-        inverse=inverse.astype(np.float32),
-        weight=weight.astype(np.float32),
-        per_pixel=_propagate(np.ones_like(light), inverse, weight, leverage),
-        per_light=_propagate(np.maximum(expected, 0), inverse, weight, leverage),
+        grid=Grid(
+            uv=np.ascontiguousarray([u, v], np.float32),
+            scale=(np.float32(reference.half_width_px), np.float32(flux)),
+            monomials=_monomials(modes),
+            light=np.ascontiguousarray(
+                light, np.float32
+            ),  # rows one after the other: indexing may have left columns so
+            inverse=np.ascontiguousarray(inverse, np.float32),
+            descent=np.ascontiguousarray(descent, np.float32),
+            weight=np.ascontiguousarray(weight, np.float32),
+        ),
+        contrast=light.std(axis=1),
+        per_pixel=_propagated(np.ones_like(light), inverse, weight, descent),
+        per_light=_propagated(expected, inverse, weight, descent),
     )
 
 
+def _monomials(modes: PolynomialModes) -> Image:
+    """Write the field modes as polynomials of u and v: (Q, monomial)."""
+    u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 7)))
+    powers = np.stack([u**m * v**n for m, n in MONOMIALS])
+    values = modes.values(u, v)
+    monomials = values @ np.linalg.pinv(powers)
+    require({"the field modes of a warp must be cubic at most": bool(np.allclose(monomials @ powers, values))})
+    return monomials.astype(np.float32)
+
+
 def _weight(expected: Floats, noise: CameraNoise) -> Floats:
-    """How much each pixel counts, one on average: the inverse square of the residual to be expected, (L, N).
+    """How much each pixel counts: the inverse square of the residual to be expected where the light is so much, (L, N).
 
     That is the noise, and what the warp cannot explain.
     """
     peak = np.maximum(expected.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)
-    weight = 1 / (noise.variance(expected) / peak**2 + _MODEL_ERROR**2)
-    return np.asarray(weight / weight.mean(axis=1, keepdims=True))
+    return np.asarray(1 / (noise.variance(expected) / peak**2 + _MODEL_ERROR**2))
 
 
-def _propagate(variance: Floats, inverse: Floats, weight: Floats, leverage: Floats) -> Propagated:
-    """Carry noise of independent pixels, (L, N), through the fit with A = `inverse` (L, 2Q + 2, N)."""
+def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floats) -> Propagated:
+    """Carry noise of independent pixels, (L, N), through the fit with A = `inverse` (L, P, N) and J = `descent`."""
     modes = inverse.shape[1] // 2 - 1
     warp = inverse[:, : 2 * modes]
     covariance = (warp * variance[:, None]) @ np.swapaxes(warp, 1, 2)
     covariance = covariance.reshape(-1, 2, modes, 2, modes)
+    leverage = np.einsum("lkn,lkn->ln", inverse, descent)
     return Propagated(
         covariance=np.ascontiguousarray(covariance.transpose(0, 2, 1, 4, 3)),
         square=np.sum(weight * variance, axis=1),

@@ -33,7 +33,7 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
         slopes / SENSOR.slope_per_px,
         diagonal_covariance(variance / SENSOR.slope_per_px**2),
         np.zeros(U.shape, np.int8),
-        *np.zeros((2, *U.shape)),
+        *np.zeros((3, *U.shape)),
     )
     solution = ZonalSolution(slopes, valid, SENSOR.lenslet_pitch_m, slope_covariance=diagonal_covariance(variance))
     return Wavefront.of(FIELD, displacement, solution)

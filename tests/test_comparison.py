@@ -34,6 +34,7 @@ def displacement() -> Displacement:
         np.zeros(U.shape, np.int8),
         quality,
         quality,
+        quality,
     )
 
 

@@ -25,7 +25,7 @@ def test_the_mean_displacement_is_the_mean_over_the_field() -> None:
     shape = (2, 3)
     for modes in (LegendreModes(6), SampledModes(np.array([-0.8, 0.0, 0.8]), np.array([-0.8, 0.1, 0.8]))):
         coefficients = np.random.default_rng(1).normal(size=(*shape, modes.count, 2))
-        known = diagonal_covariance(coefficients**2), np.zeros(shape, np.int8), np.zeros(shape), np.zeros(shape)
+        known = diagonal_covariance(coefficients**2), np.zeros(shape, np.int8), *np.zeros((3, *shape))
         displacement = Displacement(modes, coefficients, *known)
         steps = np.linspace(-1, 1, 401)
         steps = (steps[1:] + steps[:-1]) / 2

@@ -41,7 +41,7 @@ def wavefront(along_x: float, along_y: float, field: Field = FIELD) -> Wavefront
     zeros = np.zeros((ROWS, COLUMNS, 3, 2))
     quality = np.zeros((ROWS, COLUMNS))
     displacement = Displacement(
-        LegendreModes(3), zeros, diagonal_covariance(zeros), np.zeros((ROWS, COLUMNS), np.int8), quality, quality
+        LegendreModes(3), zeros, diagonal_covariance(zeros), np.zeros((ROWS, COLUMNS), np.int8), *[quality] * 3
     )
     return Wavefront.of(field, displacement, Tilting(along_x, along_y))
 

@@ -65,16 +65,6 @@ def test_a_subimage_beyond_its_cell_is_out_of_range(small_bench: SmallBench) -> 
     assert np.all(outcome[:, :6] == Outcome.CONVERGED)
 
 
-def test_a_saturated_pixel_costs_its_lenslet_only(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
-    full_scale = tilted.max() * 1.5
-    frame = tilted.copy()
-    x, y = small_bench.lattice.lenslet_centers_px(7, 9)[4, 1]
-    frame[int(y), int(x)] = full_scale
-    outcome = small_bench.reconstructor(full_scale=full_scale)(frame).displacement.outcome
-    assert outcome[4, 1] == Outcome.SATURATED
-    assert np.count_nonzero(outcome) == 1
-
-
 def test_a_lenslet_beside_the_camera_is_told(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     reconstructor = small_bench.reconstructor(reference=small_bench.reference[:, :-25])
     outcome = reconstructor(tilted[:, :-25]).displacement.outcome

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.kernel import interpolate
+from reconstruction.kernel import look, new_scratch
 from reconstruction.spline import sample, spline_coefficients
 
 
@@ -35,9 +35,24 @@ def test_gradients_are_those_of_the_values() -> None:
         np.testing.assert_allclose(gradients[:, axis], slope, atol=1e-6)
 
 
-def test_compiled_interpolation_is_the_same() -> None:
+def test_compiled_sampling_of_a_warp_is_scipys_times_its_stretch() -> None:
     rng = np.random.default_rng(3)
     coefficients = spline_coefficients(rng.uniform(0, 1, (40, 60)).astype(np.float32))
-    position = rng.uniform([2, 2], [56, 36], (100, 2)).astype(np.float32)
-    compiled = [interpolate(coefficients, x, y) for x, y in position]
-    np.testing.assert_allclose(compiled, sample(coefficients, position.astype(np.float64))[0], atol=2e-5)
+    uv = rng.uniform(-1, 1, (2, 100)).astype(np.float32)
+    u, v = uv.astype(np.float64)
+    polynomials = rng.uniform(-0.4, 0.4, (2, 10)).astype(np.float32)
+    powers = np.array([[degree - n, n] for degree in range(4) for n in range(degree + 1)])
+    monomial = u[:, None] ** powers[:, 0] * v[:, None] ** powers[:, 1]
+    scratch = new_scratch(100)
+    center_px, turn, per_unit = np.array([30.3, 19.8]), np.array([np.cos(0.1), np.sin(0.1)], np.float32), 9.0
+    scale = (np.float32(per_unit), np.float32(1 / per_unit))
+    look(coefficients, polynomials, uv, center_px, turn, scale, scratch)
+    along, across = np.array([u, v]) * per_unit + polynomials @ monomial.T
+    x, y = 30.3 + turn[0] * along - turn[1] * across, 19.8 + turn[1] * along + turn[0] * across
+    by_u = np.where(powers[:, 0] > 0, powers[:, 0] * u[:, None] ** np.maximum(powers[:, 0] - 1, 0), 0)
+    by_v = np.where(powers[:, 1] > 0, powers[:, 1] * v[:, None] ** np.maximum(powers[:, 1] - 1, 0), 0)
+    slope_u = polynomials @ (by_u * v[:, None] ** powers[:, 1]).T / per_unit
+    slope_v = polynomials @ (by_v * u[:, None] ** powers[:, 0]).T / per_unit
+    stretch = (1 + slope_u[0]) * (1 + slope_v[1]) - slope_v[0] * slope_u[1]
+    light = ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
+    np.testing.assert_allclose(scratch.light, light * stretch, atol=5e-5)
