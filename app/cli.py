@@ -243,7 +243,7 @@ def reconstruct(
     dataset = result_dataset(found.wavefront, loaded).assign_attrs(refinement_rounds=len(found.changes_rad))
     write_results(out, dataset, bench=loaded, inputs=inputs)
     if plot is not None:
-        plot_views(found.wavefront, plot)
+        plot_views(found.wavefront, loaded.sensor, plot)
     print_views(found.wavefront)
     if refine:
         print_refinement(found.changes_rad)

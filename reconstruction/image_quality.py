@@ -9,6 +9,7 @@ over one lenslet, more than a displacement within a subimage's own cell makes on
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -20,8 +21,10 @@ from reconstruction.continuation import continued
 from reconstruction.geometry import Floats, Sensor, centered_steps
 
 _SAMPLES = 6  # along each side of a lenslet
-_FARTHEST_PERCENT = 99.0  # of the pupil's area sends its light within the reach
+_FARTHEST_PERCENT = 99.0  # of each wavefront's area sends its light within the reach
 _DIFFRACTION = 4.0  # wavelengths over the pupil's width, by which the reach is wider than geometry says
+_STEPS = 4  # in a wavelength over the pupil's width, so that speckle looks smooth
+_MOST_STEPS = 100  # from the middle to the edge; beyond, speckle is only sampled
 
 Transmission = NDArray[np.complex64]  # single precision: 1e-6 of the peak is below anything that is looked at
 
@@ -81,12 +84,20 @@ def psf_reach_rad(phase: Floats, sensor: Sensor) -> float:
     Geometry says: as far as the slopes between neighbouring lenslets send it; diffraction widens that. NaN where no two
     neighbours are known.
     """
-    rises = np.concatenate([np.abs(np.diff(phase, axis=axis)).ravel() for axis in (-2, -1)])
-    rises = rises[np.isfinite(rises)]
-    if not rises.size:
+    views = phase.reshape(-1, *phase.shape[-2:])
+    rises = [np.abs(np.concatenate([np.diff(view).ravel(), np.diff(view, axis=0).ravel()])) for view in views]
+    known = [rise[np.isfinite(rise)] for rise in rises if np.isfinite(rise).any()]
+    if not known:
         return float("nan")
-    geometry_rad = float(np.percentile(rises, _FARTHEST_PERCENT)) / sensor.lenslet_pitch_m / sensor.wavenumber_rad_per_m
+    steepest_rad = max(float(np.percentile(rise, _FARTHEST_PERCENT)) for rise in known)
+    geometry_rad = steepest_rad / sensor.lenslet_pitch_m / sensor.wavenumber_rad_per_m
     return geometry_rad + _DIFFRACTION * diffraction_rad(sensor)
+
+
+def psf_angles_rad(sensor: Sensor, reach_rad: float) -> Floats:
+    """Angles from -reach to +reach, 0 in the middle, at which a point-spread function shows its detail: (angle,)."""
+    steps = min(max(math.ceil(_STEPS * reach_rad / diffraction_rad(sensor)), 1), _MOST_STEPS)
+    return np.linspace(-reach_rad, reach_rad, 2 * steps + 1, dtype=np.float64)
 
 
 def diffraction_rad(sensor: Sensor) -> float:

@@ -9,7 +9,7 @@ from scipy.special import fresnel, j1
 
 from reconstruction.continuation import continued
 from reconstruction.geometry import Floats, Sensor
-from reconstruction.image_quality import diffraction_rad, mtf, psf, psf_reach_rad
+from reconstruction.image_quality import diffraction_rad, mtf, psf, psf_angles_rad, psf_reach_rad
 
 SENSOR = sensor_of(9, 15)  # wider than high, so that x is not y
 WIDTH_M, HEIGHT_M = 15 * 500e-6, 9 * 500e-6
@@ -158,3 +158,11 @@ def test_reach_holds_nearly_all_light() -> None:
     assert np.all(seen.sum(axis=(1, 2)) / 4 > 0.9 * 15 / 9)
     assert 4 < reach_rad / LIMIT_RAD < 25
     assert np.isnan(psf_reach_rad(phase[2], SENSOR))
+
+
+def test_angles_lie_about_zero_fine_enough_and_not_too_many() -> None:
+    angle_rad = psf_angles_rad(SENSOR, 7.9 * LIMIT_RAD)
+    assert angle_rad.size == 65
+    assert angle_rad[32] == 0
+    np.testing.assert_allclose(angle_rad[[0, -1]], [-7.9 * LIMIT_RAD, 7.9 * LIMIT_RAD])
+    assert psf_angles_rad(SENSOR, 1000 * LIMIT_RAD).size == 201

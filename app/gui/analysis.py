@@ -12,22 +12,18 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
-import numpy as np
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
 from app.config import Bench
 from reconstruction.comparison import compare
 from reconstruction.geometry import Floats, Sensor
-from reconstruction.image_quality import Mtf, diffraction_rad, mtf, psf, psf_reach_rad
+from reconstruction.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.modal import ModalSolution
 from reconstruction.pupil_modes import PupilBasis, PupilModes, pupil_modes
 from reconstruction.wavefront import Wavefront
 
 _INTERVAL_S = 0.2  # between two analyses of a running measurement
-_FINEST_STEPS = 4.0  # of a point-spread function, in wavelength over pupil width
-_MOST_STEPS = 100  # from its middle to its edge
-_FEWEST_STEPS = 24
 
 
 class Quantity(StrEnum):
@@ -144,9 +140,7 @@ def _point_spread(question: Question) -> Analysis:
     reach_rad = light_reach_rad if question.reach_rad is None else question.reach_rad
     if not math.isfinite(reach_rad):
         return Analysis(question)
-    steps = math.ceil(_FINEST_STEPS * reach_rad / diffraction_rad(sensor))
-    steps = min(max(steps, _FEWEST_STEPS), _MOST_STEPS)
-    maps = psf(views, sensor, angle_rad=np.linspace(-reach_rad, reach_rad, 2 * steps + 1))
+    maps = psf(views, sensor, angle_rad=psf_angles_rad(sensor, reach_rad))
     return Analysis(question, maps, reach_rad, light_reach_rad)
 
 
