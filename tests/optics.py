@@ -7,7 +7,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.displacement import Displacement
+from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.field_modes import FieldModes, LegendreModes, SampledModes
 from reconstruction.geometry import Field, Floats, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings, Reconstructor
@@ -38,6 +38,14 @@ def at_views(displacement: Displacement) -> Floats:
     """Displacements at the views, px: (lenslet_row, lenslet_column, view_row, view_column, xy)."""
     values = displacement.modes.values(VIEWS, VIEWS[:, None])
     return np.asarray(np.einsum("rcqd,qyx->rcyxd", displacement.coefficients, values))
+
+
+def converged(modes: FieldModes, coefficients: Floats, variance: Floats) -> Displacement:
+    """Displacements (lenslet_row, lenslet_column, field_mode, xy), px, of lenslets that are all valid."""
+    lenslets = coefficients.shape[:2]
+    return Displacement(
+        modes, coefficients, diagonal_covariance(variance), np.zeros(lenslets, np.int8), *np.zeros((3, *lenslets))
+    )
 
 
 class SmallBench:

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gui_bench import BENCH, FIELD, SENSOR
+from optics import converged
 
 from app.gui.analysis import Analysis, Analyst, Quantity, Question, analyse
-from reconstruction.displacement import Displacement, diagonal_covariance
+from reconstruction.displacement import diagonal_covariance
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats
 from reconstruction.image_quality import diffraction_rad
@@ -28,13 +29,7 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
     slopes = np.stack([slopes, growth, np.zeros_like(slopes)], axis=2)
     variance = np.full(slopes.shape, 100.0**2)
     valid = np.ones(U.shape, np.bool_)
-    displacement = Displacement(
-        LegendreModes(3),
-        slopes / SENSOR.slope_per_px,
-        diagonal_covariance(variance / SENSOR.slope_per_px**2),
-        np.zeros(U.shape, np.int8),
-        *np.zeros((3, *U.shape)),
-    )
+    displacement = converged(LegendreModes(3), slopes / SENSOR.slope_per_px, variance / SENSOR.slope_per_px**2)
     solution = ZonalSolution(slopes, valid, SENSOR.lenslet_pitch_m, slope_covariance=diagonal_covariance(variance))
     return Wavefront.of(FIELD, displacement, solution)
 

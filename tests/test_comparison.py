@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from optics import FIELD, SmallBench, sensor_of
+from optics import FIELD, SmallBench, converged, sensor_of
 
 from reconstruction.comparison import compare
-from reconstruction.displacement import Displacement, diagonal_covariance
+from reconstruction.displacement import Displacement
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats
 from reconstruction.isoplanatism import without_tilt
@@ -26,16 +26,7 @@ SLOPES = np.stack([8e5 * U - 3e5 * V, -3e5 * U + 800], axis=-1)  # of the bowl, 
 def displacement() -> Displacement:
     """What the bowl does at the middle of the field; towards the field's +x it becomes twice as strong."""
     coefficients = np.stack([SLOPES, SLOPES, np.zeros_like(SLOPES)], axis=2) / SENSOR.slope_per_px
-    quality = np.zeros(U.shape)
-    return Displacement(
-        LegendreModes(3),
-        coefficients,
-        diagonal_covariance(coefficients**2),
-        np.zeros(U.shape, np.int8),
-        quality,
-        quality,
-        quality,
-    )
+    return converged(LegendreModes(3), coefficients, coefficients**2)
 
 
 def over_the_field(phase: Floats) -> Floats:

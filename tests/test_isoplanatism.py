@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from optics import FIELD
+from optics import FIELD, converged
 
-from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Field, Floats
 from reconstruction.isoplanatism import (
@@ -39,10 +38,7 @@ class Tilting:
 
 def wavefront(along_x: float, along_y: float, field: Field = FIELD) -> Wavefront:
     zeros = np.zeros((ROWS, COLUMNS, 3, 2))
-    quality = np.zeros((ROWS, COLUMNS))
-    displacement = Displacement(
-        LegendreModes(3), zeros, diagonal_covariance(zeros), np.zeros((ROWS, COLUMNS), np.int8), *[quality] * 3
-    )
+    displacement = converged(LegendreModes(3), zeros, zeros)
     return Wavefront.of(field, displacement, Tilting(along_x, along_y))
 
 

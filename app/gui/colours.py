@@ -13,7 +13,8 @@ from reconstruction.geometry import Floats
 
 Pixels = NDArray[np.uint32]  # ARGB; 0 is transparent
 
-_NUMBERED = {1.0: (0.0, 0.25, 0.5, 0.75, 1.0), 0.5: (0.0, 0.1, 0.25, 0.5, 1.0)}  # of the way from low to high, by power
+_HALVES, _FIFTHS = (0.0, 0.25, 0.5, 0.75, 1.0), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+_ROOTS = (0.0, 0.1, 0.25, 0.5, 1.0)  # well apart on a square-root scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,8 @@ class ColourScale:
     low: float
     high: float
     title: str  # what is written over the colour bar, the unit as a rule
-    power: float = 1.0  # of the fraction of the way from low to high: 0.5 is a square-root scale
+    numbered: tuple[float, ...]  # how far on the way from low to high the bar has numbers
+    power: float = 1.0  # of the part of the way from low to high: 0.5 is a square-root scale
     is_signed: bool = False
 
     def pixels(self, values: Floats) -> Pixels:
@@ -43,7 +45,7 @@ class ColourScale:
     def ticks(self) -> tuple[tuple[float, str], ...]:
         """How far up the bar there are numbers, 0 ... 1, and which."""
         span = self.high - self.low
-        return tuple((part**self.power, self._text(self.low + span * part)) for part in _NUMBERED[self.power])
+        return tuple((part**self.power, self._text(self.low + span * part)) for part in self.numbered)
 
     def _text(self, value: float) -> str:
         text = f"{value:+.3g}" if self.is_signed else f"{value:.3g}"
@@ -52,17 +54,17 @@ class ColourScale:
 
 def diverging(limit_rad: float) -> ColourScale:
     """Blue, white, red: phases from -limit to +limit."""
-    return ColourScale("CET-D1", -limit_rad, limit_rad, "rad", is_signed=True)
+    return ColourScale("CET-D1", -limit_rad, limit_rad, "rad", _HALVES, is_signed=True)
 
 
 def uncertain(limit_rad: float) -> ColourScale:
     """Standard deviations from 0 to the limit."""
-    return ColourScale("viridis", 0.0, limit_rad, "rad")
+    return ColourScale("viridis", 0.0, limit_rad, "rad", _FIFTHS)
 
 
 def bright(limit: float) -> ColourScale:
     """Intensities from 0 to the limit, on a square-root scale, which lets faint light be seen."""
-    return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT}", power=0.5)
+    return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT}", _ROOTS, power=0.5)
 
 
 @lru_cache
