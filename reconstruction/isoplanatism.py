@@ -20,11 +20,12 @@ _ACROSS = 7  # positions across the field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StructureCurve:
-    """RMS difference, piston removed, of the wavefronts of all pairs of positions, by their separation."""
+    """RMS difference, piston removed, of the wavefronts of all pairs of positions, by their separation.
 
-    separation_m: (
-        Floats  # root mean square of the pairs in the bin, (separation,), rising; bins without pairs are left out
-    )
+    The separations are those of the positions, whatever is known; a bin is NaN where no pair of it is.
+    """
+
+    separation_m: Floats  # root mean square of the pairs in the bin, (separation,), rising
     rms_rad: Floats  # root mean square over the pairs in the bin, (separation,)
     least_rad: Floats  # of the pairs in the bin, (separation,)
     most_rad: Floats  # (separation,)
@@ -35,9 +36,10 @@ class StructureCurve:
 
         Infinite when it does not within the field, NaN when nothing is known.
         """
-        if not self.rms_rad.size:
+        known = np.isfinite(self.rms_rad)
+        if not known.any():
             return float("nan")
-        separation_m, rms_rad = np.append(0.0, self.separation_m), np.append(0.0, self.rms_rad)
+        separation_m, rms_rad = np.append(0.0, self.separation_m[known]), np.append(0.0, self.rms_rad[known])
         beyond = np.flatnonzero(rms_rad >= _LIMIT_RAD)
         if not beyond.size:
             return float("inf")
@@ -89,15 +91,14 @@ def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> Struc
     first, second = np.triu_indices(len(phase), 1)
     difference_rad = rms(phase[first] - phase[second])
     separation_m = np.hypot(*(position_m[first] - position_m[second]).T)
-    known = np.isfinite(difference_rad)
-    difference_rad, separation_m = difference_rad[known], separation_m[known]
-    _, index = np.unique(np.rint(separation_m / bin_m), return_inverse=True)
-    bins = range(int(index.max(initial=-1)) + 1)
+    number = np.rint(separation_m / bin_m)
+    bins = [number == one for one in np.unique(number)]
+    known = [difference_rad[one & np.isfinite(difference_rad)] for one in bins]
     return StructureCurve(
-        separation_m=np.array([_root_mean_square(separation_m[index == one]) for one in bins]),
-        rms_rad=np.array([_root_mean_square(difference_rad[index == one]) for one in bins]),
-        least_rad=np.array([difference_rad[index == one].min() for one in bins]),
-        most_rad=np.array([difference_rad[index == one].max() for one in bins]),
+        separation_m=np.array([_root_mean_square(separation_m[one]) for one in bins]),
+        rms_rad=np.array([_root_mean_square(each) if each.size else np.nan for each in known]),
+        least_rad=np.array([each.min() if each.size else np.nan for each in known]),
+        most_rad=np.array([each.max() if each.size else np.nan for each in known]),
     )
 
 

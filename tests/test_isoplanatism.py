@@ -84,8 +84,12 @@ def test_patch_is_interpolated_and_may_be_unknown() -> None:
     np.testing.assert_allclose(curve.rms_rad, [0.5, 2.0, 2.5])
     assert curve.patch_m == pytest.approx(1e-3 + 1e-3 * 0.5 / 1.5)
     nothing = structure_curve(phase * np.nan, position_m, bin_m=1e-3)
-    assert nothing.rms_rad.size == 0
-    assert np.isnan(nothing.patch_m)
+    np.testing.assert_array_equal(nothing.separation_m, curve.separation_m)
+    assert np.isnan([*nothing.rms_rad, *nothing.least_rad, *nothing.most_rad, nothing.patch_m]).all()
+    phase[2] = np.nan  # the pairs with the farthest position
+    partly = structure_curve(phase, position_m, bin_m=1e-3)
+    np.testing.assert_allclose(partly.rms_rad, [0.5, np.nan, np.nan])
+    assert partly.patch_m == np.inf
 
 
 def test_one_wavefront_misses_what_is_not_common() -> None:

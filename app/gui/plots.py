@@ -13,7 +13,7 @@ from app.gui.scale import RANGES, SteppedScale
 from app.gui.widgets import ElidedLabel, label
 from reconstruction.geometry import Floats
 from reconstruction.image_quality import Mtf
-from reconstruction.isoplanatism import Isoplanatism, StructureCurve
+from reconstruction.isoplanatism import Isoplanatism
 
 _NO_VALUES = np.zeros(0)
 _SIDES = ("left", "bottom")
@@ -140,16 +140,10 @@ class StructurePlot(_Plot):
                     item.setData(_NO_VALUES, _NO_VALUES)
             return
         for items, curve in zip(self._curves, (found.curve_without_tilt, found.curve), strict=True):
-            x_mm = np.append(0, curve.separation_m * 1e3)
             for item, values in zip(items, (curve.rms_rad, curve.least_rad, curve.most_rad), strict=True):
-                item.setData(x_mm, np.append(0, values))
-        self._set_ranges(
-            _last_mm(found.curve), self._scale.follow(max(1.2, float(found.curve.most_rad.max(initial=0))))
-        )
-
-
-def _last_mm(curve: StructureCurve) -> float:
-    return float(curve.separation_m[-1]) * 1e3 if curve.separation_m.size else 1.0
+                item.setData(*_known(np.append(0, curve.separation_m * 1e3), np.append(0, values)))
+        most_rad = float(np.nanmax(found.curve.most_rad, initial=1.2))  # the line at 1 rad is always seen
+        self._set_ranges(float(np.max(found.curve.separation_m, initial=1e-6)) * 1e3, self._scale.follow(most_rad))
 
 
 def _known(x: Floats, y: Floats) -> tuple[Floats, Floats]:
