@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ from app.config import Bench
 from app.devices import Devices
 from app.errors import InputError, RunError
 from app.instrument import Instrument, Status
+from app.live_refinement import RefinementState
 from app.routines import WAIT_SLICE_S, Cancelled, next_frame
 from drivers.interface import BadValue, Camera, DeviceError, DeviceTimeout, Frame, WrongState
 from reconstruction.errors import ReconstructionError
@@ -49,6 +50,7 @@ class Measurement:
     counts: Counts
     exposure_end_s: float  # when it was exposed, by this computer's time.perf_counter()
     latency_s: float  # from then to this result
+    refinement: RefinementState = RefinementState()
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,13 +161,15 @@ class Acquisition:
         """Let a frame that a routine averages be seen; it is neither measured nor counted."""
         self.activity = Activity(text, fraction)
         self._set_clock(frame)
-        self.newest = self._measurement(frame, None, text)
+        self.newest = self._measurement(frame, None, RefinementState(), text)
 
     def _work(self) -> None:
         try:
-            with self._open_devices(self._bench, self._prepare) as devices:
+            with (
+                self._open_devices(self._bench, self._prepare) as devices,
+                closing(Instrument(devices, self._bench)) as instrument,
+            ):
                 self.activity = Activity()
-                instrument = Instrument(devices, self._bench)
                 self.status = instrument.status()
                 while not self._stopping.is_set():
                     self._execute_commands(instrument, wait=not devices.camera.is_running)
@@ -204,13 +208,13 @@ class Acquisition:
             frame = self._newest_frame(instrument.devices.camera)
         except Cancelled:
             return
-        wavefront, problem = None, ""
+        wavefront, refinement, problem = None, RefinementState(), ""
         try:
-            wavefront = instrument.measure(frame)
+            wavefront, refinement = instrument.measure(frame)
         except ReconstructionError as error:
             problem = str(error)
         self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (wavefront is not None))
-        measurement = self._measurement(frame, wavefront, problem)
+        measurement = self._measurement(frame, wavefront, refinement, problem)
         for sink in self._sinks:
             sink(measurement)
         self.newest = measurement
@@ -238,11 +242,12 @@ class Acquisition:
         """Set the camera's clock by the frame that came the fastest."""
         self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
 
-    def _measurement(self, frame: Frame, wavefront: Wavefront | None, problem: str) -> Measurement:
+    def _measurement(
+        self, frame: Frame, wavefront: Wavefront | None, refinement: RefinementState, problem: str
+    ) -> Measurement:
         exposure_end_s = frame.camera_time_s + self._clock_lag_s
-        return Measurement(
-            frame, wavefront, problem, self._counts, exposure_end_s, time.perf_counter() - exposure_end_s
-        )
+        latency_s = time.perf_counter() - exposure_end_s
+        return Measurement(frame, wavefront, problem, self._counts, exposure_end_s, latency_s, refinement)
 
     def _age_s(self, frame: Frame) -> float:
         """Time since the end of the exposure."""

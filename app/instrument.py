@@ -13,6 +13,7 @@ import numpy as np
 
 from app.config import Bench
 from app.devices import Devices
+from app.live_refinement import LiveRefinement, RefinementState
 from app.routines import Average, Progress, ShouldStop, take_dark, take_reference
 from drivers.interface import BadValue, CameraCapabilities, Frame, Range
 from reconstruction.errors import ReconstructionError
@@ -61,6 +62,7 @@ class Instrument:
         self._reference_mask = ""
         self._lattice = bench.lattice
         self._reconstructor: Reconstructor | None = None
+        self._refinement: LiveRefinement | None = None
         self._problem = "no reference yet: take the sample out and take one"
 
     @property
@@ -116,15 +118,25 @@ class Instrument:
             raise BadValue(str(error)) from error
         self._prepare()
 
-    def measure(self, frame: Frame) -> Wavefront:
+    def measure(self, frame: Frame) -> tuple[Wavefront, RefinementState]:
         """Reconstruct a frame; raises `ReconstructionError` when it cannot be done."""
         if self._reconstructor is None:
             raise ReconstructionError(self._problem)
-        return self._reconstructor(frame.pixels)
+        displacement = self._reconstructor.register(frame.pixels)
+        if self._refinement is None:
+            return self._reconstructor.solve(displacement), RefinementState()
+        return self._refinement.refine(displacement, frame.camera_time_s)
+
+    def close(self) -> None:
+        """Let go of what works beside the frames; the devices belong to whoever opened them."""
+        if self._refinement is not None:
+            self._refinement.close()
+        self._refinement = None
 
     def _prepare(self) -> None:
         """Make the reconstructor anew, the camera paused; what stands in the way becomes the warning that all see."""
         self._reconstructor = None
+        self.close()
         if self._reference is None:
             return
         camera = self.devices.camera
@@ -146,6 +158,8 @@ class Instrument:
                 noise=self._noise(),
                 reference_frames=self._reference.frames,
             )
+            if bench.reconstruction.refine:
+                self._refinement = LiveRefinement(bench, self._reconstructor)
         except ReconstructionError as error:
             self._problem = str(error)
         if was_running:

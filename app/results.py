@@ -51,7 +51,7 @@ def result_dataset(wavefront: Wavefront, bench: Bench) -> xr.Dataset:
             _about("rad", "standard deviation of e_pq"),
         )
         about = _about("1", "reduced chi-square of the slopes against the fit")
-        variables["slope_chi_square"] = ((), np.float64(solution.chi_square), about)
+        variables["slope_chi_square"] = ((), np.array(solution.chi_square), about)
     return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=_coordinates(bench))
 
 

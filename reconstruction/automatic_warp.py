@@ -16,12 +16,13 @@ from reconstruction.modal import ModalSolver
 from reconstruction.pupil_modes import pupil_modes
 from reconstruction.registration import Warp
 from reconstruction.wavefront import Wavefront
+from reconstruction.whitening import whitening
 
 _PUPIL_MODES = 45  # with which noise is predicted: about as many as a smooth wavefront needs
 # By how much the residual shrinks on the screens of docs/estimator.md (4.2 rad RMS), as the root of the difference of
 # squares: from affine to quadratic at once, from quadratic to cubic once it is refined.
 _QUADRATIC_GAIN_RAD = 0.15
-_CUBIC_GAIN_RAD = 0.03
+_CUBIC_GAIN_RAD = 0.015
 
 
 def freest_warp(prepare: Callable[[Warp], Displacement], sensor: Sensor, field: Field) -> Displacement:
@@ -39,7 +40,8 @@ def freest_warp(prepare: Callable[[Warp], Displacement], sensor: Sensor, field: 
 def _noise_rad2(displacement: Displacement, sensor: Sensor, field: Field) -> float:
     """Mean variance of the views' wavefronts, rad^2, that these displacements' covariance makes."""
     lattice_count = pupil_modes(sensor, "legendre", None).values.shape[0]
-    solver = ModalSolver(pupil_modes(sensor, "legendre", min(_PUPIL_MODES, lattice_count)), is_smooth=False)
+    modes = pupil_modes(sensor, "legendre", min(_PUPIL_MODES, lattice_count))
+    solver = ModalSolver(modes, whitening(displacement.covariance), is_smooth=False)
     slopes = displacement.coefficients * sensor.slope_per_px
     covariance = displacement.covariance * sensor.slope_per_px**2
     wavefront = Wavefront.of(field, displacement, solver(slopes, covariance, displacement.valid))

@@ -19,6 +19,7 @@ from reconstruction.registration import RegistrationSettings, Warp, prepare_regi
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 from reconstruction.wavefront import Solution, Wavefront
+from reconstruction.whitening import whitening
 from reconstruction.zonal import ZonalSolution
 
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
@@ -34,6 +35,7 @@ class ReconstructionSettings:
     method: Literal["zonal", "modal"] = "modal"
     basis: PupilBasis = "legendre"
     pupil_modes: int | None = None
+    refine: bool = False  # live: correct every frame by what a forward model finds beside the live view
 
     def __post_init__(self) -> None:
         require({"pupil_modes must be 3 ... 1000": self.pupil_modes is None or 3 <= self.pupil_modes <= 1000})
@@ -68,12 +70,15 @@ class Reconstructor:
         self._reference_frames = reference_frames
         light = self._light(reference, "reference")
         self.subimages = self._cut(light)
+        own = self._prepare(light, registration)
+        # What the registration makes of the reference itself tells how certain each lenslet is, and of what.
+        self.whitening = whitening(own.covariance)
+        self._expected = _mean_variance(own)  # (lenslet_row, lenslet_column), px^2
         self._modal = None
         if reconstruction.method == "modal":
             count = reconstruction.pupil_modes
-            self._modal = ModalSolver(pupil_modes(sensor, reconstruction.basis, count), is_smooth=count is None)
-        self._weights = np.ones((sensor.lenslet_rows, sensor.lenslet_columns, 2))
-        self._prepare(light, registration)
+            modes = pupil_modes(sensor, reconstruction.basis, count)
+            self._modal = ModalSolver(modes, self.whitening, is_smooth=count is None)
 
     def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
         """Measure the wavefront that a frame (row, column), counts, shows against the reference.
@@ -110,35 +115,31 @@ class Reconstructor:
         """Prepare the same registration for another reference (row, column), counts above the dark."""
         return prepare_registration(self._cut(reference), self.registration, self.field)
 
-    def _prepare(self, light: Image, registration: RegistrationSettings) -> None:
-        """Prepare the registration; what it makes of the reference itself tells how certain each lenslet is."""
+    def _prepare(self, light: Image, registration: RegistrationSettings) -> Displacement:
+        """Prepare the registration, with the warp that the noise allows if none is set; register the reference."""
 
         def prepare(warp: Warp) -> Displacement:
             self.registration = replace(registration, warp=warp)
             self._register = prepare_registration(self.subimages, self.registration, self.field)
             return self._register(light, saturated=np.zeros(light.shape, np.bool_))
 
-        if registration.warp is not None:
-            own = prepare(registration.warp)
-        elif self.noise is None:
-            own = prepare("quadratic")
-        else:
-            own = freest_warp(prepare, self.sensor, self.field)
-        self._expected = np.mean(own.variance, axis=2)  # (lenslet_row, lenslet_column, xy), px^2
-        if self.noise is not None:
-            self._weights = np.nan_to_num(np.nanmedian(self._expected) / self._expected)
+        if registration.warp is None and self.noise is not None:
+            return freest_warp(prepare, self.sensor, self.field)
+        return prepare(registration.warp or "quadratic")
 
     def weights_of(self, displacement: Displacement) -> Floats:
-        """How much each slope counts: as the reference lets expect, less where this frame's lenslet shows less.
+        """How much each lenslet counts: as the reference lets expect, less where this frame's shows less.
 
         Less means in steps of four, so that what the weights determine need not be computed anew for every frame.
         """
         if self.noise is None:
-            return self._weights
-        ratio = np.mean(displacement.variance, axis=2) / self._expected
-        with np.errstate(invalid="ignore"):
-            steps = np.round(np.log(ratio / np.nanmedian(ratio)) / np.log(4.0))
-        return np.asarray(self._weights * 4.0 ** -np.maximum(np.nan_to_num(steps), 0.0))
+            return np.ones(displacement.valid.shape)
+        variance, expected = (values[displacement.valid] for values in (_mean_variance(displacement), self._expected))
+        ratio = variance / expected
+        steps = np.round(np.log(ratio / np.median(ratio)) / np.log(4.0))
+        weights = np.zeros(displacement.valid.shape)
+        weights[displacement.valid] = np.median(expected) / expected * 4.0 ** -np.maximum(steps, 0.0)
+        return weights
 
     def _cut(self, light: Image) -> ReferenceSubimages:
         return ReferenceSubimages(
@@ -159,6 +160,11 @@ class Reconstructor:
             )
         background = self._dark if self._dark is not None else np.percentile(light, _BACKGROUND_PERCENT)
         return np.asarray(light - background, np.float32)
+
+
+def _mean_variance(displacement: Displacement) -> Floats:
+    """Variance of a lenslet's displacement, mean over its coefficients, px^2, (lenslet_row, lenslet_column)."""
+    return np.asarray(np.mean(displacement.variance, axis=(2, 3)))
 
 
 def _checked(image: Counts, what: str, shape: tuple[int, ...]) -> Image:

@@ -70,7 +70,9 @@ class Refinement:
         self._unsaturated = np.zeros(reference.shape, np.bool_)
         modes = pupil_modes(reconstructor.sensor, "legendre", None)
         self._gradients = modes.gradients  # (pupil_mode, lenslet_row, lenslet_column, xy), 1/m
-        self._fit = ModalSolver(modes, is_smooth=True)  # the model wants phases between the lenslets, zonal or modal
+        self._fit = ModalSolver(
+            modes, reconstructor.whitening, is_smooth=True
+        )  # the model wants phases between the lenslets, zonal or modal
         self._phase_at = PupilGrid(modes, reconstructor.sensor, model.sample_x_m, model.sample_y_m)
 
     def bias(self, wavefront: Wavefront) -> Bias:

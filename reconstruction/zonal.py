@@ -27,7 +27,7 @@ class ZonalSolution:
     slopes: Floats  # of every field mode, rad/m, (lenslet_row, lenslet_column, field_mode, xy)
     valid: Mask  # (lenslet_row, lenslet_column)
     pitch_m: float
-    weights: Floats | None = None  # how much each slope counts, in any unit, (lenslet_row, lenslet_column, xy)
+    weights: Floats | None = None  # how much each slope counts, in any unit, (lenslet_row, lenslet_column)
     slope_covariance: Floats | None = None  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
 
     def wavefront(self, field_modes: Floats) -> Floats:
@@ -71,8 +71,8 @@ class _Southwell:
 def zonal_wavefront(slopes: Floats, valid: Mask, *, pitch_m: float, weights: Floats | None = None) -> Floats:
     """Integrate slopes (..., lenslet_row, lenslet_column, xy), rad/m, to wavefronts (..., lenslet_row, lenslet_column).
 
-    The wavefronts are in rad, without piston, all leading axes at once. `weights` (lenslet_row, lenslet_column, xy)
-    say how much each slope counts, in any unit. Only lenslets that hang together with the largest connected set of
+    The wavefronts are in rad, without piston, all leading axes at once. `weights` (lenslet_row, lenslet_column)
+    say how much each lenslet counts, in any unit. Only lenslets that hang together with the largest connected set of
     valid ones share its piston; all others are NaN, as is everything without a valid pair.
     """
     flat = np.where(valid[..., None], slopes, 0.0).reshape(-1, valid.size, 2)
@@ -85,7 +85,7 @@ def zonal_wavefront(slopes: Floats, valid: Mask, *, pitch_m: float, weights: Flo
 
 
 def _equations(valid: Mask, weights: Floats | None) -> _Southwell | None:
-    weights = np.ones((*valid.shape, 2)) if weights is None else np.asarray(weights, np.float64)
+    weights = np.ones(valid.shape) if weights is None else np.asarray(weights, np.float64)
     return _southwell(valid.tobytes(), weights.tobytes(), *valid.shape)
 
 
@@ -96,7 +96,7 @@ def _southwell(valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int)
     The mean of two slopes is as uncertain as the two together: a pair's weight is 1 / (1/w_1 + 1/w_2).
     """
     valid = np.frombuffer(valid_bytes, np.bool_)
-    weights = np.frombuffer(weight_bytes, np.float64).reshape(-1, 2)
+    weights = np.frombuffer(weight_bytes, np.float64)
     index = np.arange(rows * columns).reshape(rows, columns)
     pairs = [
         np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()]),
@@ -113,8 +113,8 @@ def _southwell(valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int)
     mean = tuple(_pairwise(pair, np.full(2, 0.5), valid.size) for pair in pairs)
     difference = [_pairwise(pair, np.array([-1.0, 1.0]), valid.size)[:, node[1:]] for pair in pairs]
     weighted = tuple(
-        (each.T @ sparse.diags_array(1 / np.sum(1 / weights[pair, axis], axis=0))).tocsr()
-        for axis, (pair, each) in enumerate(zip(pairs, difference, strict=True))
+        (each.T @ sparse.diags_array(1 / np.sum(1 / weights[pair], axis=0))).tocsr()
+        for pair, each in zip(pairs, difference, strict=True)
     )
     normal = weighted[0] @ difference[0] + weighted[1] @ difference[1]
     return _Southwell(node, (mean[0], mean[1]), (weighted[0], weighted[1]), splu(normal.tocsc()))

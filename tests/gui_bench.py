@@ -207,7 +207,7 @@ def make_measurement(
         coefficients,
         diagonal_covariance(np.zeros_like(coefficients)),
         outcome,
-        *np.zeros((2, *shape)),
+        *np.zeros((3, *shape)),
     )
     wavefront = Wavefront(FIELD, displacement, _NoSolution(), views)
     return Measurement(

@@ -139,13 +139,17 @@ class ControlsPanel(QFrame):
                 "reconstruction", "pupil_modes", None if value < _FEWEST_PUPIL_MODES else round(value)
             )
         )
+        self.refine = toggle(
+            "Refine", "Correct every frame by the bias that a forward model finds beside the live view (F)"
+        )
+        self.refine.clicked.connect(lambda on: self.setting_requested.emit("reconstruction", "refine", on))
         grid = self._section("Reconstruction", is_last=True)
         grid.addWidget(label("Register", "dim"), 1, 0)
         grid.addLayout(_side_by_side(self.registration, self.warp), 1, 1)
         grid.addWidget(label("Integrate", "dim"), 2, 0)
         grid.addLayout(_side_by_side(self.method, self.basis), 2, 1)
         grid.addWidget(label("Modes", "dim"), 3, 0)
-        grid.addWidget(self.pupil_modes, 3, 1)
+        grid.addLayout(_side_by_side(self.pupil_modes, self.refine), 3, 1)
 
     def _setting(self, section: str, key: str, tool_tip: str) -> QComboBox:
         """A choice of one of the bench's settings."""
@@ -193,6 +197,7 @@ class ControlsPanel(QFrame):
         _show_choice(self.method, ("zonal", "modal"), reconstruction.method)
         _show_choice(self.basis, get_args(PupilBasis), reconstruction.basis)
         self.warp.setEnabled(_uses_warp(registration))
+        self.refine.setChecked(reconstruction.refine)
         for choice in (self.basis, self.pupil_modes):
             choice.setEnabled(reconstruction.method == "modal")
         for shown, words, is_on, colour in (

@@ -220,6 +220,7 @@ class MainWindow(QMainWindow):
                     ("Take a dark", "D", controls.dark.click),
                     ("Take a reference", "R", controls.reference.click),
                     ("Cancel what is under way", "Esc", controls.cancel.click),
+                    ("Refine, or not", "F", controls.refine.click),
                     ("Set the exposure", "E", controls.exposure.edit),
                     ("Set the current", "C", controls.current.edit),
                     ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect.click),

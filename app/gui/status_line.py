@@ -14,9 +14,11 @@ from app.gui import theme
 from app.gui.reasons import REASONS
 from app.gui.widgets import label
 from app.instrument import Status
+from app.live_refinement import RefinementState
 from reconstruction.displacement import Displacement
 
 _VALID = "Lenslets whose subimage could be matched with the reference"
+_REFINED = "Whether the wavefront is corrected by the bias that a forward model found, and how long ago"
 _WINDOW_S = 1.0  # over which rate and latency are taken
 
 
@@ -40,6 +42,7 @@ class StatusLine(QWidget):
         )
         self.age = self._add("age", "How long ago the frame that is shown was exposed", 56)
         self.valid = self._add("valid", _VALID, 76)
+        self.refined = self._add("refined", _REFINED, 76)
         self._layout.addStretch()
         self.devices = label("", "dim")
         self._layout.addWidget(self.devices)
@@ -76,6 +79,7 @@ class StatusLine(QWidget):
         self.latency.setText(_duration(median(one.latency_s for one in self._recent)))
         self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
+        self._show_refinement(last.refinement)
 
     def _show_valid(self, displacement: Displacement | None) -> None:
         """Count the valid lenslets; the tool tip tells what has become of the others."""
@@ -92,6 +96,19 @@ class StatusLine(QWidget):
         self.valid.setToolTip(tool_tip)
         self.valid.setStyleSheet(f"color: {colour.name()};")
 
+    def _show_refinement(self, refinement: RefinementState) -> None:
+        """Say whether the wavefront is refined, and on how old a state; a correction that was dropped is seen."""
+        text, why, colour = {
+            "off": ("off", "", theme.TEXT),
+            "preparing": ("preparing", "", theme.TEXT),
+            "applied": (f"{refinement.age_s:.1f} s old", _moved(refinement), theme.GREEN),
+            "moved": ("dropped", f"{_moved(refinement)}: too much for the bias found there", theme.AMBER),
+            "failed": ("failed", refinement.problem, theme.RED),
+        }[refinement.stage]
+        self.refined.setText(text)
+        self.refined.setToolTip("\n".join(filter(None, [_REFINED, why])))
+        self.refined.setStyleSheet(f"color: {colour.name()};")
+
     def _add(self, name: str, tool_tip: str, width: int) -> QLabel:
         value = label("\N{EN DASH}")
         value.setMinimumWidth(width)
@@ -99,6 +116,10 @@ class StatusLine(QWidget):
             widget.setToolTip(tool_tip)
             self._layout.addWidget(widget)
         return value
+
+
+def _moved(refinement: RefinementState) -> str:
+    return f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the bias was found"
 
 
 def _duration(seconds: float) -> str:
