@@ -124,7 +124,8 @@ def settle(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to
             if step * shrinks / (np.float32(1.0) - shrinks) < limits[1]:
                 break
         renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two masks would never settle
-        gain, offset = gain_before * (np.float32(1.0) - change[-2]), offset_before - change[-1]
+        fainter = np.float32(1.0) - change[-2]
+        gain, offset = gain_before * fainter, offset_before * fainter - change[-1]
     if not (gain > 0 and np.max(np.abs(displacement)) < _BOUND_PX):
         step = LOST_PX
     return State(square, step, gain, contrast, careful)
@@ -177,9 +178,9 @@ def _brightness(light: Image, template: Image) -> tuple[np.float32, np.float32, 
 @compiled
 def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Image, scratch: Scratch) -> np.float32:
     """Fill in the residual; return the weighted sum of its squares."""
-    light, residual = scratch.light, scratch.residual
+    light, stretch, residual = scratch.light, scratch.stretch, scratch.residual
     for n in range(light.size):
-        residual[n] = gain * light[n] + offset - template[n]
+        residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
     square = np.float32(0.0)
     for n in range(light.size):
         square += weight[n] * residual[n] * residual[n]

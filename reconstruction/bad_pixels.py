@@ -16,10 +16,11 @@ from reconstruction.spline import Image
 _DEAD = 0.3  # of the faintest neighbour; a pixel below it may be dead
 _HOT = 3.0  # of the brightest neighbour; a pixel above it may be hot
 _LIT = 0.2  # of the frame's brightest light; a dead pixel shows only among neighbours above it
-_BRIGHT = 0.5  # likewise; a single electron behind a large gain can stand out of the darkness by less
+_BRIGHT = 2.0  # likewise, of a hot pixel; single electrons behind a large gain stand out of the darkness by less
 _SIGNIFICANT = 8.0  # standard deviations of how neighbouring pixels differ from the mean of theirs
-_HOT_IN_DARK = 0.05  # of the frame's brightest light
-_PEAK_PERCENT = 99.9  # of the pixels, below which the brightest light is; so no hot pixel is taken for it
+_HOT_IN_DARK = 0.05  # of the frame's brightest light; less does no harm
+_OUTSTANDING = 4.0  # times what the dark's own brightest pixels, of single electrons, show
+_PEAK_PERCENT = 99.9  # of the pixels, below which the brightest of an image is; so no hot pixel is taken for it
 _BACKGROUND_PERCENT = 1.0
 
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
@@ -44,7 +45,8 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
     if dark is not None:
         excess = np.asarray(dark, np.float64)
         excess = excess - ndimage.median_filter(excess, 5, mode="mirror")
-        bad |= (excess > _HOT_IN_DARK * peak) & _stands_out(np.asarray(dark, np.float64))
+        usual = _OUTSTANDING * np.percentile(excess, _PEAK_PERCENT)
+        bad |= (excess > max(_HOT_IN_DARK * peak, usual)) & _stands_out(excess)
     return np.asarray(bad)
 
 

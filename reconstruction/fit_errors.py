@@ -7,6 +7,7 @@ is that of pixels without interpolation. The residual holds all of the noise, an
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,15 @@ from reconstruction.lenslet_fits import Fits
 from reconstruction.spline import noise_power
 from reconstruction.subimages import ReferenceSubimages
 from reconstruction.template import Propagated, Template
+
+
+class Errors(NamedTuple):
+    """How wrong the fits of L lenslets may be."""
+
+    covariance: Floats  # px^2, (L, Q, xy, Q, xy); without known noise, of what the warp cannot explain
+    chi_square: Floats  # reduced, (L,); NaN where the noise is not known
+    unexplained: Floats  # weighted sum of squares of the residual, less what noise leaves in it, counts^2, (L,)
+    known: Floats  # share of what a lenslet's pixels say about its parameters that the good ones say, (L,)
 
 
 class FitErrors:
@@ -42,22 +52,20 @@ class FitErrors:
             square[:, 0], square[:, 1], square[:, 2] = (shot + read) * self._of_reference, shot, read
         return square
 
-    def __call__(self, fits: Fits) -> tuple[Floats, Floats, Floats]:
-        """Covariance (L, Q, xy, Q, xy), px^2, of the fits; the square that noise leaves in each residual, (L,).
-
-        The latter is NaN where the noise is not known: then what the warp does not explain is taken for noise. Third,
-        the share of a lenslet's information about its parameters that bad pixels have left, (L,).
-        """
+    def __call__(self, fits: Fits) -> Errors:
+        """Say how wrong the fits are; of those that ran away it may say anything."""
         per_pixel, per_light, known = self._template.per_pixel, self._template.per_light, np.ones(len(fits.gain))
         careful = np.flatnonzero(fits.careful)
         if careful.size:
             of_pixel, of_light, known[careful] = self._template.without(careful, fits.masked[careful])
             per_pixel, per_light = _with(per_pixel, careful, of_pixel), _with(per_light, careful, of_light)
         power_pixel, power_light = fits.noise_power.T
-        with np.errstate(over="ignore", invalid="ignore"):  # a fit that ran away may hold anything
+        with np.errstate(all="ignore"):
             if self._noise is None:
                 variance = fits.square / (power_pixel * per_pixel.square - per_pixel.fitted)
-                return _scaled(per_pixel.covariance, variance), np.full_like(variance, np.nan), known
+                return Errors(
+                    _scaled(per_pixel.covariance, variance), np.full_like(variance, np.nan), fits.square, known
+                )
             # Of the frame, raised by the gain to the brightness of the reference, and of the reference itself.
             shot, read = self._noise.counts_per_light, self._noise.read_noise_counts**2
             shot_frame, read_frame = shot * fits.gain, read * fits.gain**2
@@ -69,7 +77,7 @@ class FitErrors:
             expected += read_frame * (power_pixel * per_pixel.square - per_pixel.fitted)
             expected += shot_reference * (still_light * per_light.square - per_light.fitted)
             expected += read_reference * (still_pixel * per_pixel.square - per_pixel.fitted)
-            return covariance, expected, known
+            return Errors(covariance, fits.square / expected, fits.square - expected, known)
 
 
 def _scaled(covariance: Floats, factor: Floats) -> Floats:

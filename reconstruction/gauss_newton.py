@@ -2,7 +2,7 @@
 
 Light imaged at x in the reference arrives at x + d(x). Light is neither made nor lost on the way, so that
 
-    I0(x) = gain I1(x + d(x)) det(1 + dd/dx) + offset,    d(x) = sum_q c_q T_q(x / h)
+    I0(x) = (gain I1(x + d(x)) + offset) det(1 + dd/dx),    d(x) = sum_q c_q T_q(x / h)
 
 with T_q the field modes and h the half width of the field on the subimage. One mode is a translation, three Legendre
 modes are the paper's affine map, six and ten bend. The c_q follow from Gauss-Newton steps that need of the reference
@@ -76,25 +76,23 @@ class GaussNewton:
         bad = reference.bad | saturated
         fits = self._fit(coefficients, bad, start, slice(None))
 
-        covariance, expected_square, known = self._errors(fits)
-        pixels = warp.grid.uv.shape[1]
-        misfit = np.maximum(fits.square - np.nan_to_num(expected_square), 0)
-        diverged = ~((fits.step_px < _CONVERGED_PX) & (misfit < pixels * (_MISFIT * warp.contrast) ** 2))
-        spoilt = known < _INFORMATION_LEFT
-        saturates = reference.touched(saturated)
+        errors = self._errors(fits)
+        unexplained = np.count_nonzero(warp.grid.weight, axis=1) * (_MISFIT * warp.contrast) ** 2
+        found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < unexplained)
+        spoilt = errors.known < _INFORMATION_LEFT
         return judged(
             reference,
             self._modes,
             fits.displacement.astype(np.float64),
-            covariance=covariance,
-            residual_rms=np.sqrt(fits.square / pixels) / warp.contrast.max(),
-            chi_square=fits.square / expected_square,
+            covariance=errors.covariance,
+            residual_rms=np.sqrt(fits.square / warp.grid.uv.shape[1]) / warp.contrast.max(),
+            chi_square=errors.chi_square,
             contrast=fits.contrast,
             faults={
-                Outcome.DIVERGED: diverged,
+                Outcome.DIVERGED: ~found,
                 Outcome.LEFT_CELL: spoilt,
                 Outcome.DARK: spoilt & reference.touched(reference.bad),
-                Outcome.SATURATED: spoilt & saturates,
+                Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
         )
 

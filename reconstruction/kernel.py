@@ -51,7 +51,8 @@ class Scratch(NamedTuple):
 
     x: Image  # where each pixel lands on the camera, px, (N,)
     y: Image
-    light: Image  # what the frame shows there, times the stretch of the warp: light is spread thinner, counts, (N,)
+    light: Image  # what the frame shows there, counts, (N,)
+    stretch: Image  # of the warp, by which light is spread thinner, (N,)
     corner: NDArray[np.uint64]  # flat index of the first of the 4 x 4 coefficients about it, (N,)
     weights: Image  # of the four columns and the four rows of coefficients, (8, N)
     residual: Image  # counts, (N,)
@@ -62,6 +63,7 @@ class Scratch(NamedTuple):
 def new_scratch(pixels: int) -> Scratch:
     """Make room for windows of some pixels."""
     return Scratch(
+        np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
@@ -123,7 +125,7 @@ def look(  # noqa: PLR0917 - compiled code takes its arguments by their place
     to_x[0] += np.float32(center_px[0])
     to_y[0] += np.float32(center_px[1])
     a, b = warp[0] * flux, warp[1] * flux
-    u_all, v_all, x_all, y_all, light, weights = uv[0], uv[1], scratch.x, scratch.y, scratch.light, scratch.weights
+    u_all, v_all, x_all, y_all, weights = uv[0], uv[1], scratch.x, scratch.y, scratch.weights
     for n in range(x_all.size):
         u, v = u_all[n], v_all[n]
         x_all[n] = min(max(warp_value(to_x, u, v), _ONE), last_x)
@@ -132,7 +134,7 @@ def look(  # noqa: PLR0917 - compiled code takes its arguments by their place
         xv = a[2] + u * (a[4] + u * a[7]) + v * (_TWO * (a[5] + u * a[8]) + _THREE * v * a[9])
         yu = b[1] + v * (b[4] + v * b[8]) + u * (_TWO * (b[3] + v * b[7]) + _THREE * u * b[6])
         yv = _ONE + b[2] + u * (b[4] + u * b[7]) + v * (_TWO * (b[5] + u * b[8]) + _THREE * v * b[9])
-        light[n] = xu * yv - xv * yu
+        scratch.stretch[n] = xu * yv - xv * yu
     for n in range(x_all.size):
         column, row = np.int32(x_all[n]), np.int32(y_all[n])
         t, w = x_all[n] - np.float32(column), y_all[n] - np.float32(row)
@@ -153,7 +155,7 @@ def look(  # noqa: PLR0917 - compiled code takes its arguments by their place
 
 @compiled
 def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
-    """Multiply the light in `scratch` by what the frame's coefficients, row after row, give at its corners."""
+    """Fill in the light that the frame's coefficients, row after row, give at the corners in `scratch`."""
     weights, light, corner = scratch.weights, scratch.light, scratch.corner
     for n in range(light.size):
         # Column by column, so that four neighbours of a row make one vector operation.
@@ -169,4 +171,4 @@ def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
             + y3 * flat[d + _NEXT_BUT_ONE]
         )
         v3 = y0 * flat[a + _LAST] + y1 * flat[b + _LAST] + y2 * flat[c + _LAST] + y3 * flat[d + _LAST]
-        light[n] *= (weights[0, n] * v0 + weights[1, n] * v1) + (weights[2, n] * v2 + weights[3, n] * v3)
+        light[n] = (weights[0, n] * v0 + weights[1, n] * v1) + (weights[2, n] * v2 + weights[3, n] * v3)

@@ -35,7 +35,7 @@ def test_gradients_are_those_of_the_values() -> None:
         np.testing.assert_allclose(gradients[:, axis], slope, atol=1e-6)
 
 
-def test_compiled_sampling_of_a_warp_is_scipys_times_its_stretch() -> None:
+def test_compiled_sampling_of_a_warp_is_scipys_and_its_stretch_the_determinant() -> None:
     rng = np.random.default_rng(3)
     coefficients = spline_coefficients(rng.uniform(0, 1, (40, 60)).astype(np.float32))
     uv = rng.uniform(-1, 1, (2, 100)).astype(np.float32)
@@ -55,4 +55,5 @@ def test_compiled_sampling_of_a_warp_is_scipys_times_its_stretch() -> None:
     slope_v = polynomials @ (by_v * u[:, None] ** powers[:, 0]).T / per_unit
     stretch = (1 + slope_u[0]) * (1 + slope_v[1]) - slope_v[0] * slope_u[1]
     light = ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
-    np.testing.assert_allclose(scratch.light, light * stretch, atol=5e-5)
+    np.testing.assert_allclose(scratch.light, light, atol=5e-5)
+    np.testing.assert_allclose(scratch.stretch, stretch, atol=1e-5)
