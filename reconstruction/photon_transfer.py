@@ -31,12 +31,12 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
     noise = np.array([np.median(part) for part in np.array_split(variance.ravel()[order], _BINS)]) / scatter
     bright = light > np.max(light) / 10
     # A line through the read noise; a bin's variance is known to a fixed fraction, hence the weights.
-    weight = 1 / np.maximum(noise[bright], np.finfo(np.float32).tiny) ** 2
+    if np.min(noise[bright]) <= read_variance:
+        return None
+    weight = 1 / noise[bright] ** 2
     slope = float(
         np.sum(weight * light[bright] * (noise[bright] - read_variance)) / np.sum(weight * light[bright] ** 2)
     )
-    if not slope > 0:
-        return None
     return CameraNoise(counts_per_electron=slope, read_noise_counts=float(np.sqrt(read_variance)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reconstruction.zonal import zonal_wavefront
+from reconstruction.zonal import ZonalSolution, zonal_wavefront
 
 PITCH_M = 2.0
 ROWS, COLUMNS = 5, 8
@@ -67,3 +67,30 @@ def test_least_squares_against_a_dense_solution() -> None:
     expected = np.linalg.lstsq(np.array(rows), np.array(data), rcond=None)[0].reshape(ROWS, COLUMNS)
     wavefront = zonal_wavefront(slopes, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M)
     np.testing.assert_allclose(wavefront, expected - expected.mean(), atol=1e-10)
+
+
+def test_weighted_least_squares_and_its_sigma_against_a_dense_solution() -> None:
+    generator = np.random.default_rng(5)
+    weights = generator.uniform(0.1, 10, (ROWS, COLUMNS))
+    index = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
+    pairs = [(a, b, 0) for a, b in zip(index[:, :-1].ravel(), index[:, 1:].ravel(), strict=True)]
+    pairs += [(a, b, 1) for a, b in zip(index[:-1].ravel(), index[1:].ravel(), strict=True)]
+    difference, mean, root = np.zeros((len(pairs), index.size)), np.zeros((len(pairs), index.size, 2)), []
+    for row, (a, b, axis) in enumerate(pairs):
+        difference[row, a], difference[row, b] = -1, 1
+        mean[row, [a, b], axis] = PITCH_M / 2
+        root.append(np.sqrt(1 / (1 / weights.flat[a] + 1 / weights.flat[b])))
+    inverse = np.linalg.pinv(np.array(root)[:, None] * difference) * np.array(root)
+    by_slope = np.einsum("np,pla->nla", inverse, mean)  # of the wavefront without piston, by every slope
+    slopes = generator.normal(size=(ROWS, COLUMNS, 2, 2))
+    spread = generator.normal(size=(ROWS, COLUMNS, 4, 4))
+    covariance = (spread @ np.swapaxes(spread, 2, 3)).reshape(ROWS, COLUMNS, 2, 2, 2, 2)
+    view = np.array([0.7, -1.2])
+    solution = ZonalSolution(slopes, np.ones((ROWS, COLUMNS), bool), PITCH_M, weights, covariance)
+
+    at_view = np.einsum("q,rcqa->rca", view, slopes).reshape(-1, 2)
+    expected = np.einsum("nla,la->n", by_slope, at_view).reshape(ROWS, COLUMNS)
+    np.testing.assert_allclose(solution.wavefront(view), expected, atol=1e-9)
+    noise = np.einsum("q,lqarb,r->lab", view, covariance.reshape(-1, 2, 2, 2, 2), view)
+    variance = np.einsum("nla,lab,nlb->n", by_slope, noise, by_slope).reshape(ROWS, COLUMNS)
+    np.testing.assert_allclose(solution.sigma(view), np.sqrt(variance), rtol=1e-9)

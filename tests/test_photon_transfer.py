@@ -1,0 +1,65 @@
+"""The camera's noise, found in simulated frames of known noise; what it decides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from optics import SmallBench
+
+from reconstruction.noise import CameraNoise
+from reconstruction.photon_transfer import photon_transfer
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.registration import RegistrationSettings
+from simulated_devices.emccd import Detector, Exposure
+from simulated_devices.settings import SimulatedCameraSettings
+
+ROWS = COLUMNS = 256
+
+
+@pytest.mark.parametrize(("em_gain", "frames"), [(1.0, 20), (50.0, 20), (50.0, 5)])
+def test_noise_is_found_in_frames_of_the_simulated_camera(em_gain: float, frames: int) -> None:
+    settings = SimulatedCameraSettings(rows=ROWS, columns=COLUMNS, em_gain=em_gain)
+    detector = Detector(settings, seed=3)
+    ramp = np.linspace(0, 3000 / em_gain**0.5, ROWS * COLUMNS, dtype=np.float32).reshape(ROWS, COLUMNS)
+
+    def stack(photons: np.ndarray, first: int) -> np.ndarray:
+        exposures = (
+            Exposure(index=i, exposure_s=0.02, amplifier="em", em_gain=em_gain) for i in range(first, first + frames)
+        )
+        return np.array([detector.counts(photons, exposure) for exposure in exposures], np.float64)
+
+    dark, light = stack(np.zeros_like(ramp), 0), stack(ramp, 100)
+    detector.close()
+    noise = photon_transfer(
+        (light.mean(axis=0) - dark.mean(axis=0)).astype(np.float32),
+        light.var(axis=0, ddof=1).astype(np.float32),
+        frames=frames,
+        dark_variance=dark.var(axis=0, ddof=1).astype(np.float32),
+    )
+    assert noise is not None
+    # Behind a register of gain G the variance of n electrons is n (2 G^2 - G): excess noise 2 - 1 / G.
+    expected = em_gain / settings.electrons_per_count * (2 - 1 / em_gain)
+    assert noise.counts_per_light == pytest.approx(expected, rel=0.03)
+    read_noise_counts = np.hypot(settings.em_read_noise_e[2] / settings.electrons_per_count, 12**-0.5)
+    assert noise.read_noise_counts == pytest.approx(read_noise_counts, rel=0.05)
+
+
+def test_too_few_frames_or_none_of_light_tell_nothing() -> None:
+    flat = np.ones((8, 8), np.float32)
+    assert photon_transfer(flat, flat, frames=3, dark_variance=flat) is None
+    assert photon_transfer(flat, flat * 0, frames=20, dark_variance=flat) is None
+
+
+@pytest.mark.parametrize(("peak_e", "warp"), [(1e6, "cubic"), (3000, "quadratic"), (30, "affine")])
+def test_the_noise_says_how_freely_a_warp_may_bend(small_bench: SmallBench, peak_e: float, warp: str) -> None:
+    per_electron = float(small_bench.reference.max()) / peak_e
+    reconstructor = small_bench.reconstructor(
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(),
+        noise=CameraNoise(per_electron, 8 * per_electron),
+    )
+    assert reconstructor.registration.warp == warp
+
+
+def test_without_a_noise_to_go_by_the_warp_is_quadratic(small_bench: SmallBench) -> None:
+    assert small_bench.reconstructor(registration=RegistrationSettings()).registration.warp == "quadratic"
