@@ -215,6 +215,26 @@ def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path
 
 
 @cli.command()
+def study(
+    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Sweeps; all without a name.")] = None,
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for study.json, study.csv and estimator.png.")],
+    seeds: Seeds = 3,
+    bench: BenchOption = "paper_simulation",
+    setting: SetOption = None,
+) -> None:
+    """What the estimator leaves of the truth, against everything that may be hard for it (docs/estimator.md)."""
+    from app.report import progress_bar
+    from app.study.output import print_study
+    from app.study.sweeps import chosen_sweeps, run_study
+
+    sweeps, loaded = chosen_sweeps(names or []), load(bench, setting)
+    with progress_bar() as report:
+        outcomes = run_study(loaded, sweeps, seeds, out, report)
+    print_study(outcomes)
+
+
+@cli.command()
 def reconstruct(
     frame: Annotated[Path, typer.Argument(help="The frame with the sample in: TIFF or NPY.")],
     *,

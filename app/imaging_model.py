@@ -62,7 +62,7 @@ class BenchModel:
         position_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)
         images = one_lenslet.point_irradiances(position_m)
         self.source = SourcePoints(position_m=position_m, area_m2=brightness(images, subimage))
-        self._light = _by_pixel(light, lattice, rows, columns)  # counts, (row, column)
+        self._light = by_pixel(light, lattice, rows, columns)  # counts, (row, column)
         self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m
 
     def image(self, phase: PointPhase | None) -> Image:
@@ -70,7 +70,7 @@ class BenchModel:
         return np.asarray(self._model.irradiance(self.source, phase) * self._light, np.float32)
 
 
-def _by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:
+def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:
     """The value (lenslet_row, lenslet_column) of the lenslet behind which each pixel lies, (row, column); else 0."""
     row, column = np.mgrid[:rows, :columns]
     position_px = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64))

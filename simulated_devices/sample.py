@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -50,8 +51,8 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
         samples_rad = read_screen(Path(simulation.screen.file))
         return Sample(screen=PhaseScreen(samples_rad, simulation.screen.sample_spacing_m), ray_map=rays)
     enlarged_by = _enlargement(simulation, sensor, field, rays)
-    samples_rad = smooth_screen(
-        np.random.default_rng(simulation.seed),
+    samples_rad = _generated(
+        simulation.seed,
         samples=simulation.screen.samples,
         sample_spacing_m=simulation.screen.sample_spacing_m,
         correlation_length_m=simulation.screen.correlation_length_m,
@@ -68,6 +69,20 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
     screen = PhaseScreen(samples_rad, simulation.screen.sample_spacing_m)
     views = truth_wavefront(screen, rays, sensor, field)
     return Sample(screen=screen.scaled(simulation.screen.rms_rad / mean_view_rms(views)), ray_map=rays)
+
+
+@lru_cache(maxsize=1)
+def _generated(
+    seed: int, *, samples: int, sample_spacing_m: float, correlation_length_m: float, enlarged_by: int
+) -> Floats:
+    """Smooth the noise of a seed, once for all strengths of the same screen: a finely sampled one takes seconds."""
+    return smooth_screen(
+        np.random.default_rng(seed),
+        samples=samples,
+        sample_spacing_m=sample_spacing_m,
+        correlation_length_m=correlation_length_m,
+        enlarged_by=enlarged_by,
+    )
 
 
 def mean_view_rms(wavefront: Floats) -> float:

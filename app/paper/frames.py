@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from app.config import Bench
 from app.devices import simulated_bench
 from app.errors import InputError
+from app.noise_free import Image, NoiseFreeFrames
 from app.paper.methods import Mask
 from drivers.interface import BadValue
 from reconstruction.geometry import Floats, nominal_lattice
@@ -21,8 +21,6 @@ from simulated_devices.clock import ManualClock
 
 _CROP, _RESIZED = 469, 465  # px: the paper's way to 31 pixels a lenslet
 _DARKS = 8
-
-Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,19 +31,12 @@ class Frames:
     frame: Image
 
 
-def noise_free_frames(
-    bench: Bench, masks: tuple[str, ...], progress: Callable[[float], None]
-) -> tuple[dict[str, Frames], Floats]:
+def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, Frames], Floats]:
     """Mean photons of reference and frame for each mask, and the true wavefronts of the views."""
-    frames: dict[str, Frames] = {}
-    with closing(simulated_bench(bench, progress, ManualClock())) as simulated:
-        simulated.change(is_light_on=True)
-        for mask in masks:
-            simulated.change(mask=mask, is_sample_in=False)
-            reference = simulated.expose(0.0, 1.0).photons
-            simulated.change(is_sample_in=True)
-            frames[mask] = Frames(reference, simulated.expose(0.0, 1.0).photons)
-        return frames, simulated.truth_wavefront(0)
+    rendered = NoiseFreeFrames(bench)
+    with_sample = {mask: rendered.frame(mask) for mask in masks}
+    frames = {mask: Frames(rendered.reference(mask), frame.photons) for mask, frame in with_sample.items()}
+    return frames, with_sample[masks[0]].truth
 
 
 def exposed_frames(

@@ -13,10 +13,9 @@ import numpy as np
 
 import reconstruction
 from app.config import Bench, write_bench
-from app.devices import cache_folder
-from app.files import appearing_whole
 from app.paper.frames import Frames
 from app.paper.methods import Method
+from app.remembered import Arrays, remembered
 from reconstruction.geometry import Floats, nominal_lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import rms
@@ -45,18 +44,12 @@ def measured(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Meas
         star_spacing_m=stars.star_spacing_m,
     )
     bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
-    path = _folder() / f"{_fingerprint(bench, pair)}.npz"
-    try:
-        with np.load(path) as kept:
-            return Measured(kept["views"], int(kept["lost"]), float(kept["seconds"]))
-    except (OSError, ValueError, EOFError, KeyError):  # not there, or not whole: compute it
-        result = _measure(bench, pair)
-    with appearing_whole(path) as temporary:
-        np.savez(temporary, views=result.views, lost=result.lost, seconds=result.seconds)
-    return result
+    kept = remembered("paper", _fingerprint(bench, pair), lambda: _measure(bench, pair))
+    return Measured(kept["views"], int(kept["lost"]), float(kept["seconds"]))
 
 
-def _measure(bench: Bench, pair: Frames) -> Measured:
+def _measure(bench: Bench, pair: Frames) -> Arrays:
+    """Return the fields of `Measured`."""
     reconstructor = Reconstructor(
         pair.reference,
         sensor=bench.sensor,
@@ -69,11 +62,8 @@ def _measure(bench: Bench, pair: Frames) -> Measured:
     start_s = time.perf_counter()
     wavefront = reconstructor(pair.frame)
     seconds = time.perf_counter() - start_s
-    return Measured(wavefront.views, int(np.count_nonzero(~wavefront.displacement.valid)), seconds)
-
-
-def _folder() -> Path:
-    return cache_folder() / "paper"
+    lost = np.count_nonzero(~wavefront.displacement.valid)
+    return {"views": wavefront.views, "lost": np.array(lost), "seconds": np.array(seconds)}
 
 
 def _fingerprint(bench: Bench, pair: Frames) -> str:

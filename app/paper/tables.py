@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.config import Bench
 from app.errors import InputError
+from app.noise_free import seeded
 from app.paper.frames import Frames, exposed_frames, noise_free_frames, resized
 from app.paper.methods import METHODS, PAPER_TABLE_1, PAPER_TABLE_2, Mask, Method
 from app.paper.residuals import Measured, measured
+from app.progress import Report, part
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats
 
 Views = NDArray[np.bool_]
-Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
 
 EXPOSURES_S: dict[Mask, float] = {"stars": 3.8, "square": 0.15}  # the paper's
 SOURCES = ("square", "circle", "ellipse", "octagon", "peaks")
@@ -79,11 +80,11 @@ def table1(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
     """The paper's simulation: every method on noise-free frames of the same screens, against the truth."""
     table = Table("table1", "Simulation: residual RMS (rad) against the truth", PAPER_TABLE_1, "truth", _inside(bench))
     methods = _methods(peers=peers)
-    for index, seeded in enumerate(_seeded(bench, seeds)):
-        step = _part(report, index, seeds)
+    for index, screen in enumerate(seeded(bench, seeds)):
+        step = part(report, index, seeds)
         step("rendering", 0.0)
-        frames, truth = noise_free_frames(seeded, ("square", "stars"), lambda _: None)
-        _run(table, seeded, frames, truth, methods, step)
+        frames, truth = noise_free_frames(screen, ("square", "stars"))
+        _run(table, screen, frames, truth, methods, step)
     return table
 
 
@@ -95,18 +96,18 @@ def table2(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
     """
     table = Table("table2", "Experiment: residual RMS (rad) against the stars", PAPER_TABLE_2, "stars", _inside(bench))
     methods = {name: method for name, method in _methods(peers=peers).items() if method.mask == "square"}
-    for index, seeded in enumerate(_seeded(bench, seeds)):
-        step = _part(report, index, seeds)
+    for index, screen in enumerate(seeded(bench, seeds)):
+        step = part(report, index, seeds)
         step("rendering and exposing", 0.0)
-        frames, truth = exposed_frames(seeded, EXPOSURES_S, lambda _: None)
-        stars = _stars(seeded, frames)
+        frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
+        stars = _stars(screen, frames)
         table.add("stars_zonal_against_truth", stars, truth)
-        _run(table, seeded, frames, stars.views, methods, _part(step, 0, 2))
-        small_bench, small = resized(seeded, frames)
+        _run(table, screen, frames, stars.views, methods, part(step, 0, 2))
+        small_bench, small = resized(screen, frames)
         small_stars = _stars(small_bench, small)
         table.add("stars_zonal_resized_against_truth", small_stars, truth)
         small_methods = {f"{name}_resized": method for name, method in methods.items()}
-        _run(table, small_bench, small, small_stars.views, small_methods, _part(step, 1, 2))
+        _run(table, small_bench, small, small_stars.views, small_methods, part(step, 1, 2))
     return table
 
 
@@ -114,13 +115,13 @@ def sources(bench: Bench, seeds: int, *, report: Report) -> Table:
     """The robustness study of the paper's supplement: the same screens behind sources of other shapes."""
     table = Table("sources", "Other sources: residual RMS (rad) against the truth", {}, "truth", _inside(bench))
     kinds = ("affine_zonal", "affine_modal", "quadratic_zonal", "quadratic_modal")
-    for index, seeded in enumerate(_seeded(bench, seeds)):
-        step = _part(report, index, seeds)
+    for index, screen in enumerate(seeded(bench, seeds)):
+        step = part(report, index, seeds)
         step("rendering", 0.0)
-        frames, truth = noise_free_frames(seeded, SOURCES, lambda _: None)
+        frames, truth = noise_free_frames(screen, SOURCES)
         for source in SOURCES:
             methods = {f"{source}_{kind}": METHODS[kind] for kind in kinds}
-            _run(table, seeded, {"square": frames[source]}, truth, methods, step)
+            _run(table, screen, {"square": frames[source]}, truth, methods, step)
     return table
 
 
@@ -140,16 +141,6 @@ def _stars(bench: Bench, frames: Mapping[str, Frames]) -> Measured:
 
 def _methods(*, peers: bool) -> dict[str, Method]:
     return {name: method for name, method in METHODS.items() if peers or not method.is_peer}
-
-
-def _seeded(bench: Bench, seeds: int) -> list[Bench]:
-    first = bench.simulation.seed
-    return [replace(bench, simulation=replace(bench.simulation, seed=first + index)) for index in range(seeds)]
-
-
-def _part(report: Report, index: int, count: int) -> Report:
-    """The report of one part of several."""
-    return lambda text, fraction: report(text, (index + fraction) / count)
 
 
 def _run(
