@@ -20,7 +20,7 @@ LOST_PX = np.float32(1e6)  # the last step of a fit that has run away
 _BOUND_PX = np.float32(
     100.0
 )  # no coefficient of a displacement is larger; beyond it float32 has no fractions of a pixel
-_GROWTH = np.float32(1.1)  # of the residual's square after a step that must not be
+_GROWTH = np.float32(2.0)  # of the residual after a step, squares, that must not be; on good ways 1.5 was seen
 _SMALL_PX = np.float32(0.1)  # steps that cannot do harm, although the residual may grow a little
 _HALVINGS = 4
 _FIRST_SHRINKS = np.float32(0.3)  # the second step over the first, for want of a measured one

@@ -39,7 +39,6 @@ _POOR = 0.3  # likewise; above it another start may do better
 _NOISE_AT_MOST = 1.5  # the square of a residual's noise over its mean
 _INFORMATION_LEFT = 0.75  # of a lenslet's; with less it is lost
 _THREADS = min(2, os.cpu_count() or 1)
-_PARTS = 3  # of the lenslets for each thread, for some need more steps than others
 
 
 class GaussNewton:
@@ -67,14 +66,14 @@ class GaussNewton:
             poor_square=poor_square.astype(np.float32),
         )
         # Numba compiles, or loads what it has compiled, at the first call: let that not be a camera's first frame.
-        self._fit(np.zeros((8, 8), np.float32), reference.bad, None, slice(0, 1))
+        self._fit(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.bool_), None)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
         """Compare a frame with the reference; see `displacement.Estimator`."""
         reference, warp = self._reference, self._warp
         coefficients = reference.spline(light, saturated=saturated)
         bad = reference.bad | saturated
-        fits = self._fit(coefficients, bad, start, slice(None))
+        fits = self._fit(coefficients, bad, start)
 
         errors = self._errors(fits)
         unexplained = np.count_nonzero(warp.grid.weight, axis=1) * (_MISFIT * warp.contrast) ** 2
@@ -96,8 +95,8 @@ class GaussNewton:
             },
         )
 
-    def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None, some: slice) -> Fits:
-        """Fit some of the lenslets, shared among threads, to a frame of which the spline coefficients are given."""
+    def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
+        """Fit the lenslets, shared among threads, to a frame of which the spline coefficients are given."""
         reference, grid = self._reference, self._warp.grid
         lenslets, pixels = grid.light.shape
         fits = Fits(
@@ -118,23 +117,14 @@ class GaussNewton:
             turn=reference.turn[0].astype(np.float32),
             half_cell_px=np.float32(reference.pitch_px / 2),
         )
-        first, last, _ = some.indices(lenslets)
-        bounds = np.linspace(first, last, min(_PARTS * _THREADS, last - first) + 1).astype(int)
 
-        def part(index: int) -> None:
-            fit_lenslets(
-                view,
-                self._start.grid,
-                grid,
-                self._search,
-                self._limits,
-                self._power,
-                fits,
-                bounds[index],
-                bounds[index + 1],
-            )
+        def part(first: int) -> None:
+            fit_lenslets(view, self._start.grid, grid, self._search, self._limits, self._power, fits, first, _THREADS)
 
-        list(_threads().map(part, range(len(bounds) - 1)))
+        others = [_threads().submit(part, first) for first in range(1, _THREADS)]
+        part(0)
+        for other in others:
+            other.result()
         return fits
 
     def _begin(self, start: Displacement | None) -> Image:
@@ -147,5 +137,5 @@ class GaussNewton:
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    """The threads that share the lenslets, for the whole program."""
-    return ThreadPoolExecutor(_THREADS, thread_name_prefix="registration")
+    """The threads that share the lenslets with the one that asks, for the whole program."""
+    return ThreadPoolExecutor(max(_THREADS - 1, 1), thread_name_prefix="registration")

@@ -51,9 +51,9 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     power: Floats,
     fits: Fits,
     first: int,
-    last: int,
+    step: int,
 ) -> None:
-    """Fit lenslets `first` ... `last - 1`.
+    """Fit every `step`-th lenslet from `first` on.
 
     `start` holds the reference for translations on a coarse grid, `warp` that of the warps. Where that ends nowhere,
     the whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
@@ -63,7 +63,7 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     patch = new_scratch(search.uv.shape[1])
     cell = view.half_cell_px
     settled = (limits.iterations, limits.tolerance_px)
-    for lenslet in range(first, last):
+    for lenslet in range(first, fits.gain.size, step):
         if not np.any(warp.weight[lenslet]):
             fits.step_px[lenslet] = LOST_PX
             continue

@@ -17,9 +17,10 @@ from reconstruction.geometry import Floats
 Image = NDArray[np.float32]
 
 # Impulse response of the recursive B-spline prefilter, sqrt(3) z^|k| with z = sqrt(3) - 2, cut where it has
-# fallen below float32: so a plain convolution does the prefilter's work, on all cores and without a recursion.
-_REACH = 12
-_PREFILTER = (np.sqrt(3.0) * (np.sqrt(3.0) - 2.0) ** np.abs(np.arange(-_REACH, _REACH + 1))).astype(np.float32)
+# fallen to 1e-6: so a plain convolution does the prefilter's work, without a recursion.
+_REACH = 10
+_IMPULSE_RESPONSE = (np.sqrt(3.0) - 2.0) ** np.abs(np.arange(-_REACH, _REACH + 1))
+_PREFILTER = (_IMPULSE_RESPONSE / _IMPULSE_RESPONSE.sum()).astype(np.float32)
 
 
 def spline_coefficients(image: NDArray[np.uint16] | Image) -> Image:

@@ -48,6 +48,7 @@ class ReferenceSubimages:
         self.noise, self.reference_frames = noise, reference_frames
         self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
         self._field_outline = field.outline
+        self._at_outline: dict[FieldModes, Floats] = {}  # field modes there, (Q, position), as they are asked for
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage
         # A point's image falls to zero at the distance blur_px.
         blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
@@ -116,8 +117,9 @@ class ReferenceSubimages:
 
         displacement (L, xy, Q) in the field modes, px.
         """
-        x, y = self._field_outline.T
-        edge_px = displacement @ modes.values(x, y) + self.half_width_px * self._field_outline.T
+        if modes not in self._at_outline:
+            self._at_outline[modes] = modes.values(*self._field_outline.T)
+        edge_px = displacement @ self._at_outline[modes] + self.half_width_px * self._field_outline.T
         farthest_px = np.abs(edge_px).max(axis=(1, 2))
         allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
         return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)
