@@ -76,10 +76,16 @@ class Estimators:
     """The estimators that most sweeps look at: each warp in one pass, and refined."""
 
     def __init__(
-        self, bench: Bench, reference: Image, *, noise: CameraNoise | None = None, refined: tuple[Warp, ...] = REFINED
+        self,
+        bench: Bench,
+        reference: Image,
+        *,
+        noise: CameraNoise | None = None,
+        warps: tuple[Warp, ...] = WARPS,
+        refined: tuple[Warp, ...] = REFINED,
     ) -> None:
         self._refined = refined
-        self.by_warp = {warp: Estimator(bench, reference, warp, noise=noise) for warp in WARPS}
+        self.by_warp = {warp: Estimator(bench, reference, warp, noise=noise) for warp in warps}
 
     def observe(
         self, frame: Image, truth: Floats, at: At, *, prefix: str = "", views: NDArray[np.bool_] | None = None

@@ -21,10 +21,10 @@ from reconstruction.wavefront import Wavefront
 from simulated_devices.emccd import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings
 
-_PEAKS_E = (100.0, 300.0, 1e3, 3e3, 1e4, 3e4, 1e5)  # electrons in the frame's brightest pixel
+_PEAKS_E = (100.0, 300.0, 1e3, 3e3, 1e4, 1e5)  # electrons in the frame's brightest pixel
 _GAINS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 _DIM_PEAKS_E = (100.0, 300.0, 1000.0)
-_DRAWS = 4  # of noise, for each screen
+_DRAWS = 3  # of noise, for each screen
 _FAST, _SLOW = 3, 1  # read-out speeds of the EM amplifier: much read noise, little
 _PAPER = ReconstructionSettings(pupil_modes=45)
 
