@@ -16,6 +16,7 @@ from app.devices import Devices
 from app.live_refinement import LiveRefinement, RefinementState
 from app.routines import Average, Progress, ShouldStop, take_dark, take_reference
 from drivers.interface import BadValue, CameraCapabilities, Frame, Range
+from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice import find_lattice
@@ -63,6 +64,7 @@ class Instrument:
         self._lattice = bench.lattice
         self._reconstructor: Reconstructor | None = None
         self._refinement: LiveRefinement | None = None
+        self._before: Displacement | None = None  # what the frame before showed
         self._problem = "no reference yet: take the sample out and take one"
 
     @property
@@ -122,7 +124,8 @@ class Instrument:
         """Reconstruct a frame; raises `ReconstructionError` when it cannot be done."""
         if self._reconstructor is None:
             raise ReconstructionError(self._problem)
-        displacement = self._reconstructor.register(frame.pixels)
+        displacement = self._reconstructor.register(frame.pixels, start=self._before)
+        self._before = displacement
         if self._refinement is None:
             return self._reconstructor.solve(displacement), RefinementState()
         return self._refinement.refine(displacement, frame.camera_time_s)
@@ -135,7 +138,7 @@ class Instrument:
 
     def _prepare(self) -> None:
         """Make the reconstructor anew, the camera paused; what stands in the way becomes the warning that all see."""
-        self._reconstructor = None
+        self._reconstructor = self._before = None
         self.close()
         if self._reference is None:
             return

@@ -25,16 +25,14 @@ _QUADRATIC_GAIN_RAD = 0.15
 _CUBIC_GAIN_RAD = 0.015
 
 
-def freest_warp(prepare: Callable[[Warp], Displacement], sensor: Sensor, field: Field) -> Displacement:
-    """Prepare the warp of choice; `prepare` does it and returns what the warp makes of the reference itself."""
-    cubic, quadratic = prepare("cubic"), prepare("quadratic")
-    quadratic_rad2 = _noise_rad2(quadratic, sensor, field)
-    if _noise_rad2(cubic, sensor, field) - quadratic_rad2 < _CUBIC_GAIN_RAD**2:
-        return prepare("cubic")
-    affine = prepare("affine")
-    if quadratic_rad2 - _noise_rad2(affine, sensor, field) < _QUADRATIC_GAIN_RAD**2:
-        return prepare("quadratic")
-    return affine
+def freest_warp(own: Callable[[Warp], Displacement], sensor: Sensor, field: Field) -> Warp:
+    """The warp of choice; own(warp) is what a warp makes of the reference itself."""
+    quadratic_rad2 = _noise_rad2(own("quadratic"), sensor, field)
+    if _noise_rad2(own("cubic"), sensor, field) - quadratic_rad2 < _CUBIC_GAIN_RAD**2:
+        return "cubic"
+    if quadratic_rad2 - _noise_rad2(own("affine"), sensor, field) < _QUADRATIC_GAIN_RAD**2:
+        return "quadratic"
+    return "affine"
 
 
 def _noise_rad2(displacement: Displacement, sensor: Sensor, field: Field) -> float:

@@ -5,7 +5,7 @@ problem: G e_q = (k/f) c_q, G the mean gradient of the pupil mode R_p over each 
 the paper's e = pinv(M) d; it holds for any number. Here each of the combinations of field modes whose errors are
 independent (`whitening`) is such a problem, and lenslets are weighted: so nothing that was measured is wasted.
 
-With the prior, each coefficient is expected to be normally distributed about zero with the standard deviation s n^-6,
+With the prior, each coefficient is expected to be normally distributed about zero with the standard deviation s n^-5,
 n the degree of R_p: smooth. Each combination's s and the level of what the modes do not explain are those under
 which its data are the likeliest (MacKay, Neural Computation 4, 415, 1992). So there may be as many modes as the
 lattice carries: those that drown in noise fade out, and a lost lenslet is bridged by what its neighbours say.
@@ -24,9 +24,8 @@ from reconstruction.geometry import Floats
 from reconstruction.pupil_modes import PupilModes
 from reconstruction.whitening import Whitening
 
-_PRIOR_EXPONENT = 6.0
+_PRIOR_EXPONENT = 5.0
 _PRIOR_RATIOS = 10.0 ** np.linspace(-4.0, 14.0, 73)  # tried for prior over noise, both as variances
-_AXES = ((0, 0), (0, 1), (1, 0), (1, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +36,7 @@ class _Equations:
     """
 
     root_weight: Floats  # W, (k, lenslet x xy)
-    scale: Floats  # S: the prior's n^-6, or 1 without it; (pupil_mode - 1,)
+    scale: Floats  # S: the prior's n^-5, or 1 without it; (pupil_mode - 1,)
     u: Floats  # (k, lenslet x xy, pupil_mode - 1)
     singular: Floats  # (k, pupil_mode - 1), m
     vt: Floats  # (k, pupil_mode - 1, pupil_mode - 1)
@@ -80,8 +79,8 @@ class ModalSolution:
         values = values - values.mean(axis=1, keepdims=True)
         flat = field_modes.reshape(-1, field_modes.shape[-1])
         sigma = np.full((len(flat), *self.known.shape), np.nan)
-        for view, at in enumerate(flat):
-            covariance = np.einsum("q,pqrs,s->pr", at, self.covariance, at, optimize=True)
+        for view, at in enumerate(np.einsum("vq,vs->vqs", flat, flat)):
+            covariance = np.tensordot(at, self._covariance, axes=2)
             sigma[view, self.known] = np.sqrt(np.sum(values * (covariance @ values), axis=0))
         return sigma.reshape(*field_modes.shape[:-1], *self.known.shape)
 
@@ -89,29 +88,38 @@ class ModalSolution:
     def coefficients_sigma(self) -> Floats:
         """Standard deviation of each coefficient, rad, (pupil_mode, field_mode); zero for the piston."""
         sigma = np.zeros_like(self.coefficients)
-        sigma[1:] = np.sqrt(np.einsum("pqpq->pq", self.covariance))
+        sigma[1:] = np.sqrt(np.einsum("qqpp->pq", self._covariance))
         return sigma
 
-    @cached_property
+    @property
     def covariance(self) -> Floats:
         """Covariance of the coefficients but the piston's, rad^2: (pupil_mode - 1, field_mode, the same twice).
 
         What the noise of the slopes makes, and what the prior holds back: both as the estimator passes them on.
         """
+        return np.transpose(self._covariance, (2, 0, 3, 1))
+
+    @cached_property
+    def _covariance(self) -> Floats:
+        """The same as (field_mode, field_mode, pupil_mode - 1, pupil_mode - 1)."""
         forward, back = self._whitening.forward, self._whitening.back
-        noise = np.einsum("kq,lqarb,mr->klmab", forward, self._slope_covariance, forward, optimize=True)
+        noise = np.einsum("kq,lqarb,mr->kmlab", forward, self._slope_covariance, forward, optimize=True)
         inverse = self._equations.inverse(self._gain)
         combinations, pupil_modes = inverse.shape[:2]
-        inverse = np.ascontiguousarray(np.moveaxis(inverse.reshape(combinations, pupil_modes, -1, 2), -1, 0))
-        covariance = np.zeros((combinations, combinations, pupil_modes, pupil_modes))
-        for a, b in _AXES:
-            for k in range(combinations):
-                covariance[k] += inverse[a, k] * noise[k, :, :, a, b].T[:, None] @ np.swapaxes(inverse[b], 1, 2)
+        covariance = np.empty((combinations, combinations, pupil_modes, pupil_modes))
+        for k in range(combinations):
+            by_lenslet = inverse[k].reshape(pupil_modes, -1, 2)
+            for m in range(k + 1):
+                passed_on = np.einsum("pla,lab->plb", by_lenslet, noise[k, m]).reshape(pupil_modes, -1)
+                covariance[k, m] = passed_on @ inverse[m].T
+                covariance[m, k] = covariance[k, m].T
         scaled = self._equations.scale[:, None] * np.swapaxes(self._equations.vt, 1, 2)
         left = self._prior_variance[:, None] * (1 - self._gain * self._equations.singular) ** 2
         held_back = (scaled * left[:, None]) @ np.swapaxes(scaled, 1, 2)
         covariance[np.arange(combinations), np.arange(combinations)] += held_back
-        return np.asarray(np.einsum("qk,kmpr,sm->pqrs", back, covariance, back, optimize=True))
+        flat = covariance.reshape(combinations, -1)
+        half_way = (back @ flat).reshape(combinations, combinations, -1)
+        return np.asarray((back @ half_way).reshape(covariance.shape))
 
     @cached_property
     def chi_square(self) -> float:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.automatic_warp import freest_warp
+from reconstruction.bad_pixels import find_bad_pixels
 from reconstruction.displacement import Displacement, Estimator
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, require
@@ -69,11 +71,12 @@ class Reconstructor:
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
         self._reference_frames = reference_frames
         light = self._light(reference, "reference")
+        self._bad = find_bad_pixels(reference, dark)
         self.subimages = self._cut(light)
         own = self._prepare(light, registration)
         # What the registration makes of the reference itself tells how certain each lenslet is, and of what.
         self.whitening = whitening(own.covariance)
-        self._expected = _mean_variance(own)  # (lenslet_row, lenslet_column), px^2
+        self._expected = _mean_variance(own)  # (lenslet_row, lenslet_column), px^2; NaN where it is not known
         self._modal = None
         if reconstruction.method == "modal":
             count = reconstruction.pupil_modes
@@ -87,10 +90,13 @@ class Reconstructor:
         """
         return self.solve(self.register(frame), bias=bias)
 
-    def register(self, frame: Counts) -> Displacement:
-        """Find how the subimages of a frame (row, column), counts, lie with respect to the reference."""
+    def register(self, frame: Counts, *, start: Displacement | None = None) -> Displacement:
+        """Find how the subimages of a frame (row, column), counts, lie with respect to the reference.
+
+        `start` is where they lay in a frame before: near it the search is quicker, and its result the same.
+        """
         light = self._light(frame, "frame")
-        displacement = self._register(light, saturated=frame >= self._full_scale)
+        displacement = self._register(light, saturated=frame >= self._full_scale, start=start)
         if np.count_nonzero(displacement.valid) < 2:
             raise ReconstructionError(
                 "no lenslet of the frame could be matched with the reference: is the light on?", image="frame"
@@ -118,14 +124,17 @@ class Reconstructor:
     def _prepare(self, light: Image, registration: RegistrationSettings) -> Displacement:
         """Prepare the registration, with the warp that the noise allows if none is set; register the reference."""
 
-        def prepare(warp: Warp) -> Displacement:
-            self.registration = replace(registration, warp=warp)
-            self._register = prepare_registration(self.subimages, self.registration, self.field)
-            return self._register(light, saturated=np.zeros(light.shape, np.bool_))
+        @cache
+        def prepare(warp: Warp) -> tuple[Estimator, Displacement]:
+            estimator = prepare_registration(self.subimages, replace(registration, warp=warp), self.field)
+            return estimator, estimator(light, saturated=np.zeros(light.shape, np.bool_))
 
-        if registration.warp is None and self.noise is not None:
-            return freest_warp(prepare, self.sensor, self.field)
-        return prepare(registration.warp or "quadratic")
+        warp = registration.warp or "quadratic"
+        if registration.warp is None and self.noise is not None and registration.method == "gauss_newton":
+            warp = freest_warp(lambda each: prepare(each)[1], self.sensor, self.field)
+        self.registration = replace(registration, warp=warp)
+        self._register, own = prepare(warp)
+        return own
 
     def weights_of(self, displacement: Displacement) -> Floats:
         """How much each lenslet counts: as the reference lets expect, less where this frame's shows less.
@@ -134,11 +143,12 @@ class Reconstructor:
         """
         if self.noise is None:
             return np.ones(displacement.valid.shape)
-        variance, expected = (values[displacement.valid] for values in (_mean_variance(displacement), self._expected))
-        ratio = variance / expected
-        steps = np.round(np.log(ratio / np.median(ratio)) / np.log(4.0))
         weights = np.zeros(displacement.valid.shape)
-        weights[displacement.valid] = np.median(expected) / expected * 4.0 ** -np.maximum(steps, 0.0)
+        known = displacement.valid & np.isfinite(self._expected)
+        if known.any():
+            expected, ratio = self._expected[known], _mean_variance(displacement)[known] / self._expected[known]
+            steps = np.round(np.log(ratio / np.median(ratio)) / np.log(4.0))
+            weights[known] = np.median(expected) / expected * 4.0 ** -np.maximum(steps, 0.0)
         return weights
 
     def _cut(self, light: Image) -> ReferenceSubimages:
@@ -149,6 +159,7 @@ class Reconstructor:
             field=self.field,
             noise=self.noise,
             reference_frames=self._reference_frames,
+            bad=self._bad,
         )
 
     def _light(self, image: Counts, what: str) -> Image:
@@ -164,7 +175,8 @@ class Reconstructor:
 
 def _mean_variance(displacement: Displacement) -> Floats:
     """Variance of a lenslet's displacement, mean over its coefficients, px^2, (lenslet_row, lenslet_column)."""
-    return np.asarray(np.mean(displacement.variance, axis=(2, 3)))
+    variance: Floats = np.mean(displacement.variance, axis=(2, 3))
+    return variance
 
 
 def _checked(image: Counts, what: str, shape: tuple[int, ...]) -> Image:

@@ -70,11 +70,6 @@ def peak_to_valley(phase: Floats) -> Floats:
     return np.where(highest >= lowest, highest - lowest, np.nan)
 
 
-def strehl(phase: Floats) -> Floats:
-    """Strehl ratio |mean exp(i phase)|^2 of each wavefront over its valid lenslets, tilt included: (...)."""
-    return np.asarray(np.abs(_mean(np.cos(phase)) + 1j * _mean(np.sin(phase))) ** 2)
-
-
 def _mean(values: Floats) -> Floats:
     """Mean over the lenslets, NaN left out; NaN when nothing is left."""
     known = ~np.isnan(values)

@@ -41,7 +41,11 @@ def whitening(covariance: Floats) -> Whitening:
     one along y is left aside: in a source that is symmetric, nothing.
     """
     modes = covariance.shape[-2]
-    mean = np.nanmean(covariance.reshape(-1, modes, 2, modes, 2), axis=0)
+    flat = covariance.reshape(-1, modes, 2, modes, 2)
+    told = np.isfinite(flat).all(axis=(1, 2, 3, 4))
+    if not told.any():
+        return no_whitening(modes)
+    mean = np.mean(flat[told], axis=0)
     along_x, along_y = (mean[:, axis, :, axis] + _SYSTEMATIC_PX**2 * np.eye(modes) for axis in (0, 1))
     along_y, vectors = eigh(along_y, along_x)
     forward = vectors.T

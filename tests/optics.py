@@ -89,7 +89,7 @@ class SmallBench:
         return self.model.sample_x_m[None, :], self.model.sample_y_m[:, None]
 
     def reconstructor(
-        self, warp: str = "affine", method: str = "modal", pupil_modes: int = 21, **changes: object
+        self, warp: str = "affine", method: str = "modal", pupil_modes: int | None = 21, **changes: object
     ) -> Reconstructor:
         """A reconstructor for this bench; `changes` are other arguments of `Reconstructor`."""
         settings: dict[str, Any] = {

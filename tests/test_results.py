@@ -37,6 +37,14 @@ def test_the_contract_of_names_dimensions_and_units(dataset: xr.Dataset, tmp_pat
         "residual_rms": ("lenslet_row", "lenslet_column"),
         "coefficients": ("pupil_mode", "field_mode"),
         "coefficients_sigma": ("pupil_mode", "field_mode"),
+        "wavefront_sigma": ("view_row", "view_column", "lenslet_row", "lenslet_column"),
+        "chi_square": ("lenslet_row", "lenslet_column"),
+        "mtf_x": ("view_row", "view_column", "frequency_x"),
+        "mtf_limit_y": ("view_row", "view_column", "frequency_y"),
+        "structure_rms": ("separation",),
+        "global_error_view": ("view_row", "view_column"),
+        "isoplanatic_patch": (),
+        "slope_chi_square": (),
     }
     for name, names in dimensions.items():
         assert read[name].dims == names
@@ -48,6 +56,9 @@ def test_the_contract_of_names_dimensions_and_units(dataset: xr.Dataset, tmp_pat
         "field_mode": 3,
         "xy": 2,
         "pupil_mode": 21,
+        "frequency_x": 55,
+        "frequency_y": 43,
+        "separation": 8,
     }
     units = {"wavefront": "rad", "coefficients": "rad", "displacement": "px", "view_x": "m", "pupil_y": "m"}
     assert {name: read[name].attrs["units"] for name in units} == units
@@ -75,3 +86,16 @@ def test_frames_are_stacked_along_a_new_first_dimension(dataset: xr.Dataset) -> 
     np.testing.assert_array_equal(stacked["frame_index"], [4, 7])
     np.testing.assert_allclose(stacked["wavefront"][1], 2 * dataset["wavefront"])
     assert stacked["view_x"].dims == ("view_column",)
+
+
+def test_a_flat_wavefront_is_as_good_as_light_allows(small_bench: SmallBench) -> None:
+    flat = result_dataset(small_bench.reconstructor()(small_bench.reference), BENCH, with_psf=True)
+    np.testing.assert_allclose(flat["strehl"], 1, atol=1e-4)
+    np.testing.assert_allclose(flat["mtf_x"], flat["mtf_limit_x"], atol=1e-3)
+    triangle = 1 - flat["frequency_x"] * BENCH.sensor.wavelength_m / (9 * BENCH.sensor.lenslet_pitch_m)
+    np.testing.assert_allclose(flat["mtf_x"][1, 1], triangle, atol=1e-3)
+    assert np.isinf(flat["isoplanatic_patch"])
+    assert float(flat["global_error"]) < 1e-3
+    brightest = flat["psf"][1, 1].argmax(["angle_y", "angle_x"])
+    assert abs(float(flat["angle_x"][brightest["angle_x"]])) < 1e-9
+    assert float(flat["psf"][1, 1].max()) == pytest.approx(1, abs=1e-3)
