@@ -14,6 +14,7 @@ from app.remembered import Arrays, remembered
 from reconstruction.geometry import Floats, nominal_lattice
 from simulated_devices.bench import PHOTONS_PER_S_M2_A
 from simulated_devices.rendering import Renderer, Scene
+from simulated_devices.sample import Sample
 from simulated_devices.settings import Screen
 
 Image = NDArray[np.float32]
@@ -61,6 +62,14 @@ class NoiseFreeFrames:
             },
         )
         return NoiseFreeFrame(kept["photons"], kept["truth"])
+
+    @property
+    def sample(self) -> Sample:
+        """The phase screen in the beam."""
+        try:
+            return self._renderer.sample
+        except ValueError as error:
+            raise InputError(f"simulation: {error}") from error
 
     def _remembered(self, scene: Scene, name: str, render: Callable[[], Arrays]) -> Arrays:
         def lit() -> Arrays:

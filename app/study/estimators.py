@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from app.config import Bench
 from app.imaging_model import BenchModel
 from app.noise_free import Image
+from app.study.exact import exact_wavefront
 from app.study.observations import At, Observation
 from reconstruction.displacement import Displacement, Mask, Outcome
 from reconstruction.errors import ReconstructionError
@@ -22,6 +23,7 @@ from reconstruction.pipeline import ReconstructionSettings, Reconstructor
 from reconstruction.refinement import Refinement
 from reconstruction.registration import RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront, rms
+from simulated_devices.sample import Sample
 
 ROUNDS = 3
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")
@@ -64,8 +66,9 @@ class Estimator:
 
         Where refinement ends itself, the rounds to come leave everything as it is.
         """
-        results, start_s = [(self.reconstructor.solve(displacement), math.nan)], time.perf_counter()
-        for step in self.refinement.rounds(displacement, most):
+        results, refinement = [(self.reconstructor.solve(displacement), math.nan)], self.refinement
+        start_s = time.perf_counter()
+        for step in refinement.rounds(displacement, most):
             end_s = time.perf_counter()
             results.append((step.wavefront, end_s - start_s))
             start_s = end_s
@@ -88,9 +91,19 @@ class Estimators:
         self.by_warp = {warp: Estimator(bench, reference, warp, noise=noise) for warp in warps}
 
     def observe(
-        self, frame: Image, truth: Floats, at: At, *, prefix: str = "", views: NDArray[np.bool_] | None = None
+        self,
+        frame: Image,
+        truth: Floats,
+        at: At,
+        *,
+        prefix: str = "",
+        views: NDArray[np.bool_] | None = None,
+        sample: Sample | None = None,
     ) -> Iterator[Observation]:
-        """Look at a frame (row, column) whose wavefronts are `truth`; see `observed`."""
+        """Look at a frame (row, column) whose wavefronts are `truth`; see `observed`.
+
+        Where the `sample` is given, also at the wavefronts from its own slopes.
+        """
         for warp, estimator in self.by_warp.items():
             try:
                 displacement = estimator.reconstructor.register(frame)
@@ -99,6 +112,9 @@ class Estimators:
                 if warp in self._refined:
                     wavefront, _ = estimator.rounds(displacement)[-1]
                     yield observed(f"{prefix}{warp} refined", at, wavefront, truth, views=views)
+                if sample is not None:
+                    wavefront = exact_wavefront(sample, estimator.reconstructor, displacement)
+                    yield observed(f"{prefix}{warp}, true slopes", at, wavefront, truth, views=views)
             except ReconstructionError:
                 yield nothing(prefix + warp, at, estimator)
 

@@ -48,14 +48,14 @@ def _draw(outcome: Outcome, panel: Axes) -> None:
         y = np.array([point.mean_rad for point in points.values()])
         spread = np.array([point.spread_rad for point in points.values()])
         colour = next((colour for name, colour in known.items() if name in curve), None)
-        style = "--" if "refined" in curve else "-"
+        style = "--" if "refined" in curve else ":" if is_named or "true" in curve else "-"
         panel.errorbar(
             x,
             y,
             np.minimum(spread, y * 0.9),  # a logarithmic axis has no place for what is below zero
             label=curve,
             color=colour,
-            linestyle=":" if is_named else style,
+            linestyle=style,
             marker=_MARKERS[index % len(_MARKERS)],
             markersize=4,
             linewidth=1,

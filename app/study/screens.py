@@ -44,8 +44,9 @@ def _over(
         for done, screen in enumerate(seeded(bench, seeds, first_seed)):
             for index, value in enumerate(values):
                 report(f"{value:g}", (done + index / len(values)) / seeds)
-                frame = NoiseFreeFrames(change(screen, value)).frame(mask)
-                yield from estimators.observe(frame.photons, frame.truth, value)
+                frames = NoiseFreeFrames(change(screen, value))
+                frame = frames.frame(mask)
+                yield from estimators.observe(frame.photons, frame.truth, value, sample=frames.sample)
 
     return run
 
