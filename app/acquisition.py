@@ -24,6 +24,7 @@ from app.errors import InputError, RunError
 from app.instrument import Instrument, Status
 from app.live_refinement import RefinementState
 from app.routines import WAIT_SLICE_S, Cancelled, next_frame
+from app.timing import Timings
 from drivers.interface import BadValue, Camera, DeviceError, DeviceTimeout, Frame, WrongState
 from reconstruction.errors import ReconstructionError
 from reconstruction.wavefront import Wavefront
@@ -80,6 +81,7 @@ class Acquisition:
         self._counts = Counts()
         self._next_index = 0
         self._clock_lag_s = math.inf  # host's clock minus camera's
+        self.timings = Timings()
         self.newest: Measurement | None = None  # the mailbox: written by the worker, read by anybody
         self.status: Status | None = None  # None until the devices are open
         self.activity = Activity("opening the devices")
@@ -167,7 +169,7 @@ class Acquisition:
         try:
             with (
                 self._open_devices(self._bench, self._prepare) as devices,
-                closing(Instrument(devices, self._bench)) as instrument,
+                closing(Instrument(devices, self._bench, self.timings)) as instrument,
             ):
                 self.activity = Activity()
                 self.status = instrument.status()
@@ -215,13 +217,19 @@ class Acquisition:
             problem = str(error)
         self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (wavefront is not None))
         measurement = self._measurement(frame, wavefront, refinement, problem)
-        for sink in self._sinks:
-            sink(measurement)
-        self.newest = measurement
+        self.timings.note("to_result", measurement.latency_s)
+        with self.timings.of("publish"):
+            for sink in self._sinks:
+                sink(measurement)
+            self.newest = measurement
 
     def _newest_frame(self, camera: Camera) -> Frame:
         """Wait for a frame; when it has lain in the camera for long, go on to the newest that is there."""
+        start_s = time.perf_counter()
         frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.empty())
+        arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
+        self.timings.note("wait", arrived_s - start_s)
+        self.timings.note("copy", time.perf_counter() - arrived_s)
         self._count(frame)
         if self._age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
             with suppress(DeviceTimeout):  # there is no newer one

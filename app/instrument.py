@@ -15,6 +15,7 @@ from app.config import Bench
 from app.devices import Devices
 from app.live_refinement import LiveRefinement, RefinementState
 from app.routines import Average, Progress, ShouldStop, take_dark, take_reference
+from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Frame, Range
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
@@ -55,8 +56,9 @@ class Status:
 class Instrument:
     """Devices and what has been measured with them so far."""
 
-    def __init__(self, devices: Devices, bench: Bench) -> None:
+    def __init__(self, devices: Devices, bench: Bench, timings: Timings | None = None) -> None:
         self.devices = devices
+        self._timings = timings or Timings()
         self._bench = bench
         self._dark: Average | None = None
         self._reference: Average | None = None
@@ -124,11 +126,13 @@ class Instrument:
         """Reconstruct a frame; raises `ReconstructionError` when it cannot be done."""
         if self._reconstructor is None:
             raise ReconstructionError(self._problem)
-        displacement = self._reconstructor.register(frame.pixels, start=self._before)
+        with self._timings.of("register"):
+            displacement = self._reconstructor.register(frame.pixels, start=self._before)
         self._before = displacement
-        if self._refinement is None:
-            return self._reconstructor.solve(displacement), RefinementState()
-        return self._refinement.refine(displacement, frame.camera_time_s)
+        with self._timings.of("reconstruct"):
+            if self._refinement is None:
+                return self._reconstructor.solve(displacement), RefinementState()
+            return self._refinement.refine(displacement, frame.camera_time_s)
 
     def close(self) -> None:
         """Let go of what works beside the frames; the devices belong to whoever opened them."""

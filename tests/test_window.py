@@ -170,3 +170,21 @@ def test_help_lists_every_key(make_window: MakeWindow) -> None:
     dialog = window.findChildren(QWidget, "help")[0]
     assert dialog.isVisible()
     dialog.close()
+
+
+def test_drawing_is_timed_and_a_key_shows_every_stage(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    assert window._acquisition is not None
+    timings = window._acquisition.timings
+    qtbot.waitUntil(lambda: timings.summary()["to_screen"].count > 3, timeout=5000)
+    row = window.status_line.timing_row
+    assert not row.isVisible()
+    press(qtbot, window, Qt.Key.Key_T)
+    assert row.isVisible()
+    window.update_text()
+    for stage in ("register", "draw", "to_screen"):
+        assert len(row.values[stage].text().split(" / ")) == 3
+    assert "to screen" in window.status_line.latency.toolTip()
+    summary = timings.summary()
+    assert summary["draw"].count <= window.status_line.shown
+    assert summary["to_screen"].p50_s > summary["draw"].p50_s

@@ -16,7 +16,7 @@ from typing import Any
 
 from PyQt6.QtCore import QStandardPaths, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QMainWindow, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QSplitter, QVBoxLayout, QWidget
 
 from app.acquisition import Acquisition, Activity, Measurement
 from app.errors import InputError, RunError
@@ -30,6 +30,7 @@ from app.gui.live_analysis import LiveAnalysis
 from app.gui.menu import fill_menus
 from app.gui.message_strip import MessageStrip
 from app.gui.status_line import StatusLine
+from app.gui.timed_window import TimedWindow
 from app.gui.wavefront_panel import WavefrontPanel
 from app.instrument import Instrument, Status
 from app.routines import Cancelled
@@ -40,7 +41,7 @@ _LOOKS_PER_TEXT = 5  # numbers that change more often than five times a second c
 _CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it; the light is on until then
 
 
-class MainWindow(QMainWindow):
+class MainWindow(TimedWindow):
     """The window of `svwfs live`."""
 
     measurement_shown = pyqtSignal(object)  # the Measurement, a reference to it only
@@ -118,7 +119,8 @@ class MainWindow(QMainWindow):
         self.messages.show_activity(acquisition.activity)
         measurement = acquisition.newest
         if measurement is not None and measurement is not self._measurement and not self.isMinimized():
-            self.show_measurement(measurement)
+            with self.drawing(measurement, acquisition.timings):
+                self.show_measurement(measurement)
         self._looks += 1
         if self._looks % _LOOKS_PER_TEXT == 0 or acquisition.failure:
             self.update_text()
@@ -149,7 +151,8 @@ class MainWindow(QMainWindow):
         """Write the numbers and the message."""
         self.camera_panel.update_text()
         self.wavefront_panel.update_text()
-        self.status_line.update_text(self._status)
+        timings = None if self._acquisition is None else self._acquisition.timings.summary()
+        self.status_line.update_text(self._status, timings)
         status, measurement = self._status, self._measurement
         is_live = status is not None and status.is_running and not self._activity.text
         self.messages.show_state(
@@ -230,6 +233,7 @@ class MainWindow(QMainWindow):
                     ("Arrows", "A", camera.arrows_toggle.toggle),
                     ("Hold the colour scale", "H", self.wavefront_panel.hold_scale.toggle),
                     ("MTF and isoplanatism", "I", self._toggle_analysis),
+                    ("Time of every stage", "T", self.status_line.timing_row.toggle),
                     *(
                         (f"{quantity} over the field", str(index + 1), partial(self.wavefront_panel.choose, quantity))
                         for index, quantity in enumerate(Quantity)

@@ -7,11 +7,12 @@ from collections import deque
 from statistics import median
 
 import numpy as np
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from app.acquisition import Measurement
 from app.gui import theme
 from app.gui.reasons import REASONS
+from app.gui.timing_row import Summaries, TimingRow, timing_table
 from app.gui.widgets import label
 from app.instrument import Status
 from app.live_refinement import RefinementState
@@ -19,6 +20,7 @@ from reconstruction.displacement import Displacement
 
 _VALID = "Lenslets whose subimage could be matched with the reference"
 _REFINED = "Whether the wavefront is corrected by the bias that a forward model found, and how long ago"
+_LATENCY = "From the end of the exposure to the result, median over the last second"
 _WINDOW_S = 1.0  # over which rate and latency are taken
 
 
@@ -29,17 +31,20 @@ class StatusLine(QWidget):
         super().__init__(parent)
         self._recent: deque[Measurement] = deque()
         self.shown = 0
-        self._layout = QHBoxLayout(self)
-        self._layout.setContentsMargins(10, 0, 10, 2)
+        self.timing_row = TimingRow()
+        self._layout = QHBoxLayout()
         self._layout.setSpacing(4)
+        both = QVBoxLayout(self)
+        both.setContentsMargins(10, 0, 10, 2)
+        both.setSpacing(2)
+        both.addWidget(self.timing_row)
+        both.addLayout(self._layout)
         self.acquired = self._add("acquired", "Frames read from the camera", 46)
         self.reconstructed = self._add("reconstructed", "Frames that yielded a wavefront", 46)
         self.shown_count = self._add("shown", "Frames drawn here: the newest one, up to 25 times a second", 46)
         self.lost = self._add("lost", "Frames that the camera overwrote before they were read", 36)
         self.rate = self._add("frames/s", "Frames acquired per second", 40)
-        self.latency = self._add(
-            "latency", "From the end of the exposure to the result, median over the last second", 64
-        )
+        self.latency = self._add("latency", _LATENCY, 64)
         self.age = self._add("age", "How long ago the frame that is shown was exposed", 56)
         self.valid = self._add("valid", _VALID, 76)
         self.refined = self._add("refined", _REFINED, 76)
@@ -60,8 +65,11 @@ class StatusLine(QWidget):
         self._recent.clear()
         self.shown = 0
 
-    def update_text(self, status: Status | None) -> None:
+    def update_text(self, status: Status | None, timings: Summaries | None = None) -> None:
         """Write the numbers."""
+        if timings is not None:
+            self.timing_row.update_text(timings)
+            self.latency.setToolTip(f"<p>{_LATENCY}.</p>{timing_table(timings)}")
         if status is not None:
             self.devices.setText("running" if status.is_running else "stopped")
             self.devices.setToolTip(f"{status.camera_name}\n{status.light_name}")

@@ -1,0 +1,82 @@
+"""How long each stage of the live path takes, and how old its results are: always measured, at negligible cost.
+
+A stage's last few thousand times lie in a ring of fixed size, which only the thread that runs the stage writes: an
+entry costs a microsecond and no memory. Whoever looks may see a time more or less, never a wrong one.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "draw", "to_result", "to_screen"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+MEANINGS: dict[Stage, str] = {
+    "wait": "for the camera's next frame",
+    "copy": "from the frame's arrival here until it can be used",
+    "register": "how each subimage lies, from the pixels",
+    "reconstruct": "the wavefront, from the displacements",
+    "publish": "to whoever takes every result",
+    "draw": "in the window, painting included",
+    "to_result": "age of a frame, from the end of its exposure, when its result is there",
+    "to_screen": "the same when it has been painted",
+}
+_KEPT = 4096  # times of a stage; a minute of the fastest camera
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What there is to say of one stage."""
+
+    count: int = 0  # since the beginning
+    p50_s: float = math.nan  # of the last few thousand
+    p99_s: float = math.nan  # likewise
+    max_s: float = math.nan  # since the beginning
+
+
+class _Ring:
+    """The times of one stage, written by one thread."""
+
+    def __init__(self) -> None:
+        self._times_s = np.zeros(_KEPT)
+        self._count, self._max_s = 0, -math.inf
+
+    def note(self, seconds: float) -> None:
+        self._times_s[self._count % _KEPT] = seconds
+        self._count += 1
+        self._max_s = max(self._max_s, seconds)
+
+    def summary(self) -> Summary:
+        count = self._count
+        if not count:
+            return Summary()
+        p50_s, p99_s = np.percentile(self._times_s[:count], (50, 99))
+        return Summary(count, float(p50_s), float(p99_s), self._max_s)
+
+
+class Timings:
+    """The times of all stages since the beginning."""
+
+    def __init__(self) -> None:
+        self._rings = {stage: _Ring() for stage in STAGES}
+
+    def note(self, stage: Stage, seconds: float) -> None:
+        """Take note of how long a stage took."""
+        self._rings[stage].note(seconds)
+
+    @contextmanager
+    def of(self, stage: Stage) -> Iterator[None]:
+        """Take note of how long the body of a `with` takes; of one that fails, nothing."""
+        start_s = time.perf_counter()
+        yield
+        self.note(stage, time.perf_counter() - start_s)
+
+    def summary(self) -> dict[Stage, Summary]:
+        """Say of each stage how long it takes."""
+        return {stage: ring.summary() for stage, ring in self._rings.items()}
