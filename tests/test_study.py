@@ -51,7 +51,7 @@ def test_what_is_written(
     dead = written["sweeps"]["dead"]
     assert dead["axis"] == "part of all lenslets"
     curves = dead["curves"]
-    assert set(curves) >= {"affine", "quadratic", "cubic", "quadratic refined", "cubic refined"}
+    assert set(curves) >= {"affine", "quadratic", "cubic", "cubic refined", "cubic refined, at the dead ones"}
     none, some = at(curves["cubic refined"], 0.0), at(curves["cubic refined"], 0.2)
     assert (none["lost_lenslets"], some["lost_lenslets"]) == (0, 7)  # of 35
     assert (none["observations"], none["spread_rad"]) == (1, 0)

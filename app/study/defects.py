@@ -89,7 +89,7 @@ def _dead(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
             alive[order[: round(fraction * order.size)]] = 0.0
             alive = alive.reshape(shape)
             light = by_pixel(alive, lattice_of(bench), *reference.shape)
-            estimators = Estimators(bench, reference * light)
+            estimators = Estimators(bench, reference * light, refined=("cubic",))
             yield from estimators.observe(frame.photons * light, frame.truth, fraction)
             if fraction > 0:
                 cubic = estimators.by_warp["cubic"]

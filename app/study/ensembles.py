@@ -32,34 +32,32 @@ _WAYS = {
 }
 _DRIFT_RAD_PER_S = 0.3  # by which the wavefront changes, mean over the views of the RMS
 _AGES_S = (1, 2)  # of the state at which the bias is found
+_FILM_S = sorted({age_s * back for age_s in _AGES_S for back in range(ROUNDS + 1)})  # how long ago
 _STEP_M = 10e-6  # over which the wavefront's change is measured
 
 
 def _run(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
     mask = bench.simulation.source.mask
     reference = NoiseFreeFrames(bench).reference(mask)
-    estimators: dict[tuple[Warp, str], Estimator] = {}
-    for warp in _WARPS:
-        for way, reconstruction in _WAYS.items():
-            report(f"preparing {warp}, {way}", 0.0)
-            try:
-                estimators[warp, way] = Estimator(bench, reference, warp, reconstruction=reconstruction)
-            except ReconstructionError:  # more modes than so few lenslets tell apart
-                continue
-    total = len(_CORRELATION_LENGTHS_M) * seeds
+    films = []
     for index, length_m in enumerate(_CORRELATION_LENGTHS_M):
         for done, screen in enumerate(seeded(with_screen(bench, correlation_length_m=length_m), seeds)):
-            report(f"smooth over {length_m * 1e3:g} mm", (index * seeds + done) / total)
+            report(f"rendering {length_m * 1e3:g} mm", (index + done / seeds) / len(_CORRELATION_LENGTHS_M) / 2)
             drifting = NoiseFreeFrames(_drifting(screen))
-            ages = range(max(age * ROUNDS for age in _AGES_S) + 1)
-            needed = {age * back for age in _AGES_S for back in range(ROUNDS + 1)}
-            film = {seconds: drifting.frame(mask, seconds) for seconds in ages if seconds in needed}
-            now = film[0]
-            for (warp, way), estimator in estimators.items():
-                wavefront = estimator.reconstructor(now.photons)
-                yield observed(f"{warp}, {way}", length_m, wavefront, now.truth)
-            for warp in REFINED:
-                yield from _refined(warp, estimators[warp, "automatic"], length_m, film)
+            films.append((length_m, {seconds: drifting.frame(mask, seconds) for seconds in _FILM_S}))
+    ways = [(warp, way, reconstruction) for warp in _WARPS for way, reconstruction in _WAYS.items()]
+    for index, (warp, way, reconstruction) in enumerate(ways):
+        report(f"{warp}, {way}", (1 + index / len(ways)) / 2)
+        try:
+            estimator = Estimator(bench, reference, warp, reconstruction=reconstruction)
+        except ReconstructionError:  # more modes than so few lenslets tell apart
+            continue
+        for length_m, film in films:
+            wavefront = estimator.reconstructor(film[0].photons)
+            yield observed(f"{warp}, {way}", length_m, wavefront, film[0].truth)
+        if way == "automatic" and warp in REFINED:
+            for length_m, film in films:
+                yield from _refined(warp, estimator, length_m, film)
 
 
 def _refined(
@@ -105,7 +103,9 @@ def _asked(*rms_rad: float) -> dict[At, float]:
 ENSEMBLES = Sweep(
     name="ensembles",
     title="The ensembles",
-    axis="correlation length (m)",
+    axis="correlation length (mm)",
+    axis_per_si=1e3,
+    left_out=("modal", "1x", "2x", "2 s old"),
     run=_run,
     asked_rad={
         "quadratic, automatic": _asked(0.10, 0.062, 0.052),

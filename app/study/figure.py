@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from app.study.observations import Outcome
 
 _COLUMNS = 2
-_PANEL_INCHES = (6.2, 3.9)
+_PANEL_INCHES = (7.6, 3.7)
 # The same estimator looks the same in every panel.
 _COLOURS = {
     "translation": "tab:gray",
@@ -20,6 +20,7 @@ _COLOURS = {
     "cubic": "tab:green",
     "automatic": "tab:red",
 }
+_FEW_TIMES = 50  # so far a logarithmic axis shows its own numbers better than powers of ten
 _MARKERS = "osD^vPX*<>"
 
 
@@ -40,14 +41,14 @@ def study_figure(outcomes: Sequence[Outcome]) -> Figure:
 def _draw(outcome: Outcome, panel: Axes) -> None:
     positions = outcome.positions
     is_named = any(isinstance(at, str) for at in positions)
-    place = {at: float(index) if is_named else float(at) for index, at in enumerate(positions)}
-    known = {name: colour for name, colour in _COLOURS.items() if any(name in curve for curve in outcome.curves)}
-    for index, curve in enumerate(outcome.curves):
+    place = {at: float(index) if is_named else float(outcome.shown(at)) for index, at in enumerate(positions)}
+    curves = [each for each in outcome.curves if not any(word in each for word in outcome.sweep.left_out)]
+    for index, curve in enumerate(curves):
         points = outcome.points(curve)
         x = np.array([place[at] for at in points])
         y = np.array([point.mean_rad for point in points.values()])
         spread = np.array([point.spread_rad for point in points.values()])
-        colour = next((colour for name, colour in known.items() if name in curve), None)
+        colour = next((colour for name, colour in _COLOURS.items() if name in curve), None)
         style = "--" if "refined" in curve else ":" if is_named or "true" in curve else "-"
         panel.errorbar(
             x,
@@ -67,10 +68,13 @@ def _draw(outcome: Outcome, panel: Axes) -> None:
     panel.set_yscale("log")
     if outcome.sweep.is_logarithmic:
         panel.set_xscale("log")
+        if not is_named and max(place.values()) < _FEW_TIMES * min(place.values()):
+            panel.set_xticks(list(place.values()), [f"{at:g}" for at in place.values()])
+            panel.minorticks_off()
     if is_named:
         panel.set_xticks(list(place.values()), [str(at) for at in positions])
     panel.set_title(outcome.sweep.title, fontsize=10)
     panel.set_xlabel(outcome.sweep.axis)
     panel.set_ylabel("residual RMS (rad)")
     panel.grid(visible=True, which="both", linewidth=0.3)
-    panel.legend(fontsize=6, ncols=1 if len(outcome.curves) < 12 else 2)
+    panel.legend(fontsize=6.5, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)

@@ -47,7 +47,9 @@ class Sweep:
     title: str
     axis: str  # what is varied, with its unit
     run: Callable[[Bench, int, Report], Iterator[Observation]]
+    axis_per_si: float = 1.0  # what `axis` says, for a number that is varied
     is_logarithmic: bool = False  # the axis of what is varied
+    left_out: tuple[str, ...] = ()  # of the figure: curves that have one of these in their names
     asked_rad: Mapping[str, Mapping[At, float]] = field(default_factory=dict)  # of curve and at
 
 
@@ -57,6 +59,10 @@ class Outcome:
 
     sweep: Sweep
     observations: tuple[Observation, ...]
+
+    def shown(self, at: At) -> At:
+        """What is varied, in the unit of the sweep's axis."""
+        return at if isinstance(at, str) else float(f"{at * self.sweep.axis_per_si:.6g}")
 
     @property
     def curves(self) -> list[str]:

@@ -28,7 +28,7 @@ def write_study(outcomes: Sequence[Outcome], seeds: int, out: Path) -> None:
                 "title": outcome.sweep.title,
                 "axis": outcome.sweep.axis,
                 "curves": {
-                    curve: [{"at": at, **_known(point)} for at, point in outcome.points(curve).items()]
+                    curve: [{"at": outcome.shown(at), **_known(point)} for at, point in outcome.points(curve).items()]
                     for curve in outcome.curves
                 },
             }
@@ -51,7 +51,7 @@ def print_study(outcomes: Sequence[Outcome]) -> None:
         text = rich.table.Table(title=f"{outcome.sweep.title}: residual RMS (rad)", box=box.SIMPLE, padding=(0, 1))
         text.add_column(outcome.sweep.axis, no_wrap=True)
         for at in outcome.positions:
-            text.add_column(name_of(at), justify="right", no_wrap=True)
+            text.add_column(name_of(outcome.shown(at)), justify="right", no_wrap=True)
         for curve in outcome.curves:
             points = outcome.points(curve)
             text.add_row(curve, *(_cell(points[at]) if at in points else "" for at in outcome.positions))
@@ -81,4 +81,4 @@ def _rows(outcomes: Sequence[Outcome]) -> Iterator[dict[str, Any]]:
     for outcome in outcomes:
         for curve in outcome.curves:
             for at, point in outcome.points(curve).items():
-                yield {"sweep": outcome.sweep.name, "curve": curve, "at": at, **_known(point)}
+                yield {"sweep": outcome.sweep.name, "curve": curve, "at": outcome.shown(at), **_known(point)}

@@ -61,7 +61,8 @@ SIZE = Sweep(
 ROUGHNESS = Sweep(
     name="roughness",
     title="Roughness of the screen",
-    axis="correlation length (m)",
+    axis="correlation length (mm)",
+    axis_per_si=1e3,
     run=_over(_CORRELATION_LENGTHS_M, lambda bench, length_m: with_screen(bench, correlation_length_m=length_m)),
     is_logarithmic=True,
 )
