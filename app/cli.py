@@ -235,6 +235,30 @@ def study(
 
 
 @cli.command()
+def benchmark(
+    *,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers as JSON.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Fail if a ratio is 20 % worse than the one committed.")
+    ] = False,
+) -> None:
+    """How fast it is beside SimpleITK, OpenCV, scikit-image, pyrtcao and HCIPy (svwfs[peers]); some minutes."""
+    from app.benchmark.baseline import load_baseline, worsened
+    from app.benchmark.output import print_benchmark, write_benchmark
+    from app.benchmark.run import Plan, run_benchmark
+    from app.report import progress_bar
+
+    plan = Plan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
+    with progress_bar() as report:
+        result = run_benchmark(plan, report)
+    if json is not None:
+        write_benchmark(result, json)
+    print_benchmark(result)
+    if check and (said := worsened(result["ratios"], load_baseline())):
+        raise RunError("slower beside the peers than before: " + "; ".join(said))
+
+
+@cli.command()
 def reconstruct(
     frame: Annotated[Path, typer.Argument(help="The frame with the sample in: TIFF or NPY.")],
     *,

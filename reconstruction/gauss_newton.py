@@ -12,7 +12,6 @@ where that ends in no match, from the whole-pixel shift of the best correlation.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
@@ -38,15 +37,16 @@ _MISFIT = 0.5  # residual over contrast above which the frame shows something el
 _POOR = 0.3  # likewise; above it another start may do better
 _NOISE_AT_MOST = 1.5  # the square of a residual's noise over its mean
 _INFORMATION_LEFT = 0.75  # of a lenslet's; with less it is lost
-_THREADS = min(2, os.cpu_count() or 1)
 
 
 class GaussNewton:
     """Registers frames against one reference; everything that depends on the reference alone is prepared here."""
 
-    def __init__(self, reference: ReferenceSubimages, modes: PolynomialModes, *, conserve_flux: bool) -> None:
-        """Prepare for warps of the given field modes."""
-        self._reference, self._modes = reference, modes
+    def __init__(
+        self, reference: ReferenceSubimages, modes: PolynomialModes, *, conserve_flux: bool, threads: int = 2
+    ) -> None:
+        """Prepare for warps of the given field modes, and for so many threads that share the lenslets."""
+        self._reference, self._modes, self._threads = reference, modes, threads
         offset_px = reference.offset_px
         near = np.abs(offset_px).max(axis=1) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
         coarse = near & np.all(np.mod(offset_px - offset_px[0], 2) == 0, axis=1)
@@ -118,10 +118,12 @@ class GaussNewton:
             half_cell_px=np.float32(reference.pitch_px / 2),
         )
 
-        def part(first: int) -> None:
-            fit_lenslets(view, self._start.grid, grid, self._search, self._limits, self._power, fits, first, _THREADS)
+        threads = self._threads
 
-        others = [_threads().submit(part, first) for first in range(1, _THREADS)]
+        def part(first: int) -> None:
+            fit_lenslets(view, self._start.grid, grid, self._search, self._limits, self._power, fits, first, threads)
+
+        others = [_pool(threads - 1).submit(part, first) for first in range(1, threads)]
         part(0)
         for other in others:
             other.result()
@@ -136,6 +138,6 @@ class GaussNewton:
 
 
 @cache
-def _threads() -> ThreadPoolExecutor:
+def _pool(threads: int) -> ThreadPoolExecutor:
     """The threads that share the lenslets with the one that asks, for the whole program."""
-    return ThreadPoolExecutor(max(_THREADS - 1, 1), thread_name_prefix="registration")
+    return ThreadPoolExecutor(threads, thread_name_prefix="registration")

@@ -28,6 +28,7 @@ class RegistrationSettings:
     method: Method = "gauss_newton"
     warp: Warp | None = None  # the one with the most freedom that the noise allows; quadratic where it is not known
     conserve_flux: bool = True
+    threads: int = 2  # gauss_newton: that share the lenslets
     flow: Literal["views", "warp"] = (
         "views"  # block_flow, demons, ffd: kept as it is at the views, or fitted by the warp
     )
@@ -38,6 +39,7 @@ class RegistrationSettings:
     def __post_init__(self) -> None:
         require(
             {
+                "threads must be 1 ... 64": 1 <= self.threads <= 64,
                 "star_rows must be 1 ... 99": 1 <= self.star_rows <= 99,
                 "star_columns must be 1 ... 99": 1 <= self.star_columns <= 99,
                 "star_spacing_m must be positive": 0 < self.star_spacing_m < math.inf,
@@ -55,7 +57,7 @@ def prepare_registration(reference: ReferenceSubimages, settings: RegistrationSe
         return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
     modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
     if settings.method == "gauss_newton":
-        return GaussNewton(reference, modes, conserve_flux=settings.conserve_flux)
+        return GaussNewton(reference, modes, conserve_flux=settings.conserve_flux, threads=settings.threads)
     if settings.method == "itk_affine":
         from reconstruction.itk_affine import ItkAffine
 
