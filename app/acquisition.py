@@ -105,6 +105,11 @@ class Acquisition:
         return f"{type(self.error).__name__}: {self.error}"
 
     @property
+    def counts(self) -> Counts:
+        """What has become of the frames so far."""
+        return self._counts
+
+    @property
     def is_alive(self) -> bool:
         """Whether the worker still runs."""
         return self._thread.is_alive()

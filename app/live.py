@@ -11,6 +11,7 @@ from app.config import Bench
 from app.devices import open_devices
 from app.files import make_folder
 from app.results import result_dataset, write_results
+from app.run_record import write_run
 
 _UNATTENDED_S = 5.0
 
@@ -19,27 +20,35 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path) -> int:
     """Run the window and return the exit status; Qt is loaded here, when it is known that a window is wanted.
 
     Where there is no display, or `seconds` are given, nobody needs to be there: it closes by itself so long after
-    the first wavefront and leaves `window.png` and `result.nc` in the folder `out`; without them it ends with an error.
+    the first wavefront and leaves `window.png`, `result.nc` and `run.json` in the folder `out`; without them it ends
+    with an error.
     """
     if not _has_display():
         os.environ["QT_QPA_PLATFORM"] = "offscreen"
         seconds = seconds or _UNATTENDED_S
     from app.gui.live import run_live
 
+    made: list[Acquisition] = []  # another one after each reconnection
+
+    def make() -> Acquisition:
+        made.append(Acquisition(bench, open_devices))
+        return made[-1]
+
     def finish(measurement: Measurement) -> None:
+        write_run(out / "run.json", "live", made[-1])
         if measurement.wavefront is not None:
             write_results(out / "result.nc", result_dataset(measurement.wavefront, bench), bench=bench, inputs={})
 
     if seconds is None:
-        return run_live(lambda: Acquisition(bench, open_devices))
+        return run_live(make)
     make_folder(out)
     status = run_live(
-        lambda: Acquisition(bench, open_devices),
+        make,
         offscreen_s=seconds,
         screenshot=out / "window.png",
         on_finish=finish,
     )
-    sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\n")
+    sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
     return status
 
 

@@ -15,6 +15,7 @@ from app.errors import Interrupted, RunError
 from app.files import make_folder, write_image
 from app.instrument import Instrument
 from app.results import result_dataset, stack_frames, write_results
+from app.run_record import write_run
 from app.start_up import start_up
 from drivers.interface import DeviceError
 from reconstruction.wavefront import Wavefront
@@ -83,6 +84,7 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
             results = stack_frames(datasets, collected.frame_index, collected.time_s)
             names = {"dark": "dark.tif", "reference": "reference.tif"}
             write_results(out / "results.nc", results, bench=bench, inputs=names)
+            write_run(out / "run.json", "measure", acquisition)
     if is_stopped:
         raise Interrupted(f"stopped: {len(collected.wavefronts)} of {frames} frames are in {out}")
     if acquisition.error is not None:

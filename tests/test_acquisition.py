@@ -15,9 +15,11 @@ from app.config import Bench, load_bench
 from app.devices import Devices, open_devices
 from app.errors import InputError
 from app.instrument import Instrument
+from app.live_refinement import RefinementState
 from app.routines import Cancelled
 from app.start_up import start_up
-from drivers.interface import BadValue, Disconnected, WrongState
+from drivers.interface import BadValue, Disconnected, Frame, WrongState
+from reconstruction.wavefront import Wavefront
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
 
 
@@ -244,3 +246,34 @@ def test_closing_before_starting_and_twice_is_allowed(small_toml: Path) -> None:
     acquisition = Acquisition(load_bench(small_toml), open_devices)
     acquisition.close()
     acquisition.close()
+
+
+def test_when_frames_come_too_fast_the_newest_is_taken_and_the_others_are_counted(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure = Instrument.measure
+
+    def slowly(instrument: Instrument, frame: Frame) -> tuple[Wavefront, RefinementState]:
+        time.sleep(0.2)
+        return measure(instrument, frame)
+
+    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    try:
+        running.begin()
+        monkeypatch.setattr(Instrument, "measure", slowly)
+        first = len(running.measurements)
+        running.wait_until(lambda: len(running.measurements) >= first + 12, timeout_s=60)
+        running.acquisition.close()
+    finally:
+        running.acquisition.close()
+    index = [measurement.frame.index for measurement in running.measurements]
+    last = running.measurements[-1]
+    counts = [measurement.counts for measurement in running.measurements]
+    assert np.all(np.diff(index) > 0)
+    # Five frames a second are measured of 72: the others are passed over, not kept for later.
+    assert np.median(np.diff(index[first + 2 :])) > 8
+    assert all(count.acquired + count.lost == at + 1 for at, count in zip(index, counts, strict=True))
+    assert last.counts.reconstructed == len(running.measurements) < last.counts.acquired
+    # Had the others been kept, each measurement would be 0.19 s older than the one before.
+    assert last.latency_s < running.measurements[first + 2].latency_s + 1.0
+    assert running.acquisition.newest is last

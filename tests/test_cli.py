@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 import signal
 import subprocess
@@ -103,6 +104,12 @@ def test_measure(
         assert results["frame_index"].to_numpy().tolist() == list(range(5))
     assert "5 frames, 0 lost by the camera" in capsys.readouterr().out
     assert tifffile.imread(tmp_path / "m" / "reference.tif").shape == (172, 240)
+    record = json.loads((tmp_path / "m" / "run.json").read_text())
+    assert record["frames"]["reconstructed"] >= 5
+    assert record["timings"]["register"]["count"] == record["frames"]["acquired"]
+    assert 0 < record["timings"]["register"]["p50_s"] <= record["timings"]["to_result"]["max_s"]
+    assert record["timings"]["draw"] == {"count": 0, "p50_s": None, "p99_s": None, "max_s": None}
+    assert {"python", "numpy", "numba"} <= set(record["versions"])
 
 
 def test_ctrl_c_writes_what_was_measured_and_says_so(tmp_path: Path, small_toml: Path) -> None:
