@@ -1,7 +1,8 @@
 """How freely a warp may bend when the settings leave it open: as freely as the camera's noise allows.
 
-Every field mode more removes a part of what the estimator gets wrong systematically and adds noise. Which is more
-follows from the reference and the camera alone.
+The quadratic modes remove most of what the estimator gets wrong systematically, and add noise. Which is more follows
+from the reference and the camera alone. The cubic ones are never chosen here: they pay when a wavefront is
+refined and no light strays into the neighbours' cells, which is for the user to know; where it does, they are worse.
 """
 
 from __future__ import annotations
@@ -19,20 +20,15 @@ from reconstruction.wavefront import Wavefront
 from reconstruction.whitening import whitening
 
 _PUPIL_MODES = 45  # with which noise is predicted: about as many as a smooth wavefront needs
-# By how much the residual shrinks on the screens of docs/estimator.md (4.2 rad RMS), as the root of the difference of
-# squares: from affine to quadratic at once, from quadratic to cubic once it is refined.
+# By how much the residual shrinks from affine to quadratic on the screens of docs/estimator.md (4.2 rad RMS), as the
+# root of the difference of squares.
 _QUADRATIC_GAIN_RAD = 0.15
-_CUBIC_GAIN_RAD = 0.015
 
 
-def freest_warp(own: Callable[[Warp], Displacement], sensor: Sensor, field: Field) -> Warp:
+def automatic_warp(own: Callable[[Warp], Displacement], sensor: Sensor, field: Field) -> Warp:
     """The warp of choice; own(warp) is what a warp makes of the reference itself."""
-    quadratic_rad2 = _noise_rad2(own("quadratic"), sensor, field)
-    if _noise_rad2(own("cubic"), sensor, field) - quadratic_rad2 < _CUBIC_GAIN_RAD**2:
-        return "cubic"
-    if quadratic_rad2 - _noise_rad2(own("affine"), sensor, field) < _QUADRATIC_GAIN_RAD**2:
-        return "quadratic"
-    return "affine"
+    added_rad2 = _noise_rad2(own("quadratic"), sensor, field) - _noise_rad2(own("affine"), sensor, field)
+    return "quadratic" if added_rad2 < _QUADRATIC_GAIN_RAD**2 else "affine"
 
 
 def _noise_rad2(displacement: Displacement, sensor: Sensor, field: Field) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
@@ -9,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.automatic_warp import freest_warp
+from reconstruction.automatic_warp import automatic_warp
 from reconstruction.bad_pixels import find_bad_pixels
-from reconstruction.displacement import Displacement, Estimator
+from reconstruction.displacement import Displacement, Estimator, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, require
 from reconstruction.modal import ModalSolver
@@ -96,7 +97,7 @@ class Reconstructor:
         `start` is where they lay in a frame before: near it the search is quicker, and its result the same.
         """
         light = self._light(frame, "frame")
-        displacement = self._register(light, saturated=frame >= self._full_scale, start=start)
+        displacement = self._register(light, saturated=self._saturated(frame), start=start)
         if np.count_nonzero(displacement.valid) < 2:
             raise ReconstructionError(
                 "no lenslet of the frame could be matched with the reference: is the light on?", image="frame"
@@ -131,7 +132,7 @@ class Reconstructor:
 
         warp = registration.warp or "quadratic"
         if registration.warp is None and self.noise is not None and registration.method == "gauss_newton":
-            warp = freest_warp(lambda each: prepare(each)[1], self.sensor, self.field)
+            warp = automatic_warp(lambda each: prepare(each)[1], self.sensor, self.field)
         self.registration = replace(registration, warp=warp)
         self._register, own = prepare(warp)
         return own
@@ -165,12 +166,18 @@ class Reconstructor:
     def _light(self, image: Counts, what: str) -> Image:
         """Check an image and return it as float32 (row, column) counts above the dark or the background."""
         light = _checked(image, what, self.frame_shape)
-        if np.count_nonzero(image >= self._full_scale) > _SATURATED_FRACTION * image.size:
+        if np.count_nonzero(self._saturated(image)) > _SATURATED_FRACTION * image.size:
             raise ReconstructionError(
                 f"the {what} is saturated: shorten the exposure or lower the light's current", image=what
             )
-        background = self._dark if self._dark is not None else np.percentile(light, _BACKGROUND_PERCENT)
-        return np.asarray(light - background, np.float32)
+        light -= self._dark if self._dark is not None else np.float32(np.percentile(light, _BACKGROUND_PERCENT))
+        return light
+
+    def _saturated(self, image: Counts) -> Mask:
+        """Which pixels of an image (row, column) are at full scale."""
+        if np.issubdtype(image.dtype, np.integer) and math.isfinite(self._full_scale):
+            return np.asarray(image >= math.ceil(self._full_scale))  # seven times as quick as with a broken number
+        return np.asarray(image >= self._full_scale)
 
 
 def _mean_variance(displacement: Displacement) -> Floats:
@@ -180,7 +187,7 @@ def _mean_variance(displacement: Displacement) -> Floats:
 
 
 def _checked(image: Counts, what: str, shape: tuple[int, ...]) -> Image:
-    """Return an image as float32 if it is a finite one of the right shape, else say what it is."""
+    """Return an image as a float32 of its own if it is a finite one of the right shape, else say what it is."""
     if image.ndim != 2 or image.shape != shape:
         raise ReconstructionError(
             f"the {what} has {_size(image.shape)} pixels, but the reference has {_size(shape)}", image=what
@@ -189,7 +196,7 @@ def _checked(image: Counts, what: str, shape: tuple[int, ...]) -> Image:
         raise ReconstructionError(f"the {what} holds {image.dtype} values: grey counts are needed", image=what)
     with np.errstate(over="ignore"):  # too large a number becomes infinite, and is refused as that
         light = image.astype(np.float32)
-    if not np.isfinite(light).all():
+    if not np.issubdtype(image.dtype, np.integer) and not np.isfinite(light).all():
         raise ReconstructionError(f"the {what} holds values that are not finite", image=what)
     return light
 

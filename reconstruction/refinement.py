@@ -25,7 +25,7 @@ from reconstruction.wavefront import Wavefront, rms
 
 PointPhase: TypeAlias = Callable[[float, float], Image]
 
-_IMPROVES = 0.9  # a round that changes the wavefront by more than this part of what the one before did ends it
+_IMPROVES = 0.6  # a round that changes the wavefront by more than this part of what the one before did ends it
 _SETTLED_RAD = 1e-3  # a change that nobody sees
 
 

@@ -26,7 +26,7 @@ class RegistrationSettings:
     """How subimages are compared, how they may move, and where the stars are if the source has any."""
 
     method: Method = "gauss_newton"
-    warp: Warp | None = None  # the one with the most freedom that the noise allows; quadratic where it is not known
+    warp: Warp | None = None  # affine or quadratic, as the noise allows; quadratic where that is not known
     conserve_flux: bool = True
     threads: int = 2  # gauss_newton: that share the lenslets
     flow: Literal["views", "warp"] = (

@@ -50,7 +50,7 @@ def test_too_few_frames_or_none_of_light_tell_nothing() -> None:
     assert photon_transfer(flat, flat * 0, frames=20, dark_variance=flat) is None
 
 
-@pytest.mark.parametrize(("peak_e", "warp"), [(1e6, "cubic"), (3000, "quadratic"), (30, "affine")])
+@pytest.mark.parametrize(("peak_e", "warp"), [(1e6, "quadratic"), (3000, "quadratic"), (30, "affine")])
 def test_the_noise_says_how_freely_a_warp_may_bend(small_bench: SmallBench, peak_e: float, warp: str) -> None:
     per_electron = float(small_bench.reference.max()) / peak_e
     reconstructor = small_bench.reconstructor(
