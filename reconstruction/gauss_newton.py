@@ -12,9 +12,6 @@ where that ends in no match, from the whole-pixel shift of the best correlation.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-
 import numpy as np
 
 from reconstruction.alignment import View
@@ -27,6 +24,7 @@ from reconstruction.search import prepare_search
 from reconstruction.spline import Image, noise_power_polynomial
 from reconstruction.subimages import ReferenceSubimages
 from reconstruction.template import prepare_template
+from reconstruction.threads import worker_pool
 
 # How far beyond the field's edge pixels are looked at, in blurs. Further out is only what diffraction scatters, which
 # no warp describes: with 0.8 the wavefronts of physics.md, section 7, are 0.157 rad wrong for the shortest correlation
@@ -54,6 +52,7 @@ class GaussNewton:
         self._warp = prepare_template(reference, modes, near, conserve_flux=conserve_flux, noise=reference.noise)
         self._search = prepare_search(reference)
         self._errors = FitErrors(reference, self._warp, near)
+        self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(near)
@@ -71,13 +70,12 @@ class GaussNewton:
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
         """Compare a frame with the reference; see `displacement.Estimator`."""
         reference, warp = self._reference, self._warp
-        coefficients = reference.spline(light, saturated=saturated)
+        coefficients = reference.spline(light, saturated=saturated, threads=self._threads)
         bad = reference.bad | saturated
         fits = self._fit(coefficients, bad, start)
 
         errors = self._errors(fits)
-        unexplained = np.count_nonzero(warp.grid.weight, axis=1) * (_MISFIT * warp.contrast) ** 2
-        found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < unexplained)
+        found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < self._unexplained)
         spoilt = errors.known < _INFORMATION_LEFT
         return judged(
             reference,
@@ -123,7 +121,7 @@ class GaussNewton:
         def part(first: int) -> None:
             fit_lenslets(view, self._start.grid, grid, self._search, self._limits, self._power, fits, first, threads)
 
-        others = [_pool(threads - 1).submit(part, first) for first in range(1, threads)]
+        others = [worker_pool(threads - 1).submit(part, first) for first in range(1, threads)]
         part(0)
         for other in others:
             other.result()
@@ -135,9 +133,3 @@ class GaussNewton:
         if start is None or start.coefficients.size != np.prod(shape):
             return np.full((shape[0], 2, shape[1]), np.nan, np.float32)
         return np.ascontiguousarray(np.swapaxes(start.coefficients.reshape(shape), 1, 2), np.float32)
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """The threads that share the lenslets with the one that asks, for the whole program."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="registration")

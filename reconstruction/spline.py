@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.geometry import Floats
+from reconstruction.threads import worker_pool
 
 Image = NDArray[np.float32]
 
@@ -20,11 +21,34 @@ Image = NDArray[np.float32]
 # fallen to 1e-6: so a plain convolution does the prefilter's work, without a recursion.
 _REACH = 10
 _IMPULSE_RESPONSE = (np.sqrt(3.0) - 2.0) ** np.abs(np.arange(-_REACH, _REACH + 1))
+_SHARED_FROM_PX = 700_000
+_AT_ONCE = 20_000  # positions whose numbers fit into the processor's cache
 _PREFILTER = (_IMPULSE_RESPONSE / _IMPULSE_RESPONSE.sum()).astype(np.float32)
 
 
-def spline_coefficients(image: NDArray[np.uint16] | Image) -> Image:
-    """B-spline coefficients of an image (row, column), mirrored at its borders."""
+def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) -> Image:
+    """B-spline coefficients of an image (row, column), mirrored at its borders.
+
+    Large images are shared by several `threads`, with the same result; for small ones waking them takes too long.
+    """
+    if threads == 1 or image.size < _SHARED_FROM_PX or len(image) < threads * 2 * _REACH:
+        return _filtered(image)
+    edges = np.linspace(0, len(image), threads + 1).astype(int)
+    coefficients = np.empty(image.shape, np.float32)
+
+    def work(part: int) -> None:
+        first, end = edges[part], edges[part + 1]
+        above = max(first - _REACH, 0)
+        coefficients[first:end] = _filtered(image[above : end + _REACH])[first - above : end - above]
+
+    others = [worker_pool(threads - 1).submit(work, part) for part in range(1, threads)]
+    work(0)
+    for other in others:
+        other.result()
+    return coefficients
+
+
+def _filtered(image: NDArray[np.uint16] | Image) -> Image:
     return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, _PREFILTER, _PREFILTER, borderType=cv2.BORDER_REFLECT_101))
 
 
@@ -33,6 +57,15 @@ def sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
 
     Returns the values (...) and their gradients (..., xy), per pixel.
     """
+    values, gradients = np.empty(position_px.shape[:-1]), np.empty(position_px.shape)
+    flat, flat_values, flat_gradients = position_px.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2)
+    for first in range(0, len(flat), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        flat_values[some], flat_gradients[some] = _sample(coefficients, flat[some])
+    return values, gradients
+
+
+def _sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
     rows, columns = coefficients.shape
     base = np.floor(position_px).astype(np.intp)
     weights, slopes = _weights(position_px - base)

@@ -88,10 +88,10 @@ class ReferenceSubimages:
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 
-    def spline(self, light: Image, *, saturated: Mask | None = None) -> Image:
+    def spline(self, light: Image, *, saturated: Mask | None = None, threads: int = 1) -> Image:
         """Spline coefficients of a frame (row, column), bad and saturated pixels put right from their neighbours."""
         bad = self.bad if saturated is None or not saturated.any() else self.bad | saturated
-        return spline_coefficients(repaired(light, bad) if bad.any() else light)
+        return spline_coefficients(repaired(light, bad) if bad.any() else light, threads=threads)
 
     def cut(self, light: Image) -> Floats:
         """Cut another frame (row, column) into the same windows: (L, width, width)."""

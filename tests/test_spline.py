@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy import ndimage
 
 from reconstruction.kernel import look, new_scratch
@@ -57,3 +58,9 @@ def test_compiled_sampling_of_a_warp_is_scipys_and_its_stretch_the_determinant()
     light = ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
     np.testing.assert_allclose(scratch.light, light, atol=5e-5)
     np.testing.assert_allclose(scratch.stretch, stretch, atol=1e-5)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_a_shared_image_has_the_same_coefficients(threads: int) -> None:
+    image = np.random.default_rng(5).normal(100, 30, (1001, 803)).astype(np.float32)
+    np.testing.assert_array_equal(spline_coefficients(image, threads=threads), spline_coefficients(image))

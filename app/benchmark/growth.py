@@ -12,8 +12,9 @@ from functools import partial
 from app.benchmark.cases import Case, tiled
 from app.benchmark.stopwatch import side_by_side
 from app.progress import Report
-from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.registration import FIELD_MODES, RegistrationSettings, Warp
+from reconstruction.wavefront import Wavefront
+from reconstruction.zonal import ZonalSolution
 
 FOUR_K_LENSLETS, FOUR_K_MARGIN_PX = 64, 32  # 31 pixels each on 2048 x 2048
 
@@ -25,8 +26,7 @@ class Grown:
     lenslets: int  # a side
     frame_px: int  # a side
     field_modes: int
-    prepare_s: float  # from a new reference to the first frame: registration and zonal solve
-    prepare_modal_s: float  # what the modal solve needs beyond that
+    prepare_s: float  # from a new reference to the first wavefronts
     register_s: float  # warm
     zonal_s: float
     modal_s: float  # as many pupil modes as the lattice carries
@@ -58,21 +58,22 @@ def four_k(case: Case, budget_s: float) -> Grown:
 
 def grown(case: Case, warp: Warp, budget_s: float) -> Grown:
     """Time one size."""
-    registration, lenslets = RegistrationSettings(warp=warp), case.sensor.lenslet_rows
+    lenslets = case.sensor.lenslet_rows
     start_s = time.perf_counter()
-    zonal = case.reconstructor(registration, ReconstructionSettings(method="zonal"))
-    prepared_s = time.perf_counter()
-    modal = case.reconstructor(registration)
-    modal.solve(modal.register(case.before))  # what the weights of the lenslets determine is computed once
+    reconstructor = case.reconstructor(RegistrationSettings(warp=warp))
+    before = reconstructor.register(case.before)
+    reconstructor.solve(before)  # what the weights of the lenslets determine is computed once
     end_s = time.perf_counter()
-    before = modal.register(case.before)
-    displacement = modal.register(case.frame, start=before)
+    displacement = reconstructor.register(case.frame, start=before)
+    slopes = displacement.coefficients * case.sensor.slope_per_px
+    weights = reconstructor.weights_of(displacement)
+    zonal = ZonalSolution(slopes, displacement.valid, case.sensor.lenslet_pitch_m, weights)
     times = side_by_side(
         {
-            "register": partial(modal.register, case.frame, start=before),
-            "zonal": partial(zonal.solve, displacement),
-            "modal": partial(modal.solve, displacement),
-            "frame": lambda: modal.solve(modal.register(case.frame, start=before)),
+            "register": partial(reconstructor.register, case.frame, start=before),
+            "zonal": partial(Wavefront.of, case.field, displacement, zonal),
+            "modal": partial(reconstructor.solve, displacement),
+            "frame": lambda: reconstructor.solve(reconstructor.register(case.frame, start=before)),
         },
         budget_s,
     )
@@ -81,8 +82,7 @@ def grown(case: Case, warp: Warp, budget_s: float) -> Grown:
         lenslets=lenslets,
         frame_px=case.reference.shape[0],
         field_modes=FIELD_MODES[warp],
-        prepare_s=prepared_s - start_s,
-        prepare_modal_s=max(0.0, end_s - prepared_s - (prepared_s - start_s)),
+        prepare_s=end_s - start_s,
         register_s=times["register"].median_s,
         zonal_s=times["zonal"].median_s,
         modal_s=times["modal"].median_s,
