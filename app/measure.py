@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -34,6 +35,7 @@ class Collected:
     wavefronts: list[Wavefront] = field(default_factory=list)
     frame_index: list[int] = field(default_factory=list)
     time_s: list[float] = field(default_factory=list)
+    bias_age_s: list[float] = field(default_factory=list)  # of the refinement; NaN where the frame is not refined
     problems: list[str] = field(default_factory=list)
     lost: int = 0
     complete: threading.Event = field(default_factory=threading.Event)
@@ -54,6 +56,8 @@ class Collected:
             self.wavefronts.append(measurement.wavefront)
             self.frame_index.append(measurement.frame.index)
             self.time_s.append(measurement.frame.camera_time_s)
+            refinement = measurement.refinement
+            self.bias_age_s.append(refinement.age_s if refinement.stage == "applied" else math.nan)
         if self.taken >= self.wanted:
             self.complete.set()
 
@@ -81,7 +85,7 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
         acquisition.close()
         if collected.wavefronts:
             datasets = [result_dataset(wavefront, bench) for wavefront in collected.wavefronts]
-            results = stack_frames(datasets, collected.frame_index, collected.time_s)
+            results = stack_frames(datasets, collected.frame_index, collected.time_s, collected.bias_age_s)
             names = {"dark": "dark.tif", "reference": "reference.tif"}
             write_results(out / "results.nc", results, bench=bench, inputs=names)
             write_run(out / "run.json", "measure", acquisition)

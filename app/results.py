@@ -76,12 +76,15 @@ def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapp
         dataset.to_netcdf(temporary, engine="h5netcdf")
 
 
-def stack_frames(datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float]) -> xr.Dataset:
+def stack_frames(
+    datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
+) -> xr.Dataset:
     """Put the results of several frames after one another, along a new first dimension `frame`."""
     stacked = xr.concat(datasets, "frame", join="exact", combine_attrs="override", coords="minimal", compat="override")
     return stacked.assign_coords(
         frame_index=("frame", list(frame_index), about("1", "the camera's count since start")),
         time=("frame", list(time_s), about("s", "end of the exposure on the camera's clock")),
+        bias_age=("frame", list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
     )
 
 

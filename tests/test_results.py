@@ -81,7 +81,7 @@ def test_a_lost_lenslet_is_marked_and_holds_no_number(dataset: xr.Dataset) -> No
 
 
 def test_frames_are_stacked_along_a_new_first_dimension(dataset: xr.Dataset) -> None:
-    stacked = stack_frames([dataset, dataset * 2], [4, 7], [0.1, 0.2])
+    stacked = stack_frames([dataset, dataset * 2], [4, 7], [0.1, 0.2], [np.nan, 0.5])
     assert stacked["wavefront"].dims[0] == "frame"
     np.testing.assert_array_equal(stacked["frame_index"], [4, 7])
     np.testing.assert_allclose(stacked["wavefront"][1], 2 * dataset["wavefront"])
