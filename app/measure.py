@@ -47,7 +47,7 @@ class Collected:
 
     def take(self, measurement: Measurement) -> None:
         """Take one more result from the worker, as long as more are wanted."""
-        if self.complete.is_set():
+        if self.complete.is_set() or measurement.refinement.stage == "preparing":
             return
         self.lost = measurement.counts.lost
         if measurement.wavefront is None:
