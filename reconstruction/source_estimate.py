@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
+from reconstruction.errors import ReconstructionError
+from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
+
+# SciPy's own 3 is too few now and then: with the lattice told turned by an outermost pixel, for example.
+_ITERATIONS_PER_POINT = 30
 
 
 def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
@@ -25,4 +30,8 @@ def brightness(point_images: Image, subimage: Floats) -> Floats:
     """Brightness (point,), none negative, of the points whose images (point, row, column) add up to a subimage."""
     matrix = point_images.reshape(len(point_images), -1).T.astype(np.float64)
     scale = np.max(matrix)  # the solver's tolerance is absolute
-    return np.asarray(nnls(matrix / scale, subimage.ravel())[0] / scale)
+    try:
+        found, _ = nnls(matrix / scale, subimage.ravel())
+    except RuntimeError as error:  # SciPy's way to say that it gave up
+        raise ReconstructionError("the source's shape cannot be found in the reference: is it in focus?") from error
+    return np.asarray(found / scale)

@@ -105,18 +105,20 @@ class Estimators:
         Where the `sample` is given, also at the wavefronts from its own slopes.
         """
         for warp, estimator in self.by_warp.items():
+            curve = prefix + warp
             try:
                 displacement = estimator.reconstructor.register(frame)
                 wavefront = estimator.reconstructor.solve(displacement)
-                yield observed(prefix + warp, at, wavefront, truth, views=views)
-                if warp in self._refined:
-                    wavefront, _ = estimator.rounds(displacement)[-1]
-                    yield observed(f"{prefix}{warp} refined", at, wavefront, truth, views=views)
+                yield observed(curve, at, wavefront, truth, views=views)
                 if sample is not None:
                     wavefront = exact_wavefront(sample, estimator.reconstructor, displacement)
-                    yield observed(f"{prefix}{warp}, true slopes", at, wavefront, truth, views=views)
+                    yield observed(f"{curve}, true slopes", at, wavefront, truth, views=views)
+                if warp in self._refined:
+                    curve += " refined"
+                    wavefront, _ = estimator.rounds(displacement)[-1]
+                    yield observed(curve, at, wavefront, truth, views=views)
             except ReconstructionError:
-                yield nothing(prefix + warp, at, estimator)
+                yield nothing(curve, at, estimator)
 
 
 def observed(
