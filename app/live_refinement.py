@@ -51,12 +51,18 @@ class LiveRefinement:
     """Corrects the frames of one reconstructor; its thread ends soon after `close`."""
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor) -> None:
-        self._bench, self._reconstructor = bench, reconstructor
+        """Make the model, which takes some tenths of a second in which no other thread runs; then begin."""
+        self._reconstructor = reconstructor
         self._newest: tuple[Wavefront, float] | None = None  # one slot each way, written by one thread
         self._found: _Found | None = None
         self._problem = ""
         self._something_new, self._closing = threading.Event(), threading.Event()
-        threading.Thread(target=self._work, name="refinement", daemon=True).start()
+        try:
+            model = BenchModel(bench, reconstructor)
+        except (ReconstructionError, ValueError) as error:  # a reference of which no model can be made
+            self._problem = str(error)
+            return
+        threading.Thread(target=self._work, args=(model,), name="refinement", daemon=True).start()
 
     def close(self) -> None:
         """Begin no further round."""
@@ -80,16 +86,18 @@ class LiveRefinement:
         self._something_new.set()
         return wavefront, state
 
-    def _work(self) -> None:
+    def _work(self, model: BenchModel) -> None:
         """Find the bias of the newest wavefront, again and again."""
         if sys.platform == "linux":  # where a thread has a priority of its own
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
-            refinement = Refinement(self._reconstructor, BenchModel(self._bench, self._reconstructor))
+            refinement = Refinement(self._reconstructor, model)
             while not self._closing.is_set():
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
                     wavefront, time_s = self._newest
                     self._found = _Found(refinement.bias(wavefront), time_s)
-        except (ReconstructionError, ValueError) as error:  # a reference of which no model can be made
+        except Exception as error:
             self._found, self._problem = None, str(error)
+            if not isinstance(error, ReconstructionError):
+                raise
