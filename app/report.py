@@ -85,11 +85,16 @@ def _view_table(field: Field, title: str) -> Table:
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:
-    """Say how many lenslets yield a slope and why the others do not: "223 of 225 lenslets valid; 2 dark"."""
+    """Say how many lenslets yield a slope, why the others do not, and how near the cells' edges light has come.
+
+    As "223 of 225 lenslets valid; 2 dark; 40 % of the dynamic range used".
+    """
     outcome = wavefront.displacement.outcome
     lost = (
         f"{count} {Outcome(code).name.lower().replace('_', ' ')}"
         for code, count in zip(*np.unique(outcome, return_counts=True), strict=True)
         if code != Outcome.CONVERGED
     )
-    return "; ".join([f"{np.count_nonzero(wavefront.displacement.valid)} of {outcome.size} lenslets valid", *lost])
+    valid = f"{np.count_nonzero(wavefront.displacement.valid)} of {outcome.size} lenslets valid"
+    used = np.nanmax(wavefront.displacement.range_used, initial=0.0)
+    return "; ".join([valid, *lost, f"{100 * used:.0f} % of the dynamic range used"])

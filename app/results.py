@@ -37,6 +37,11 @@ def result_dataset(wavefront: Wavefront, bench: Bench, *, with_psf: bool = False
             displacement.residual_rms,
             about("1", "RMS misfit of the registered subimage over the contrast of the brightest one"),
         ),
+        "range_used": (
+            _LENSLET,
+            displacement.range_used,
+            about("1", "displacement of the field's edge over what the cell allows; above 1 it has left the cell"),
+        ),
         "chi_square": (
             _LENSLET,
             displacement.chi_square,

@@ -97,7 +97,14 @@ class StatusLine(QWidget):
             valid = np.count_nonzero(displacement.valid)
             text = f"{valid} of {outcomes.size}"
             lost = [(np.count_nonzero(outcomes == outcome), why) for outcome, why in REASONS.items() if why]
-            tool_tip = "\n".join([_VALID, *(f"{count} lost: {why}" for count, why in lost if count)])
+            used = 100 * np.nanmax(displacement.range_used, initial=0.0)
+            tool_tip = "\n".join(
+                [
+                    _VALID,
+                    *(f"{count} lost: {why}" for count, why in lost if count),
+                    f"{used:.0f} % of the dynamic range used: at 100 % light reaches the edge of its cell",
+                ]
+            )
             if valid < outcomes.size:
                 colour = theme.AMBER if valid >= outcomes.size / 2 else theme.RED
         self.valid.setText(text)
