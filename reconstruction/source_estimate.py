@@ -6,7 +6,6 @@ import numpy as np
 from scipy.optimize import nnls
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
@@ -31,7 +30,7 @@ def brightness(point_images: Image, subimage: Floats) -> Floats:
     matrix = point_images.reshape(len(point_images), -1).T.astype(np.float64)
     scale = np.max(matrix)  # the solver's tolerance is absolute
     try:
-        found, _ = nnls(matrix / scale, subimage.ravel())
+        found, _ = nnls(matrix / scale, subimage.ravel(), maxiter=_ITERATIONS_PER_POINT * len(point_images))
     except RuntimeError as error:  # SciPy's way to say that it gave up
         raise ReconstructionError("the source's shape cannot be found in the reference: is it in focus?") from error
     return np.asarray(found / scale)
