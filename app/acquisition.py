@@ -18,6 +18,8 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
+
 from app.config import Bench
 from app.devices import Devices
 from app.errors import InputError, RunError
@@ -173,6 +175,9 @@ class Acquisition:
     def _work(self) -> None:
         try:
             with (
+                # BLAS's own threads wait for one another at full speed: on a busy computer that takes half a second
+                # for a decomposition of 30 ms, and frames are lost.
+                threadpool_limits(1, user_api="blas"),
                 self._open_devices(self._bench, self._prepare) as devices,
                 closing(Instrument(devices, self._bench, self.timings)) as instrument,
             ):
