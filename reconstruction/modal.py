@@ -143,6 +143,7 @@ class ModalSolver:
         gradients = modes.gradients[1:]
         self._gradients = gradients.reshape(len(gradients), -1)  # (pupil_mode without piston, lenslet x xy), 1/m
         self._scale = modes.degree[1:] ** -_PRIOR_EXPONENT if is_smooth else np.ones(len(gradients))
+        self._equations = lru_cache(maxsize=16)(self._decompose)  # of this solver's own
         equal = np.ones(modes.inside.shape)
         self._equations(modes.inside.tobytes(), equal.tobytes())  # says at once if all lenslets cannot tell them apart
 
@@ -179,8 +180,7 @@ class ModalSolver:
             covariance[valid],
         )
 
-    @lru_cache(maxsize=16)  # noqa: B019 - a solver lives as long as its reference, and so may what it remembers
-    def _equations(self, valid_bytes: bytes, weight_bytes: bytes) -> _Equations:
+    def _decompose(self, valid_bytes: bytes, weight_bytes: bytes) -> _Equations:
         """Set up and decompose the equations of the valid lenslets."""
         valid = np.frombuffer(valid_bytes, np.bool_)
         weights = np.frombuffer(weight_bytes, np.float64)[valid]

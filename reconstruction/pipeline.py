@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from reconstruction.automatic_warp import automatic_warp
 from reconstruction.bad_pixels import find_bad_pixels
-from reconstruction.displacement import Displacement, Estimator, Mask
+from reconstruction.displacement import Displacement, Estimator, Mask, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, require
 from reconstruction.modal import ModalSolver
@@ -99,8 +99,12 @@ class Reconstructor:
         light = self._light(frame, "frame")
         displacement = self._register(light, saturated=self._saturated(frame), start=start)
         if np.count_nonzero(displacement.valid) < 2:
+            left = np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL)
+            why = "is the light on?"
+            if left > displacement.outcome.size / 4:
+                why = f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
             raise ReconstructionError(
-                "no lenslet of the frame could be matched with the reference: is the light on?", image="frame"
+                f"no lenslet of the frame could be matched with the reference: {why}", image="frame"
             )
         return displacement
 

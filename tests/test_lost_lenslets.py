@@ -115,3 +115,11 @@ def test_a_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[n
 def test_more_modes_than_lenslets_can_carry_are_refused(small_bench: SmallBench) -> None:
     with pytest.raises(ReconstructionError, match="cannot tell 300 pupil modes apart"):
         small_bench.reconstructor(pupil_modes=300)
+
+
+def test_a_frame_beyond_the_dynamic_range_is_told_as_that(small_bench: SmallBench) -> None:
+    u, v = small_bench.samples()
+    slope = 7.0 * small_bench.sensor.slope_per_px  # 5.5 px are all that a cell allows
+    frame = small_bench.frame(lambda _x, _y: (slope * u + 0 * v).astype(np.float32))
+    with pytest.raises(ReconstructionError, match="beyond the dynamic range"):
+        small_bench.reconstructor("affine")(frame)
