@@ -25,6 +25,7 @@ from reconstruction.pupil_modes import PupilModes
 from reconstruction.whitening import Whitening
 
 _PRIOR_EXPONENT = 5.0
+_UNSEEN = 1e-12  # singular value over the largest, below which it is rounding
 _PRIOR_RATIOS = 10.0 ** np.linspace(-4.0, 14.0, 73)  # tried for prior over noise, both as variances
 
 
@@ -37,19 +38,28 @@ class _Equations:
 
     root_weight: Floats  # W, (k, lenslet x xy)
     scale: Floats  # S: the prior's n^-5, or 1 without it; (pupil_mode - 1,)
-    u: Floats  # (k, lenslet x xy, pupil_mode - 1)
     singular: Floats  # (k, pupil_mode - 1), m
     vt: Floats  # (k, pupil_mode - 1, pupil_mode - 1)
     gradients: Floats  # G
 
     def along(self, data: Floats) -> Floats:
         """Weighted data (k, lenslet x xy) along the singular vectors, (k, pupil_mode - 1)."""
-        return np.asarray((data[:, None] @ self.u)[:, 0])
+        # u = W G S vt^T / singular, of which only G is large, and shared by all combinations.
+        carried = (data * self.root_weight) @ self.gradients * self.scale
+        along = (carried[:, None] @ np.swapaxes(self.vt, 1, 2))[:, 0]
+        return np.divide(along, self.singular, out=np.zeros_like(along), where=self._is_seen)
+
+    @property
+    def _is_seen(self) -> Mask:
+        """Which singular vectors the slopes show at all, (k, pupil_mode - 1)."""
+        return np.asarray(self.singular > _UNSEEN * self.singular[:, :1])
 
     def inverse(self, gain: Floats) -> Floats:
         """The estimator of each combination with the `gain` (k, pupil_mode - 1): (k, pupil_mode - 1, lenslet x xy)."""
-        scaled = self.scale[:, None] * np.swapaxes(self.vt, 1, 2) * gain[:, None]
-        return np.asarray(scaled @ np.swapaxes(self.u * self.root_weight[..., None], 1, 2))
+        scaled = self.scale[:, None] * np.swapaxes(self.vt, 1, 2)
+        per_singular = np.divide(gain, self.singular, out=np.zeros_like(gain), where=self._is_seen)
+        square = (scaled * per_singular[:, None]) @ np.swapaxes(scaled, 1, 2)
+        return np.asarray((square @ self.gradients.T) * self.root_weight[:, None] ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,13 +200,13 @@ class ModalSolver:
         modes = gradients.shape[1]
         missing = max(0, modes - len(gradients)) if self._is_smooth else 0
         matrix = np.pad(root_weight[..., None] * gradients * self._scale, ((0, 0), (0, missing), (0, 0)))
-        u, singular, vt = np.linalg.svd(matrix, full_matrices=False)
+        _, singular, vt = np.linalg.svd(np.linalg.qr(matrix, mode="r"))  # u follows from them
         if not self._is_smooth and (singular.shape[1] < modes or np.any(singular[:, -1] < 1e-6 * singular[:, 0])):
             raise ReconstructionError(
                 f"{np.count_nonzero(valid)} valid lenslets cannot tell {modes + 1} pupil modes apart:"
                 " lower pupil_modes, or leave it out"
             )
-        return _Equations(root_weight, self._scale, u[:, : len(gradients)], singular, vt, gradients)
+        return _Equations(root_weight, self._scale, singular, vt, gradients)
 
 
 def _likeliest(singular: Floats, along: Floats, total: Floats, count: int) -> tuple[Floats, Floats]:
