@@ -24,6 +24,8 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 
 T = TypeVar("T")
 
+AUTOMATIC = "automatic"  # the word for what is left out
+_CHOSEN_IF_LEFT_OUT = (("registration", "warp"), ("reconstruction", "pupil_modes"))
 _UNKNOWN = "unknown key"
 
 
@@ -71,6 +73,9 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
         raise InputError(f"{name}: not valid TOML: {error}") from error
     for override in overrides:
         _override(tree, override)
+    for section, key in _CHOSEN_IF_LEFT_OUT:
+        if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
+            del tree[section][key]
     try:
         return _converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:

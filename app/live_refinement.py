@@ -13,15 +13,13 @@ import threading
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from app.config import Bench
 from app.imaging_model import BenchModel
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import Bias, Refinement, distance_rad
-from reconstruction.wavefront import Wavefront, rms
+from reconstruction.refinement import Bias, Refinement, distance_rad, mean_rms
+from reconstruction.wavefront import Wavefront
 
 _MOVED_FRACTION = 0.5  # of the RMS of the wavefront at which the bias was found: beyond, it is no better than none
 _MOVED_RAD = 0.1  # but for a wavefront that is nearly flat
@@ -77,7 +75,7 @@ class LiveRefinement:
         else:
             wavefront = self._reconstructor.solve(displacement, bias=found.bias.displacement)
             moved_rad = distance_rad(wavefront.views, found.bias.views)
-            limit_rad = max(_MOVED_RAD, _MOVED_FRACTION * float(np.nanmean(rms(found.bias.views))))
+            limit_rad = max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(found.bias.views))
             is_near = moved_rad <= limit_rad
             if not is_near:
                 wavefront = self._reconstructor.solve(displacement)
@@ -96,7 +94,10 @@ class LiveRefinement:
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
                     wavefront, time_s = self._newest
-                    self._found = _Found(refinement.bias(wavefront), time_s)
+                    try:
+                        self._found = _Found(refinement.bias(wavefront), time_s)
+                    except ReconstructionError as error:  # of this wavefront; the next may be better
+                        self._problem = str(error)
         except Exception as error:
             self._found, self._problem = None, str(error)
             if not isinstance(error, ReconstructionError):

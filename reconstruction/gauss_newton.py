@@ -18,6 +18,7 @@ from reconstruction.alignment import View
 from reconstruction.displacement import Displacement, Mask, Outcome
 from reconstruction.field_modes import LegendreModes, PolynomialModes
 from reconstruction.fit_errors import FitErrors
+from reconstruction.geometry import Floats
 from reconstruction.judgement import judged
 from reconstruction.lenslet_fits import Fits, Limits, fit_lenslets
 from reconstruction.search import prepare_search
@@ -32,6 +33,8 @@ from reconstruction.threads import worker_pool
 _MARGIN_BLURS = 1.3
 _CONVERGED_PX = 0.05  # a last step above it is no convergence
 _MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
+_ODD, _OUTLYING = 0.08, 2.5  # likewise, and over that of most: above both, the frame shows something more in a cell
+_NOISE_SHARE = 0.3  # of the noise's square, by which a residual's may be more by chance
 _POOR = 0.3  # likewise; above it another start may do better
 _NOISE_AT_MOST = 1.5  # the square of a residual's noise over its mean
 _INFORMATION_LEFT = 0.75  # of a lenslet's; with less it is lost
@@ -76,6 +79,7 @@ class GaussNewton:
 
         errors = self._errors(fits)
         found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < self._unexplained)
+        found &= ~self._stands_out(errors.unexplained, fits.square, found)
         spoilt = errors.known < _INFORMATION_LEFT
         return judged(
             reference,
@@ -92,6 +96,19 @@ class GaussNewton:
                 Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
         )
+
+    def _stands_out(self, unexplained: Floats, square: Floats, found: Mask) -> Mask:
+        """Which lenslets (L,) show something that most do not, as when a part of the cell is covered.
+
+        `unexplained` (L,) of the residual's `square` (L,), counts^2, is more than its noise; `found` (L,) have a match.
+        """
+        if not found.any():
+            return np.zeros_like(found)
+        with np.errstate(invalid="ignore", divide="ignore"):  # of lenslets that are not lit at all
+            per_contrast = _MISFIT**2 / self._unexplained
+            share, noise = unexplained * per_contrast, (square - unexplained) * per_contrast
+            usual = np.median(np.maximum(share[found], 0.0))
+            return np.asarray(share > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise)
 
     def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
         """Fit the lenslets, shared among threads, to a frame of which the spline coefficients are given."""

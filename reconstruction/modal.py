@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy import ndimage
 
 from reconstruction.displacement import Mask
 from reconstruction.errors import ReconstructionError
@@ -174,7 +175,9 @@ class ModalSolver:
         if self._is_smooth:
             ratio, noise = _likeliest(equations.singular, along, np.sum(data**2, axis=1), data.shape[1])
             gain = ratio[:, None] * equations.singular / (1 + ratio[:, None] * equations.singular**2)
-            prior_variance, known = ratio * noise, self._modes.inside
+            # What the neighbours say of a lost lenslet is worth saying; further away it would be invented.
+            near = ndimage.binary_dilation(valid, structure=np.ones((3, 3), np.bool_))
+            prior_variance, known = ratio * noise, self._modes.inside & near
         else:
             gain, prior_variance, known = 1 / equations.singular, np.zeros(len(along)), valid
         coefficients = equations.scale * ((gain * along)[:, None] @ equations.vt)[:, 0]

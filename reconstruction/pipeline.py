@@ -22,7 +22,7 @@ from reconstruction.registration import RegistrationSettings, Warp, prepare_regi
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 from reconstruction.wavefront import Solution, Wavefront
-from reconstruction.whitening import whitening
+from reconstruction.whitening import SYSTEMATIC_PX, whitening
 from reconstruction.zonal import ZonalSolution
 
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
@@ -185,8 +185,11 @@ class Reconstructor:
 
 
 def _mean_variance(displacement: Displacement) -> Floats:
-    """Variance of a lenslet's displacement, mean over its coefficients, px^2, (lenslet_row, lenslet_column)."""
-    variance: Floats = np.mean(displacement.variance, axis=(2, 3))
+    """Variance of a lenslet's displacement, mean over its coefficients, px^2, (lenslet_row, lenslet_column).
+
+    That of what is systematic is part of it: a method may find no noise at all, of the reference against itself.
+    """
+    variance: Floats = np.mean(displacement.variance, axis=(2, 3)) + SYSTEMATIC_PX**2
     return variance
 
 

@@ -115,4 +115,11 @@ class Refinement:
 
 def distance_rad(one: Floats, other: Floats) -> float:
     """Mean over the views of the RMS difference of two wavefronts (view_row, view_column, row, column), rad."""
-    return float(np.nanmean(rms(one - other)))
+    return mean_rms(one - other)
+
+
+def mean_rms(views: Floats) -> float:
+    """Mean over the known views of their RMS (view_row, view_column, row, column), rad; NaN when none is known."""
+    each = rms(views)
+    known = np.isfinite(each)
+    return float(np.mean(each[known])) if known.any() else np.nan

@@ -17,7 +17,7 @@ from reconstruction.geometry import Floats
 
 # What registration gets wrong without any noise on the screens of docs/estimator.md, in each coefficient; nothing is
 # known of how these errors hang together.
-_SYSTEMATIC_PX = 0.01
+SYSTEMATIC_PX = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,7 @@ def whitening(covariance: Floats) -> Whitening:
     if not told.any():
         return no_whitening(modes)
     mean = np.mean(flat[told], axis=0)
-    along_x, along_y = (mean[:, axis, :, axis] + _SYSTEMATIC_PX**2 * np.eye(modes) for axis in (0, 1))
+    along_x, along_y = (mean[:, axis, :, axis] + SYSTEMATIC_PX**2 * np.eye(modes) for axis in (0, 1))
     along_y, vectors = eigh(along_y, along_x)
     forward = vectors.T
     return Whitening(forward, np.linalg.inv(forward), np.stack([np.ones(modes), 1 / along_y], axis=-1))

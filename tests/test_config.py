@@ -91,3 +91,10 @@ def test_missing_and_binary_files_are_told(tmp_path: Path) -> None:
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not a text file"):
         load_bench(tmp_path / "binary.toml")
+
+
+def test_automatic_is_the_word_for_what_is_left_out() -> None:
+    bench = load_bench("paper_simulation", ("registration.warp=automatic", "reconstruction.pupil_modes=automatic"))
+    assert bench.registration.warp is None
+    assert bench.reconstruction.pupil_modes is None
+    assert parse_bench(write_bench(bench), "again") == bench

@@ -12,6 +12,8 @@ from optics import SmallBench
 
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
+from reconstruction.noise import CameraNoise
+from reconstruction.registration import RegistrationSettings
 from reconstruction.wavefront import rms
 
 TILT = 2000.0
@@ -123,3 +125,40 @@ def test_a_frame_beyond_the_dynamic_range_is_told_as_that(small_bench: SmallBenc
     frame = small_bench.frame(lambda _x, _y: (slope * u + 0 * v).astype(np.float32))
     with pytest.raises(ReconstructionError, match="beyond the dynamic range"):
         small_bench.reconstructor("affine")(frame)
+
+
+def test_a_lenslet_half_covered_is_no_match(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    frame = tilted + np.random.default_rng(0).normal(0, 0.02 * tilted.max(), tilted.shape).astype(np.float32)
+    rows, columns = _cell(small_bench, 3, 3)
+    frame[rows, columns.start : columns.start + 15] = 0
+    outcome = small_bench.reconstructor("quadratic")(frame).displacement.outcome
+    assert outcome[3, 3] != Outcome.CONVERGED
+    assert np.count_nonzero(outcome) == 1
+
+
+@pytest.mark.parametrize(
+    "method", ["correlation", "correlation_fft", "itk_affine", "centroids", "demons", "block_flow"]
+)
+@pytest.mark.parametrize("integrate", ["modal", "zonal"])
+def test_every_method_knows_its_noise(
+    small_bench: SmallBench, tilted: NDArray[np.float32], method: str, integrate: str
+) -> None:
+    per_electron = float(small_bench.reference.max()) / 1e4
+    reconstructor = small_bench.reconstructor(
+        method=integrate,
+        pupil_modes=None,
+        registration=RegistrationSettings(method=method, star_rows=1, star_columns=1),  # type: ignore[arg-type] # parametrised
+        noise=CameraNoise(per_electron, 8 * per_electron),
+    )
+    assert np.isfinite(reconstructor(tilted).views).any()
+
+
+def test_lenslets_count_by_the_light_they_get(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    columns = np.arange(small_bench.frame_shape[1])
+    shade = np.where(columns < small_bench.frame_shape[1] / 2, 1.0, 0.1).astype(np.float32)
+    per_electron = float(small_bench.reference.max()) / 3e3
+    reconstructor = small_bench.reconstructor(
+        "affine", reference=small_bench.reference * shade, noise=CameraNoise(per_electron, 8 * per_electron)
+    )
+    weights = reconstructor.weights_of(reconstructor.register(tilted * shade))
+    assert weights[:, :4].min() > 4 * weights[:, 5:].max()

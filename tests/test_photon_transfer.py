@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from pathlib import Path
+
 import numpy as np
 import pytest
 from optics import SmallBench
 
+from app.config import load_bench
+from app.devices import open_devices
+from app.instrument import Instrument
 from reconstruction.noise import CameraNoise
 from reconstruction.photon_transfer import photon_transfer
 from reconstruction.pipeline import ReconstructionSettings
@@ -63,3 +69,18 @@ def test_the_noise_says_how_freely_a_warp_may_bend(small_bench: SmallBench, peak
 
 def test_without_a_noise_to_go_by_the_warp_is_quadratic(small_bench: SmallBench) -> None:
     assert small_bench.reconstructor(registration=RegistrationSettings()).registration.warp == "quadratic"
+
+
+def test_the_instrument_measures_its_noise_with_dark_and_reference(small_toml: Path) -> None:
+    bench = load_bench(small_toml)
+    with open_devices(bench, lambda _: None) as devices, closing(Instrument(devices, bench)) as instrument:
+        devices.light.set_on(True)
+        instrument.take_dark(6, progress=lambda *_: None, should_stop=lambda: False)
+        instrument.take_reference(6, progress=lambda *_: None, should_stop=lambda: False)
+        reconstructor = instrument._reconstructor
+        assert reconstructor is not None
+        assert reconstructor.noise is not None
+        settings = bench.camera
+        expected = settings.em_gain / settings.electrons_per_count * (2 - 1 / settings.em_gain)
+        assert reconstructor.noise.counts_per_light == pytest.approx(expected, rel=0.1)
+        assert reconstructor.subimages.reference_frames == 6

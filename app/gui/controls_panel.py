@@ -11,6 +11,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
 
+from app.config import AUTOMATIC
 from app.gui import theme
 from app.gui.number_field import NumberField
 from app.gui.widgets import button, label, toggle
@@ -20,7 +21,6 @@ from reconstruction.pupil_modes import PupilBasis
 from reconstruction.registration import FIELD_MODES, Method, RegistrationSettings
 
 _MOST_FRAMES = 1000
-_AUTOMATIC = "automatic"  # what the bench's file leaves out
 _FEWEST_PUPIL_MODES, _MOST_PUPIL_MODES = 3, 400
 _PUPIL_MODES_RANGE = Range(_FEWEST_PUPIL_MODES - 1, _MOST_PUPIL_MODES)  # its lowest is shown as the word above
 
@@ -132,7 +132,7 @@ class ControlsPanel(QFrame):
         self.pupil_modes = NumberField(
             tool_tip="How many polynomials over the pupil the modal method fits; automatic: as many as the lattice"
             " carries, smoothed by as much as the noise demands",
-            lowest=_AUTOMATIC,
+            lowest=AUTOMATIC,
         )
         self.pupil_modes.entered.connect(
             lambda value: self.setting_requested.emit(
@@ -155,7 +155,7 @@ class ControlsPanel(QFrame):
         """A choice of one of the bench's settings."""
         choice = _choice(tool_tip)
         choice.textActivated.connect(
-            lambda value: self.setting_requested.emit(section, key, None if value == _AUTOMATIC else value)
+            lambda value: self.setting_requested.emit(section, key, None if value == AUTOMATIC else value)
         )
         return choice
 
@@ -193,7 +193,7 @@ class ControlsPanel(QFrame):
         _show_choice(self.mask_choice, status.masks, status.mask)
         registration, reconstruction = status.bench.registration, status.bench.reconstruction
         _show_choice(self.registration, get_args(Method), registration.method)
-        _show_choice(self.warp, (_AUTOMATIC, *FIELD_MODES), registration.warp or _AUTOMATIC)
+        _show_choice(self.warp, (AUTOMATIC, *FIELD_MODES), registration.warp or AUTOMATIC)
         _show_choice(self.method, ("zonal", "modal"), reconstruction.method)
         _show_choice(self.basis, get_args(PupilBasis), reconstruction.basis)
         self.warp.setEnabled(_uses_warp(registration))
