@@ -140,3 +140,23 @@ def test_a_turned_lattice_is_modelled() -> None:
     once = rms(reconstructor(frame).views - other.views).mean()
     *_, last = refined(turned, reconstructor, frame)
     assert rms(last.wavefront.views - other.views).mean() < 0.4 * once
+
+
+def test_rounds_that_do_not_improve_end_it(small_bench: SmallBench, bowl: Bowl) -> None:
+    class Wild:
+        """A model that says something else every time, and more of it."""
+
+        sample_x_m, sample_y_m = small_bench.model.sample_x_m, small_bench.model.sample_y_m
+        asked = 0
+
+        def image(self, phase: PointPhase | None) -> NDArray[np.float32]:
+            if phase is None:
+                return small_bench.reference
+            self.asked += 1
+            strength = np.float32(0.2 * self.asked**2)
+            return small_bench.frame(lambda x, y: strength * bowl.at_samples(x, y))
+
+    reconstructor = small_bench.reconstructor("quadratic", pupil_modes=None)
+    model = Wild()
+    displacement = reconstructor.register(small_bench.frame(bowl.at_samples))
+    assert len(list(Refinement(reconstructor, model).rounds(displacement, 6))) < model.asked < 6
