@@ -32,11 +32,16 @@ def automatic_warp(own: Callable[[Warp], Displacement], sensor: Sensor, field: F
 
 
 def _noise_rad2(displacement: Displacement, sensor: Sensor, field: Field) -> float:
-    """Mean variance of the views' wavefronts, rad^2, that these displacements' covariance makes."""
+    """Mean variance of the views' wavefronts, rad^2, if every lenslet were as certain as those that are lit."""
+    valid = displacement.valid
+    if not valid.any():
+        return np.inf
+    everywhere = np.ones(valid.shape, np.bool_)  # few lenslets lit would not carry the modes
+    mean = np.mean(displacement.covariance[valid], axis=0) * sensor.slope_per_px**2
+    covariance = np.broadcast_to(mean, displacement.covariance.shape)
     lattice_count = pupil_modes(sensor, "legendre", None).values.shape[0]
     modes = pupil_modes(sensor, "legendre", min(_PUPIL_MODES, lattice_count))
     solver = ModalSolver(modes, whitening(displacement.covariance), is_smooth=False)
-    slopes = displacement.coefficients * sensor.slope_per_px
-    covariance = displacement.covariance * sensor.slope_per_px**2
-    wavefront = Wavefront.of(field, displacement, solver(slopes, covariance, displacement.valid))
+    slopes = np.zeros_like(displacement.coefficients)
+    wavefront = Wavefront.of(field, displacement, solver(slopes, covariance, everywhere))
     return float(np.nanmean(wavefront.sigma() ** 2))

@@ -33,7 +33,9 @@ from reconstruction.threads import worker_pool
 _MARGIN_BLURS = 1.3
 _CONVERGED_PX = 0.05  # a last step above it is no convergence
 _MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
-_ODD, _OUTLYING = 0.08, 2.5  # likewise, and over that of most: above both, the frame shows something more in a cell
+# Likewise, and over that of most lenslets: above both, the frame shows something more in a cell. On the screens of
+# physics.md, section 7, none is above 0.041 or 2.6; half covered, a lenslet of dim light has 0.15.
+_ODD, _OUTLYING = 0.08, 2.5
 _NOISE_SHARE = 0.3  # of the noise's square, by which a residual's may be more by chance
 _POOR = 0.3  # likewise; above it another start may do better
 _NOISE_AT_MOST = 1.5  # the square of a residual's noise over its mean

@@ -67,6 +67,20 @@ def test_the_noise_says_how_freely_a_warp_may_bend(small_bench: SmallBench, peak
     assert reconstructor.registration.warp == warp
 
 
+def test_a_reference_with_few_lenslets_lit_is_no_obstacle(small_bench: SmallBench) -> None:
+    columns = np.arange(small_bench.frame_shape[1])
+    reference = np.where(columns < 100, small_bench.reference, 0).astype(np.float32)
+    per_electron = float(reference.max()) / 3000
+    reconstructor = small_bench.reconstructor(
+        reference=reference,
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(),
+        noise=CameraNoise(per_electron, 8 * per_electron),
+    )
+    assert reconstructor.registration.warp == "quadratic"
+    assert np.isfinite(reconstructor(reference).views[1, 1, :, :2]).all()
+
+
 def test_without_a_noise_to_go_by_the_warp_is_quadratic(small_bench: SmallBench) -> None:
     assert small_bench.reconstructor(registration=RegistrationSettings()).registration.warp == "quadratic"
 
