@@ -18,20 +18,22 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
-
+from app.calibration import Calibration, one_blas_thread
 from app.config import Bench
 from app.devices import Devices
 from app.errors import InputError, RunError
-from app.instrument import Instrument, Status
+from app.instrument import Instrument, Reconstruction, Status
 from app.live_refinement import RefinementState
 from app.routines import WAIT_SLICE_S, Cancelled, next_frame
 from app.timing import Timings
 from drivers.interface import BadValue, Camera, DeviceError, DeviceTimeout, Frame, WrongState
+from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.wavefront import Wavefront
 
 T = TypeVar("T")
+
+PASSED_OVER = "passed over: the computer was behind, and a newer frame was there"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class Counts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """One frame and what became of it."""
+    """One frame, what became of it, and what is needed to make the same of it again."""
 
     frame: Frame
     wavefront: Wavefront | None
@@ -53,7 +55,10 @@ class Measurement:
     counts: Counts
     exposure_end_s: float  # when it was exposed, by this computer's time.perf_counter()
     latency_s: float  # from then to this result
-    refinement: RefinementState = RefinementState()
+    refinement: RefinementState = RefinementState()  # with the bias that was applied, if any
+    calibration: Calibration | None = None  # the same object as long as it is in force
+    start: Displacement | None = None  # where the registration began: as the frame before was registered; None if cold
+    registered: Displacement | None = None  # what it found; the wavefront's own is less the bias
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,14 +175,12 @@ class Acquisition:
         """Let a frame that a routine averages be seen; it is neither measured nor counted."""
         self.activity = Activity(text, fraction)
         self._set_clock(frame)
-        self.newest = self._measurement(frame, None, RefinementState(), text)
+        self.newest = self._measurement(frame, Reconstruction(None, text))
 
     def _work(self) -> None:
         try:
             with (
-                # BLAS's own threads wait for one another at full speed: on a busy computer that takes half a second
-                # for a decomposition of 30 ms, and frames are lost.
-                threadpool_limits(1, user_api="blas"),
+                one_blas_thread(),
                 self._open_devices(self._bench, self._prepare) as devices,
                 closing(Instrument(devices, self._bench, self.timings)) as instrument,
             ):
@@ -220,21 +223,20 @@ class Acquisition:
             frame = self._newest_frame(instrument.devices.camera)
         except Cancelled:
             return
-        wavefront, refinement, problem = None, RefinementState(), ""
-        try:
-            wavefront, refinement = instrument.measure(frame)
-        except ReconstructionError as error:
-            problem = str(error)
-        self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (wavefront is not None))
-        measurement = self._measurement(frame, wavefront, refinement, problem)
+        made = instrument.measure(frame)
+        self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (made.wavefront is not None))
+        measurement = self._measurement(frame, made)
         self.timings.note("to_result", measurement.latency_s)
         with self.timings.of("publish"):
-            for sink in self._sinks:
-                sink(measurement)
+            self._publish(measurement)
             self.newest = measurement
 
+    def _publish(self, measurement: Measurement) -> None:
+        for sink in self._sinks:
+            sink(measurement)
+
     def _newest_frame(self, camera: Camera) -> Frame:
-        """Wait for a frame; when it has lain in the camera for long, go on to the newest that is there."""
+        """Wait for a frame; when it has lain in the camera for long, pass it over for the newest that is there."""
         start_s = time.perf_counter()
         frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.empty())
         arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
@@ -244,7 +246,9 @@ class Acquisition:
         if self._age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
             with suppress(DeviceTimeout):  # there is no newer one
                 while True:
-                    frame = camera.read(0.0)
+                    newer = camera.read(0.0)
+                    self._publish(self._measurement(frame, Reconstruction(None, PASSED_OVER)))
+                    frame = newer
                     self._count(frame)
         return frame
 
@@ -260,12 +264,20 @@ class Acquisition:
         """Set the camera's clock by the frame that came the fastest."""
         self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
 
-    def _measurement(
-        self, frame: Frame, wavefront: Wavefront | None, refinement: RefinementState, problem: str
-    ) -> Measurement:
+    def _measurement(self, frame: Frame, made: Reconstruction) -> Measurement:
         exposure_end_s = frame.camera_time_s + self._clock_lag_s
-        latency_s = time.perf_counter() - exposure_end_s
-        return Measurement(frame, wavefront, problem, self._counts, exposure_end_s, latency_s, refinement)
+        return Measurement(
+            frame,
+            made.wavefront,
+            made.problem,
+            self._counts,
+            exposure_end_s,
+            latency_s=time.perf_counter() - exposure_end_s,
+            refinement=made.refinement,
+            calibration=made.calibration,
+            start=made.start,
+            registered=made.registered,
+        )
 
     def _age_s(self, frame: Frame) -> float:
         """Time since the end of the exposure."""
@@ -282,5 +294,5 @@ class Acquisition:
         self.activity = Activity()
 
 
-_OLD_S = 0.1  # a frame that is older, and there are newer ones, is only counted
+_OLD_S = 0.1  # a frame that is older, and there are newer ones, is not reconstructed
 _HARMLESS = (Cancelled, ReconstructionError, BadValue, WrongState)  # the caller's business; the loop goes on

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from app.calibration import Calibration
 from app.config import Bench
 from app.devices import Devices
 from app.live_refinement import LiveRefinement, RefinementState
@@ -20,9 +21,6 @@ from drivers.interface import BadValue, CameraCapabilities, Frame, Range
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
-from reconstruction.lattice import find_lattice
-from reconstruction.noise import CameraNoise
-from reconstruction.photon_transfer import photon_transfer
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
 
@@ -53,6 +51,18 @@ class Status:
     warning: str  # why the wavefronts are missing or doubtful; empty when they are not
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """What became of one frame, and all that is needed to make the same of it again."""
+
+    wavefront: Wavefront | None
+    problem: str  # why there is no wavefront; empty when there is one
+    calibration: Calibration | None = None
+    start: Displacement | None = None  # where the registration began: as the frame before was registered, None if cold
+    registered: Displacement | None = None  # what it found; the wavefront's own is less the bias
+    refinement: RefinementState = RefinementState()
+
+
 class Instrument:
     """Devices and what has been measured with them so far."""
 
@@ -64,15 +74,21 @@ class Instrument:
         self._reference: Average | None = None
         self._reference_mask = ""
         self._lattice = bench.lattice
+        self._calibration: Calibration | None = None
         self._reconstructor: Reconstructor | None = None
         self._refinement: LiveRefinement | None = None
-        self._before: Displacement | None = None  # what the frame before showed
+        self._before: Displacement | None = None  # how the frame before was registered
         self._problem = "no reference yet: take the sample out and take one"
 
     @property
     def dark(self) -> Average | None:
         """The dark in force."""
         return self._dark
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """What frames are reconstructed with; None as long as they are not."""
+        return self._calibration
 
     @property
     def reference(self) -> Average | None:
@@ -122,17 +138,20 @@ class Instrument:
             raise BadValue(str(error)) from error
         self._prepare()
 
-    def measure(self, frame: Frame) -> tuple[Wavefront, RefinementState]:
-        """Reconstruct a frame; raises `ReconstructionError` when it cannot be done."""
+    def measure(self, frame: Frame) -> Reconstruction:
+        """Reconstruct a frame, or say why it cannot be done."""
+        calibration, start = self._calibration, self._before
         if self._reconstructor is None:
-            raise ReconstructionError(self._problem)
-        with self._timings.of("register"):
-            displacement = self._reconstructor.register(frame.pixels, start=self._before)
-        self._before = displacement
-        with self._timings.of("reconstruct"):
-            if self._refinement is None:
-                return self._reconstructor.solve(displacement), RefinementState()
-            return self._refinement.refine(displacement, frame.camera_time_s)
+            return Reconstruction(None, self._problem)
+        try:
+            with self._timings.of("register"):
+                registered = self._reconstructor.register(frame.pixels, start=start)
+            with self._timings.of("reconstruct"):
+                wavefront, refinement = self._solve(self._reconstructor, registered, frame.camera_time_s)
+        except ReconstructionError as error:
+            return Reconstruction(None, str(error), calibration, start)
+        self._before = registered
+        return Reconstruction(wavefront, "", calibration, start, registered, refinement)
 
     def close(self) -> None:
         """Let go of what works beside the frames; the devices belong to whoever opened them."""
@@ -140,46 +159,33 @@ class Instrument:
             self._refinement.close()
         self._refinement = None
 
+    def _solve(
+        self, reconstructor: Reconstructor, registered: Displacement, time_s: float
+    ) -> tuple[Wavefront, RefinementState]:
+        if self._refinement is None:
+            return reconstructor.solve(registered), RefinementState()
+        return self._refinement.refine(registered, time_s)
+
     def _prepare(self) -> None:
         """Make the reconstructor anew, the camera paused; what stands in the way becomes the warning that all see."""
-        self._reconstructor = self._before = None
+        self._calibration = self._reconstructor = self._before = None
         self.close()
         if self._reference is None:
             return
-        camera = self.devices.camera
+        camera, bench = self.devices.camera, self._bench
         was_running = camera.is_running
         camera.stop()
-        bench, reference = self._bench, self._reference.mean
-        dark = None if self._dark is None else self._dark.mean
         try:
-            self._lattice = bench.lattice or find_lattice(reference, bench.sensor)
-            self._reconstructor = Reconstructor(
-                reference,
-                sensor=bench.sensor,
-                lattice=self._lattice,
-                field=bench.field,
-                registration=bench.registration,
-                reconstruction=bench.reconstruction,
-                dark=dark,
-                full_scale=self.devices.camera.capabilities.full_scale,
-                noise=self._noise(),
-                reference_frames=self._reference.frames,
-            )
+            calibration = Calibration.of(bench, self._dark, self._reference, camera.capabilities.full_scale)
+            self._lattice = calibration.lattice
+            self._reconstructor = calibration.reconstructor()
+            self._calibration = calibration
             if bench.reconstruction.refine:
                 self._refinement = LiveRefinement(bench, self._reconstructor)
         except ReconstructionError as error:
             self._problem = str(error)
         if was_running:
             camera.start()
-
-    def _noise(self) -> CameraNoise | None:
-        """The camera's noise, from the scatter of the frames that made dark and reference; None without a dark."""
-        dark, reference = self._dark, self._reference
-        if dark is None or reference is None:
-            return None
-        return photon_transfer(
-            reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
-        )
 
     def _warning(self) -> str:
         if self._reconstructor is None:

@@ -10,13 +10,14 @@ import math
 import os
 import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from app.config import Bench
 from app.imaging_model import BenchModel
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Floats
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import Bias, Refinement, distance_rad, mean_rms
 from reconstruction.wavefront import Wavefront
@@ -37,6 +38,7 @@ class RefinementState:
     age_s: float = math.nan  # from the frame at which the bias was found to this one
     moved_rad: float = math.nan  # by how much the wavefront has changed since, mean over the views
     problem: str = ""  # why it has failed
+    bias: Floats | None = field(default=None, compare=False, repr=False)  # as applied, px; see `Reconstructor.solve`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +81,12 @@ class LiveRefinement:
             is_near = moved_rad <= limit_rad
             if not is_near:
                 wavefront = self._reconstructor.solve(displacement)
-            state = RefinementState("applied" if is_near else "moved", time_s - found.time_s, moved_rad)
+            state = RefinementState(
+                "applied" if is_near else "moved",
+                time_s - found.time_s,
+                moved_rad,
+                bias=found.bias.displacement if is_near else None,
+            )
         self._newest = wavefront, time_s
         self._something_new.set()
         return wavefront, state

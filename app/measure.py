@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from app.acquisition import Acquisition, Measurement
+from app.acquisition import PASSED_OVER, Acquisition, Measurement
 from app.config import Bench
 from app.devices import open_devices
 from app.errors import Interrupted, RunError
@@ -47,7 +47,7 @@ class Collected:
 
     def take(self, measurement: Measurement) -> None:
         """Take one more result from the worker, as long as more are wanted."""
-        if self.complete.is_set() or measurement.refinement.stage == "preparing":
+        if self.complete.is_set() or measurement.refinement.stage == "preparing" or measurement.problem == PASSED_OVER:
             return
         self.lost = measurement.counts.lost
         if measurement.wavefront is None:

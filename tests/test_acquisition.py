@@ -10,16 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.acquisition import Acquisition, Measurement
+from app.acquisition import PASSED_OVER, Acquisition, Measurement
 from app.config import Bench, load_bench
 from app.devices import Devices, open_devices
 from app.errors import InputError
-from app.instrument import Instrument
-from app.live_refinement import RefinementState
+from app.instrument import Instrument, Reconstruction
 from app.routines import Cancelled
 from app.start_up import start_up
 from drivers.interface import BadValue, Disconnected, Frame, WrongState
-from reconstruction.wavefront import Wavefront
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
 
 
@@ -253,7 +251,7 @@ def test_when_frames_come_too_fast_the_newest_is_taken_and_the_others_are_counte
 ) -> None:
     measure = Instrument.measure
 
-    def slowly(instrument: Instrument, frame: Frame) -> tuple[Wavefront, RefinementState]:
+    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
         time.sleep(0.2)
         return measure(instrument, frame)
 
@@ -262,18 +260,22 @@ def test_when_frames_come_too_fast_the_newest_is_taken_and_the_others_are_counte
         running.begin()
         monkeypatch.setattr(Instrument, "measure", slowly)
         first = len(running.measurements)
-        running.wait_until(lambda: len(running.measurements) >= first + 12, timeout_s=60)
+        running.wait_until(lambda: running.acquisition.counts.reconstructed >= first + 12, timeout_s=60)
         running.acquisition.close()
     finally:
         running.acquisition.close()
-    index = [measurement.frame.index for measurement in running.measurements]
-    last = running.measurements[-1]
+    everything = [measurement.frame.index for measurement in running.measurements]
+    measured = [measurement for measurement in running.measurements if measurement.wavefront is not None]
+    index = [measurement.frame.index for measurement in measured]
+    last = measured[-1]
     counts = [measurement.counts for measurement in running.measurements]
-    assert np.all(np.diff(index) > 0)
-    # Five frames a second are measured of 72: the others are passed over, not kept for later.
+    # Five frames a second are measured of 72: the others are passed over, not kept for later. The sinks get them all.
     assert np.median(np.diff(index[first + 2 :])) > 8
-    assert all(count.acquired + count.lost == at + 1 for at, count in zip(index, counts, strict=True))
-    assert last.counts.reconstructed == len(running.measurements) < last.counts.acquired
+    assert np.all(np.diff(everything) > 0)
+    assert len(everything) == counts[-1].acquired
+    assert {measurement.problem for measurement in running.measurements} == {"", PASSED_OVER}
+    assert all(count.acquired + count.lost == at + 1 for at, count in zip(everything, counts, strict=True))
+    assert last.counts.reconstructed == len(measured) < last.counts.acquired
     # Had the others been kept, each measurement would be 0.19 s older than the one before.
-    assert last.latency_s < running.measurements[first + 2].latency_s + 1.0
+    assert last.latency_s < measured[first + 2].latency_s + 1.0
     assert running.acquisition.newest is last

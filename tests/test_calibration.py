@@ -1,0 +1,80 @@
+"""A calibration, and what each frame carries: enough to make the same wavefront again, bit for bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.acquisition import Acquisition, Measurement
+from app.calibration import Calibration, one_blas_thread
+from app.config import load_bench
+from app.devices import open_devices
+from app.start_up import start_up
+from reconstruction.modal import ModalSolution
+from reconstruction.pipeline import Reconstructor
+
+
+def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings: str) -> list[Measurement]:
+    """Run the small bench until what has come is `enough`."""
+    measurements: list[Measurement] = []
+    acquisition = Acquisition(load_bench(toml, settings), open_devices, sinks=(measurements.append,))
+    acquisition.start()
+    try:
+        for step in start_up(acquisition, 4):
+            step.result(30)
+        deadline_s = time.monotonic() + 30
+        while not enough(measurements):
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(
+            10
+        )  # the same settings, another calibration
+        before = len(measurements)
+        while len(measurements) < before + 3:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+    finally:
+        acquisition.close()
+    return measurements
+
+
+@pytest.mark.parametrize("refine", ["false", "true"])
+@pytest.mark.parametrize("lattice", ["lattice.center_x_px=121.3", "found"])
+def test_every_frame_is_made_again_bit_for_bit(small_toml: Path, tmp_path: Path, refine: str, lattice: str) -> None:
+    toml = tmp_path / "bench.toml"
+    text = small_toml.read_text()
+    toml.write_text(
+        text if lattice != "found" else text.replace(text[text.index("[lattice]") : text.index("[field]")], "")
+    )
+    measurements = measured(
+        toml,
+        lambda some: len(some) > 8 and (refine == "false" or some[-1].refinement.stage == "applied"),
+        f"reconstruction.refine={refine}",
+    )
+    reconstructors: dict[Calibration, Reconstructor] = {}
+    registered = None
+    with one_blas_thread():
+        for measurement in measurements:
+            calibration = measurement.calibration
+            assert calibration is not None
+            if calibration not in reconstructors:
+                reconstructors[calibration] = calibration.reconstructor()
+                assert measurement.start is None  # another calibration starts cold
+            else:
+                assert measurement.start is registered
+            again = reconstructors[calibration].register(measurement.frame.pixels, start=measurement.start)
+            registered = measurement.registered
+            assert registered is not None
+            np.testing.assert_array_equal(again.coefficients, registered.coefficients)
+            solved = reconstructors[calibration].solve(again, bias=measurement.refinement.bias)
+            assert measurement.wavefront is not None
+            np.testing.assert_array_equal(solved.views, measurement.wavefront.views)
+            assert isinstance(solved.solution, ModalSolution)
+            assert isinstance(measurement.wavefront.solution, ModalSolution)
+            np.testing.assert_array_equal(solved.solution.coefficients, measurement.wavefront.solution.coefficients)
+    assert len(reconstructors) == 2
+    assert any(measurement.refinement.bias is not None for measurement in measurements) == (refine == "true")
