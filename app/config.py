@@ -17,6 +17,7 @@ import tomli_w
 
 from app.errors import InputError
 from app.presets import PRESETS
+from app.stream_settings import StreamSettings
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.registration import RegistrationSettings
@@ -41,6 +42,7 @@ class Bench:
     camera: SimulatedCameraSettings = SimulatedCameraSettings()
     light: SimulatedLightSettings = SimulatedLightSettings()
     simulation: Simulation = Simulation()
+    streams: StreamSettings = StreamSettings()
 
     def __post_init__(self) -> None:
         designed_px = self.sensor.lenslet_pitch_px

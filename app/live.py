@@ -12,6 +12,7 @@ from app.devices import open_devices
 from app.files import make_folder
 from app.results import result_dataset, write_results
 from app.run_record import write_run
+from app.streams.publisher import stream_sinks
 
 _UNATTENDED_S = 5.0
 
@@ -30,24 +31,26 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path) -> int:
 
     made: list[Acquisition] = []  # another one after each reconnection
 
-    def make() -> Acquisition:
-        made.append(Acquisition(bench, open_devices))
-        return made[-1]
-
     def finish(measurement: Measurement) -> None:
         write_run(out / "run.json", "live", made[-1])
         if measurement.wavefront is not None:
             write_results(out / "result.nc", result_dataset(measurement.wavefront, bench), bench=bench, inputs={})
 
-    if seconds is None:
-        return run_live(make)
-    make_folder(out)
-    status = run_live(
-        make,
-        offscreen_s=seconds,
-        screenshot=out / "window.png",
-        on_finish=finish,
-    )
+    with stream_sinks(bench) as sinks:
+
+        def make() -> Acquisition:
+            made.append(Acquisition(bench, open_devices, sinks))
+            return made[-1]
+
+        if seconds is None:
+            return run_live(make)
+        make_folder(out)
+        status = run_live(
+            make,
+            offscreen_s=seconds,
+            screenshot=out / "window.png",
+            on_finish=finish,
+        )
     sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
     return status
 

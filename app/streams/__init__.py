@@ -1,0 +1,1 @@
+"""Live results for other programs; docs/streams.md says what they receive."""
