@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,16 @@ from numpy.typing import NDArray
 from optics import FIELD, SmallBench
 
 from app.acquisition import Counts, Measurement
+from app.calibration import Calibration
 from app.config import Bench, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
 from app.live_refinement import RefinementState
+from app.routines import Average
 from app.stream_settings import StreamSettings
 from app.streams.publisher import Publisher, stream_sinks
 from drivers.interface import Frame
 from reconstruction.modal import ModalSolution
+from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.wavefront import Wavefront, rms
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "streams.md"
@@ -47,10 +50,13 @@ def bench(small_bench: SmallBench) -> Bench:
 
 
 @pytest.fixture(scope="session")
-def measurement(small_bench: SmallBench) -> Measurement:
+def measurement(small_bench: SmallBench, bench: Bench) -> Measurement:
     frame, _ = small_bench.tilted(3000.0, 500.0)
     frame[: frame.shape[0] // 6] = 0  # lenslets are lost, so that NaN is sent
-    return _measured(small_bench.reconstructor()(frame), 5)
+    reference = Average(small_bench.reference, np.zeros_like(small_bench.reference), 1, 0.02, 8.0, "em")
+    in_force = replace(bench, reconstruction=ReconstructionSettings(basis="zernike"))  # changed since it was opened
+    calibration = Calibration(in_force, None, reference, small_bench.lattice, 65535.0)
+    return replace(_measured(small_bench.reconstructor()(frame), 5), calibration=calibration)
 
 
 def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Measurement:
@@ -116,7 +122,7 @@ def _until_heard(publisher: Publisher, subscriber: Subscriber, measurement: Meas
 
 
 def test_a_subscriber_receives_what_was_measured_bit_by_bit(
-    publisher: Publisher, port: int, measurement: Measurement, bench: Bench
+    publisher: Publisher, port: int, measurement: Measurement, bench: Bench, small_bench: SmallBench
 ) -> None:
     wavefront = measurement.wavefront
     assert wavefront is not None
@@ -151,6 +157,8 @@ def test_a_subscriber_receives_what_was_measured_bit_by_bit(
         assert header["exposure_end_unix_s"] == pytest.approx(time.time() - 0.02, abs=100)
         assert (header["refinement"], header["bias_age_s"], header["problem"]) == ("applied", 0.75, "")
         assert header["sensor"]["wavelength_m"] == bench.sensor.wavelength_m
+        assert header["lattice"] == asdict(small_bench.lattice)
+        assert header["reconstruction"]["basis"] == "zernike"
         assert header["view_x_m"] == [-0.5e-3, 0, 0.5e-3]
         assert header["pupil_y_m"] == pytest.approx(np.arange(-3, 4) * 500e-6)
 
@@ -178,7 +186,7 @@ def test_a_frame_without_a_wavefront_is_told(publisher: Publisher, port: int, me
         publisher.take(_measured(None, 6, "the frame is saturated"))
         _, header, arrays = subscriber.hears()
     assert (header["frame"], header["problem"], header["arrays"], arrays) == (6, "the frame is saturated", [], {})
-    assert (header["refinement"], header["bias_age_s"]) == ("off", None)
+    assert (header["refinement"], header["bias_age_s"], header["lattice"]) == ("off", None, None)
 
 
 def test_the_zonal_method_has_no_coefficients(

@@ -55,7 +55,13 @@ def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -
         }
         for array, part in zip(arrays, parts, strict=True)
     ]
-    header = {"format": FORMAT, "sequence": sequence, **_frame_facts(measurement), "arrays": layout, **_facts(bench)}
+    header = {
+        "format": FORMAT,
+        "sequence": sequence,
+        **_frame_facts(measurement),
+        "arrays": layout,
+        **_facts(measurement, bench),
+    }
     return [topic.encode(), json.dumps(header, allow_nan=False).encode(), *(part.tobytes() for part in parts)]
 
 
@@ -78,11 +84,16 @@ def _frame_facts(measurement: Measurement) -> dict[str, Any]:
     }
 
 
-def _facts(bench: Bench) -> dict[str, Any]:
-    """What is said of the bench: what the arrays' axes and numbers mean."""
+def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
+    """What is said of the calibration in force: what the arrays' axes and numbers mean."""
+    calibration = measurement.calibration
+    if calibration is not None:
+        bench = calibration.bench
     return {
         "sensor": asdict(bench.sensor),
+        "lattice": None if calibration is None else asdict(calibration.lattice),
         "field": asdict(bench.field),
+        "reconstruction": asdict(bench.reconstruction),
         "view_x_m": bench.field.view_x_m.tolist(),
         "view_y_m": bench.field.view_y_m.tolist(),
         "pupil_x_m": bench.sensor.pupil_x_m.tolist(),
