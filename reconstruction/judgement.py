@@ -45,8 +45,10 @@ def judged(
     far = outcome == Outcome.LEFT_CELL
 
     def arranged(values: Floats, wanted: Mask) -> Floats:
-        kept = np.full_like(values, np.nan)
-        kept[wanted] = values[wanted]
+        kept = values
+        if not wanted.all():
+            kept = np.full_like(values, np.nan)
+            kept[wanted] = values[wanted]
         return kept.reshape(*reference.lenslets, *values.shape[1:])
 
     unknown = np.full(len(coefficients), np.nan)

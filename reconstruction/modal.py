@@ -27,7 +27,9 @@ from reconstruction.whitening import Whitening
 
 _PRIOR_EXPONENT = 5.0
 _UNSEEN = 1e-12  # singular value over the largest, below which it is rounding
-_PRIOR_RATIOS = 10.0 ** np.linspace(-4.0, 14.0, 73)  # tried for prior over noise, both as variances
+# Tried for prior over noise, both as variances: roughly first, then every quarter of a decade about the best.
+_PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
+_BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +44,7 @@ class _Equations:
     singular: Floats  # (k, pupil_mode - 1), m
     vt: Floats  # (k, pupil_mode - 1, pupil_mode - 1)
     gradients: Floats  # G
+    near: Mask  # valid lenslets and those next to one, (lenslet_row, lenslet_column)
 
     def along(self, data: Floats) -> Floats:
         """Weighted data (k, lenslet x xy) along the singular vectors, (k, pupil_mode - 1)."""
@@ -75,7 +78,8 @@ class ModalSolution:
     _gain: Floats  # 1 / singular, or less where the prior holds: (combination, pupil_mode - 1)
     _prior_variance: Floats  # s^2 of each combination, (combination,); 0 without the prior
     _slopes: Floats  # rad/m, (lenslet x xy, field_mode)
-    _slope_covariance: Floats  # (rad/m)^2, (lenslet, field_mode, xy, field_mode, xy)
+    _valid: Mask  # of which lenslets these are, (lenslet_row, lenslet_column)
+    _covariance_of_slopes: Floats  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, where the field modes have the values (..., field_mode); see `wavefront.Solution`."""
@@ -109,6 +113,11 @@ class ModalSolution:
         What the noise of the slopes makes, and what the prior holds back: both as the estimator passes them on.
         """
         return np.transpose(self._covariance, (2, 0, 3, 1))
+
+    @cached_property
+    def _slope_covariance(self) -> Floats:
+        """That of the valid lenslets, (rad/m)^2, (lenslet, field_mode, xy, field_mode, xy)."""
+        return self._covariance_of_slopes[self._valid]
 
     @cached_property
     def _covariance(self) -> Floats:
@@ -176,8 +185,7 @@ class ModalSolver:
             ratio, noise = _likeliest(equations.singular, along, np.sum(data**2, axis=1), data.shape[1])
             gain = ratio[:, None] * equations.singular / (1 + ratio[:, None] * equations.singular**2)
             # What the neighbours say of a lost lenslet is worth saying; further away it would be invented.
-            near = ndimage.binary_dilation(valid, structure=np.ones((3, 3), np.bool_))
-            prior_variance, known = ratio * noise, self._modes.inside & near
+            prior_variance, known = ratio * noise, self._modes.inside & equations.near
         else:
             gain, prior_variance, known = 1 / equations.singular, np.zeros(len(along)), valid
         coefficients = equations.scale * ((gain * along)[:, None] @ equations.vt)[:, 0]
@@ -190,7 +198,8 @@ class ModalSolver:
             gain,
             prior_variance,
             measured,
-            covariance[valid],
+            valid,
+            covariance,
         )
 
     def _decompose(self, valid_bytes: bytes, weight_bytes: bytes) -> _Equations:
@@ -209,7 +218,9 @@ class ModalSolver:
                 f"{np.count_nonzero(valid)} valid lenslets cannot tell {modes + 1} pupil modes apart:"
                 " lower pupil_modes, or leave it out"
             )
-        return _Equations(root_weight, self._scale, singular, vt, gradients)
+        lattice = valid.reshape(self._modes.inside.shape)
+        near = ndimage.binary_dilation(lattice, structure=np.ones((3, 3), np.bool_))
+        return _Equations(root_weight, self._scale, singular, vt, gradients, near)
 
 
 def _likeliest(singular: Floats, along: Floats, total: Floats, count: int) -> tuple[Floats, Floats]:
@@ -219,10 +230,14 @@ def _likeliest(singular: Floats, along: Floats, total: Floats, count: int) -> tu
     squares. Under the prior, component p has the variance noise (1 + ratio singular_p^2), all others only noise;
     for a given ratio the likeliest noise follows in closed form, so that only the ratio is searched for.
     """
-    ratios = _PRIOR_RATIOS / np.max(singular) ** 2
-    spread = 1 + ratios[:, None, None] * singular**2  # (ratio, combination, p)
-    beyond = np.maximum(total - np.sum(along**2, axis=1), 0.0)
-    noise = np.maximum((np.sum(along**2 / spread, axis=2) + beyond) / count, np.finfo(float).tiny)
-    evidence = -count / 2 * np.log(noise) - np.sum(np.log(spread), axis=2) / 2
-    best = np.argmax(evidence, axis=0)
-    return ratios[best], noise[best, np.arange(len(total))]
+    square, energy = (singular / np.max(singular)) ** 2, along**2
+    beyond = np.maximum(total - np.sum(energy, axis=1), 0.0)
+    decades = np.zeros((1, len(total)))
+    for tried in (_PRIOR_DECADES, _BETWEEN_DECADES):
+        around = decades + tried[:, None]  # (ratio, combination)
+        spread = 1 + 10.0 ** around[..., None] * square  # (ratio, combination, p)
+        noise = np.maximum((np.sum(energy / spread, axis=2) + beyond) / count, np.finfo(float).tiny)
+        evidence = -count / 2 * np.log(noise) - np.sum(np.log(spread), axis=2) / 2
+        best = np.argmax(evidence, axis=0), np.arange(len(total))
+        decades = around[best]
+    return 10.0**decades / np.max(singular) ** 2, noise[best]

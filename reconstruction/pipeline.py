@@ -71,13 +71,14 @@ class Reconstructor:
         self._full_scale = full_scale
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
         self._reference_frames = reference_frames
-        light = self._light(reference, "reference")
+        light, _ = self._light(reference, "reference")
         self._bad = find_bad_pixels(reference, dark)
         self.subimages = self._cut(light)
         own = self._prepare(light, registration)
         # What the registration makes of the reference itself tells how certain each lenslet is, and of what.
         self.whitening = whitening(own.covariance)
         self._expected = _mean_variance(own)  # (lenslet_row, lenslet_column), px^2; NaN where it is not known
+        self._usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
         self._modal = None
         if reconstruction.method == "modal":
             count = reconstruction.pupil_modes
@@ -96,8 +97,8 @@ class Reconstructor:
 
         `start` is where they lay in a frame before: near it the search is quicker, and its result the same.
         """
-        light = self._light(frame, "frame")
-        displacement = self._register(light, saturated=self._saturated(frame), start=start)
+        light, saturated = self._light(frame, "frame")
+        displacement = self._register(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
             left = np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL)
             why = "is the light on?"
@@ -151,9 +152,9 @@ class Reconstructor:
         weights = np.zeros(displacement.valid.shape)
         known = displacement.valid & np.isfinite(self._expected)
         if known.any():
-            expected, ratio = self._expected[known], _mean_variance(displacement)[known] / self._expected[known]
+            ratio = _mean_variance(displacement)[known] / self._expected[known]
             steps = np.round(np.log(ratio / np.median(ratio)) / np.log(4.0))
-            weights[known] = np.median(expected) / expected * 4.0 ** -np.maximum(steps, 0.0)
+            weights[known] = self._usual / self._expected[known] * 4.0 ** -np.maximum(steps, 0.0)
         return weights
 
     def _cut(self, light: Image) -> ReferenceSubimages:
@@ -167,15 +168,16 @@ class Reconstructor:
             bad=self._bad,
         )
 
-    def _light(self, image: Counts, what: str) -> Image:
-        """Check an image and return it as float32 (row, column) counts above the dark or the background."""
+    def _light(self, image: Counts, what: str) -> tuple[Image, Mask]:
+        """Check an image; return its counts above the dark or the background, and where it is saturated."""
         light = _checked(image, what, self.frame_shape)
-        if np.count_nonzero(self._saturated(image)) > _SATURATED_FRACTION * image.size:
+        saturated = self._saturated(image)
+        if np.count_nonzero(saturated) > _SATURATED_FRACTION * image.size:
             raise ReconstructionError(
                 f"the {what} is saturated: shorten the exposure or lower the light's current", image=what
             )
         light -= self._dark if self._dark is not None else np.float32(np.percentile(light, _BACKGROUND_PERCENT))
-        return light
+        return light, saturated
 
     def _saturated(self, image: Counts) -> Mask:
         """Which pixels of an image (row, column) are at full scale."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, Self
 
 import numpy as np
 
-from reconstruction.displacement import Displacement
+from reconstruction.displacement import Displacement, Mask
+from reconstruction.field_modes import FieldModes
 from reconstruction.geometry import Field, Floats
 
 
@@ -79,7 +81,14 @@ def _mean(values: Floats) -> Floats:
 
 def _at_views(field: Field, displacement: Displacement, evaluate: Callable[[Floats], Floats]) -> Floats:
     """Evaluate a function of the field modes at the views, NaN outside the field."""
-    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
-    values = evaluate(np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1))
-    values[~field.contains(x, y[:, None])] = np.nan
+    field_modes, is_inside = _modes_at_views(field, displacement.modes)
+    values = evaluate(field_modes)
+    values[~is_inside] = np.nan
     return values
+
+
+@lru_cache(maxsize=16)
+def _modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Mask]:
+    """The field modes at the views (view_row, view_column, field_mode), and which views lie in the field."""
+    x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
+    return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])
