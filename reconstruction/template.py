@@ -29,6 +29,7 @@ from reconstruction.subimages import ReferenceSubimages
 # 0.060 0.050, and those of dim frames would not be less noisy.
 _MODEL_ERROR = 0.1
 _NOTHING = 1e-12
+_AT_ONCE = 64  # lenslets whose numbers fit into the processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +39,14 @@ class Propagated:
     covariance: Floats  # of the displacement coefficients, (L, Q, xy, Q, xy)
     square: Floats  # the weighted sum of its squares that is to be expected, (L,)
     fitted: Floats  # how much of that the fit follows, (L,)
+
+    def put(self, lenslets: slice, some: Propagated) -> None:
+        """Fill in what is known of some lenslets."""
+        self.covariance[lenslets], self.square[lenslets], self.fitted[lenslets] = (
+            some.covariance,
+            some.square,
+            some.fitted,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,45 +90,48 @@ def prepare_template(
     For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, of which the second term is
     the flux; those of gain and offset are I0 and 1. Without `noise` all pixels count alike.
     """
-    light, gradient = reference.light[:, pixels], reference.gradient[:, pixels]
     u, v = reference.offset_px[pixels].T / reference.half_width_px
     values = modes.values(u, v)
     slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
-    descent = np.concatenate(
-        [
-            gradient[:, None, :, 0] * values + light[:, None] * slopes[..., 0],
-            gradient[:, None, :, 1] * values + light[:, None] * slopes[..., 1],
-            light[:, None],
-            np.ones((len(light), 1, light.shape[1])),
-        ],
-        axis=1,
-    )
-    expected = np.maximum(_smooth(reference)[:, pixels], 0)
-    weight = np.ones_like(light) if noise is None else _weight(expected, noise)
-    weight *= reference.usable[:, pixels] & reference.lit[:, None]
-    weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
-    weighted = descent * weight[:, None]
-    norm = np.sqrt(np.einsum("lkn,lkn->lk", descent, weighted))[..., None]
-    norm[norm == 0] = 1
-    normal = weighted @ np.swapaxes(descent, 1, 2) / norm / np.swapaxes(norm, 1, 2)
-    inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
     flux = 1 / reference.half_width_px if conserve_flux else 0.0
-    return Template(
-        grid=Grid(
-            uv=np.ascontiguousarray([u, v], np.float32),
-            scale=(np.float32(reference.half_width_px), np.float32(flux)),
-            monomials=_monomials(modes),
-            light=np.ascontiguousarray(
-                light, np.float32
-            ),  # rows one after the other: indexing may have left columns so
-            inverse=np.ascontiguousarray(inverse, np.float32),
-            descent=np.ascontiguousarray(descent, np.float32),
-            weight=np.ascontiguousarray(weight, np.float32),
-        ),
-        contrast=light.std(axis=1),
-        per_pixel=_propagated(np.ones_like(light), inverse, weight, descent),
-        per_light=_propagated(expected, inverse, weight, descent),
+    lenslets, parameters, count = len(reference.light), 2 * modes.count + 2, len(u)
+    grid = Grid(
+        uv=np.ascontiguousarray([u, v], np.float32),
+        scale=(np.float32(reference.half_width_px), np.float32(flux)),
+        monomials=_monomials(modes),
+        light=np.empty((lenslets, count), np.float32),
+        inverse=np.empty((lenslets, parameters, count), np.float32),
+        descent=np.empty((lenslets, parameters, count), np.float32),
+        weight=np.empty((lenslets, count), np.float32),
     )
+    per_pixel, per_light = _unknown(lenslets, modes.count), _unknown(lenslets, modes.count)
+    smooth = _smooth(reference)
+    for first in range(0, lenslets, _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        light, gradient = reference.light[some][:, pixels], reference.gradient[some][:, pixels]
+        descent = np.concatenate(
+            [
+                gradient[:, None, :, 0] * values + light[:, None] * slopes[..., 0],
+                gradient[:, None, :, 1] * values + light[:, None] * slopes[..., 1],
+                light[:, None],
+                np.ones((len(light), 1, count)),
+            ],
+            axis=1,
+        )
+        expected = np.maximum(smooth[some][:, pixels], 0)
+        weight = np.ones_like(light) if noise is None else _weight(expected, noise)
+        weight *= reference.usable[some][:, pixels] & reference.lit[some, None]
+        weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
+        weighted = descent * weight[:, None]
+        norm = np.sqrt(np.einsum("lkn,lkn->lk", descent, weighted))[..., None]
+        norm[norm == 0] = 1
+        normal = weighted @ np.swapaxes(descent, 1, 2) / norm / np.swapaxes(norm, 1, 2)
+        inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
+        grid.light[some], grid.weight[some] = light, weight
+        grid.inverse[some], grid.descent[some] = inverse, descent
+        per_pixel.put(some, _propagated(np.ones_like(light), inverse, weight, descent))
+        per_light.put(some, _propagated(expected, inverse, weight, descent))
+    return Template(grid, reference.light[:, pixels].std(axis=1), per_pixel, per_light)
 
 
 def _monomials(modes: PolynomialModes) -> Image:
@@ -153,6 +165,11 @@ def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floa
         square=np.sum(weight * variance, axis=1),
         fitted=np.sum(weight * variance * leverage, axis=1),
     )
+
+
+def _unknown(lenslets: int, modes: int) -> Propagated:
+    """Room for what is to be filled in."""
+    return Propagated(np.empty((lenslets, modes, 2, modes, 2)), np.empty(lenslets), np.empty(lenslets))
 
 
 def _smooth(reference: ReferenceSubimages) -> Floats:
