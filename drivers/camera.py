@@ -7,14 +7,16 @@ values that lie in the capabilities, and in the state that they need.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.device import Device
-from drivers.errors import BadValue, Unsupported, WrongState
+from drivers.device import Device, Property
+from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 
 CameraState = Literal["stopped", "running", "lost", "closed"]
 
@@ -76,20 +78,38 @@ class CameraCapabilities:
 class Camera(Device):
     """A camera that, once started, takes one frame after another until it is stopped.
 
-    Amplifier, readout speed, binning, region and trigger are its mode: they can be changed only while it is stopped,
-    and may move the exposure, the gain and what is allowed.
+    Every setter returns, or leaves to be asked, what the camera really took; a value that is refused leaves the one
+    before. Amplifier, readout speed, binning, region and trigger are its mode: they can be changed only while it is
+    stopped, and may move the exposure, the gain and what is allowed.
     """
 
     def __init__(self) -> None:
         super().__init__("camera")
         self._allowed: CameraCapabilities | None = None
 
+    def properties(self) -> dict[str, Property]:
+        """All settings in force; a driver adds what else its camera can tell."""
+        region = self.region
+        return {
+            "name": self.name,
+            "exposure_s": self.exposure_s,
+            "em_gain": self.em_gain,
+            "amplifier": self.amplifier,
+            "readout_speed": self.readout_speed,
+            "binning": self.binning,
+            "trigger": self.trigger,
+            "region": f"{region.rows} x {region.columns} at row {region.top}, column {region.left}",
+        }
+
     @property
     def state(self) -> CameraState:
         """Whether it runs, and whether it is there at all; the one question that a lost camera answers."""
-        if self._is_closed or self._loss:
-            return "closed" if self._is_closed else "lost"
-        return "running" if self._is_running() else "stopped"
+        if self._is_closed:
+            return "closed"
+        try:
+            return "running" if self.is_running else "stopped"
+        except Disconnected:
+            return "lost"
 
     @property
     def capabilities(self) -> CameraCapabilities:
@@ -132,9 +152,8 @@ class Camera(Device):
     def set_amplifier(self, amplifier: str) -> None:
         """Change the amplifier; only while stopped."""
         self._check_mode(amplifier, self.capabilities.amplifiers, "amplifier")
-        with self._talking():
+        with self._changing_mode():
             self._set_amplifier(amplifier)
-            self._allowed = None
 
     @property
     def readout_speed(self) -> int:
@@ -145,9 +164,8 @@ class Camera(Device):
     def set_readout_speed(self, readout_speed: int) -> None:
         """Change the readout speed; only while stopped."""
         self._check_mode(readout_speed, self.capabilities.readout_speeds, "readout speed")
-        with self._talking():
+        with self._changing_mode():
             self._set_readout_speed(readout_speed)
-            self._allowed = None
 
     @property
     def binning(self) -> int:
@@ -158,9 +176,8 @@ class Camera(Device):
     def set_binning(self, binning: int) -> None:
         """Change the binning; only while stopped."""
         self._check_mode(binning, self.capabilities.binnings, "binning")
-        with self._talking():
+        with self._changing_mode():
             self._set_binning(binning)
-            self._allowed = None
 
     @property
     def trigger(self) -> str:
@@ -171,9 +188,8 @@ class Camera(Device):
     def set_trigger(self, trigger: str) -> None:
         """Change what starts an exposure; only while stopped."""
         self._check_mode(trigger, self.capabilities.triggers, "trigger")
-        with self._talking():
+        with self._changing_mode():
             self._set_trigger(trigger)
-            self._allowed = None
 
     @property
     def region(self) -> Region:
@@ -188,10 +204,8 @@ class Camera(Device):
             raise Unsupported("this camera always reads out its whole sensor")
         _check_region(region, allowed.sensor, allowed.region_step_px)
         self._check_stopped("region")
-        with self._talking():
-            taken = self._set_region(region)
-            self._allowed = None
-            return taken
+        with self._changing_mode():
+            return self._set_region(region)
 
     @property
     def is_running(self) -> bool:
@@ -224,6 +238,15 @@ class Camera(Device):
             raise BadValue(f"timeout_s = {timeout_s:g} must be 0 or positive, and finite")
         with self._talking():
             return self._read(timeout_s)
+
+    @contextmanager
+    def _changing_mode(self) -> Iterator[None]:
+        """Speak to the camera; what it allows is read again afterwards, also when it refused half-way."""
+        with self._talking():
+            try:
+                yield
+            finally:
+                self._allowed = None
 
     def _check_mode(self, value: object, allowed: tuple[object, ...], what: str) -> None:
         if value not in allowed:
@@ -296,7 +319,9 @@ class Camera(Device):
 
 
 def _check_region(region: Region, sensor: Region, step_px: int) -> None:
-    """Raise `BadValue` unless the region lies on the sensor, in whole steps."""
+    """Raise `BadValue` unless the region is all of the sensor, or lies on it in whole steps."""
+    if region == sensor:
+        return
     numbers = (region.top, region.left, region.rows, region.columns)
     is_on_sensor = (
         region.top >= 0

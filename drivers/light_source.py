@@ -16,28 +16,60 @@ from weakref import WeakSet
 import numpy as np
 
 from drivers.camera import Range
-from drivers.device import Device
+from drivers.device import Device, Property
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08
+_LAST_WAIT_S = 1.0  # at the interpreter's exit, for a thread that is talking to the light
 _REFUSALS = (BadValue, Unsupported, WrongState)  # nothing happened: no reason to switch off
 
 
 class LightSource(Device):
-    """A light with an adjustable current. It is off after it was opened and after it was closed."""
+    """A light with an adjustable current.
+
+    A driver's constructor opens the connection and then calls `_begin`; whatever fails there closes it again.
+    """
 
     def __init__(self, *, limit_a: float | None = None, sleep: Callable[[float], None] = time.sleep) -> None:
-        """`limit_a` is the owner's limit of the current, below the head's own."""
+        """`limit_a` is the owner's limit of the current, below the head's own; `sleep` waits between two steps."""
         super().__init__("light")
         self._limit_a, self._sleep = limit_a, sleep
+        self._has_begun = False  # before, nothing is known of what hangs on the wire, and nothing is sent to it
         self._lit_since_s: float | None = None
         self._lit_before_s = 0.0
 
     def _begin(self) -> None:
-        """Make it safe; the driver's constructor calls this last."""
-        self._switch(on=False)
+        """Make it safe: off, and set to a current that is allowed; the driver's constructor calls this last."""
+        self._has_begun = True
         _open_lights.add(self)
+        try:
+            self._switch(on=False)
+            allowed, current_a = self._range(), self._read_current()
+            if not allowed.minimum <= current_a <= allowed.maximum:  # true for NaN, too
+                self._set_current(allowed.maximum if current_a > allowed.maximum else allowed.minimum)
+        except BaseException:
+            with suppress(DeviceError):
+                self.close()
+            raise
+
+    def __del__(self) -> None:
+        """Leave no light on that nobody holds any more."""
+        with suppress(Exception):  # there is nobody left to tell
+            if self._has_begun:
+                self.close()
+
+    def properties(self) -> dict[str, Property]:
+        """All settings in force; a driver adds what else its light can tell."""
+        allowed = self.current_range_a
+        return {
+            "name": self.name,
+            "is_on": self.is_on,
+            "current_a": self.current_a,
+            "lowest_current_a": allowed.minimum,
+            "highest_current_a": allowed.maximum,
+            "lit_s": self.lit_s,
+        }
 
     @property
     def current_range_a(self) -> Range:
@@ -56,25 +88,32 @@ class LightSource(Device):
         with self._guarded():
             allowed = self._range()
             allowed.check(current_a, "current_a")
-            return self._ramp(current_a, allowed) if self._is_lit() else self._set_current(current_a)
+            if not self._is_lit():
+                return self._set_current(current_a)
+            before_a = self._read_current()
+            try:
+                return self._ramp(current_a, allowed)
+            except _REFUSALS:
+                self._set_current(before_a)
+                raise
 
     @property
     def is_on(self) -> bool:
         """Whether the light is lit."""
         with self._guarded():
-            return self._is_lit()
+            is_lit = self._is_lit()
+            if is_lit != (self._lit_since_s is not None):  # it went out by itself
+                self._note(on=is_lit)
+            return is_lit
 
     def set_on(self, on: bool) -> None:
         """Switch the light; the current comes up in steps."""
         with self._guarded():
-            if not on or self._is_lit():
-                self._switch(on=on)
+            if on and not self._is_lit():
+                self._light_up()
             else:
-                wanted_a, allowed = self._read_current(), self._range()
-                self._set_current(min(wanted_a, allowed.minimum))
-                self._switch(on=True)
-                self._ramp(min(wanted_a, allowed.maximum), allowed)
-            self._note(on=on)
+                self._switch(on=on)
+                self._note(on=on)
 
     @property
     def lit_s(self) -> float:
@@ -87,17 +126,41 @@ class LightSource(Device):
         _open_lights.discard(self)
         if self._is_closed:
             return
+        was_lit = self._lit_since_s is not None
         self._note(on=False)
         try:
-            if not self._loss:
-                with suppress(Disconnected):
-                    self._switch(on=False)
+            if self._has_begun and not self._loss:
+                self._switch(on=False)
+        except Disconnected:
+            pass
+        except DeviceError as error:
+            if was_lit:
+                raise _still_lit(error) from error
+            raise
         finally:
             super().close()
 
     def _range(self) -> Range:
         head = self._read_range()
-        return head if self._limit_a is None else Range(head.minimum, min(head.maximum, self._limit_a))
+        if self._limit_a is None:
+            return head
+        if not self._limit_a >= head.minimum:
+            raise BadValue(f"the limit of {self._limit_a:g} A is below the lowest current, {head.minimum:g} A")
+        return Range(head.minimum, min(head.maximum, self._limit_a))
+
+    def _light_up(self) -> None:
+        """Switch on at the lowest current and go up to the one that was set."""
+        wanted_a, allowed = self._read_current(), self._range()
+        try:
+            self._set_current(allowed.minimum)
+            self._note(on=True)
+            self._switch(on=True)
+            self._ramp(min(wanted_a, allowed.maximum), allowed)
+        except _REFUSALS:
+            self._switch(on=False)
+            self._note(on=False)
+            self._set_current(wanted_a)
+            raise
 
     def _ramp(self, current_a: float, allowed: Range) -> float:
         start_a = self._read_current()
@@ -114,16 +177,20 @@ class LightSource(Device):
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Speak to the light; after a fault, whichever it is, it is switched off."""
+        """Speak to the light; after a fault, whichever it is, Ctrl-C among them, it is switched off."""
         with self._talking():
             try:
                 yield
             except _REFUSALS:
                 raise
-            except DeviceError:
+            except BaseException as error:
+                was_lit = self._lit_since_s is not None
                 self._note(on=False)
-                with suppress(DeviceError):
+                try:
                     self._switch(on=False)
+                except Exception as second:
+                    if was_lit and isinstance(error, DeviceError):
+                        raise _still_lit(error) from second
                 raise
 
     @abstractmethod
@@ -143,6 +210,11 @@ class LightSource(Device):
     def _switch(self, *, on: bool) -> None: ...
 
 
+def _still_lit(error: DeviceError) -> DeviceError:
+    """The same error of a light that could not be switched off either."""
+    return type(error)(f"{error}; the light may still be on: switch it off by hand")
+
+
 _open_lights: WeakSet[LightSource] = WeakSet()
 
 
@@ -150,5 +222,9 @@ _open_lights: WeakSet[LightSource] = WeakSet()
 def _switch_all_off() -> None:
     """Leave no light on when the interpreter ends, however that comes."""
     for light in tuple(_open_lights):
+        turn = light._turn  # noqa: SLF001 - no more than a second for a thread that talks to it, which may hang
+        has_turn = turn.acquire(timeout=_LAST_WAIT_S)
         with suppress(Exception):
             light.close()
+        if has_turn:
+            turn.release()

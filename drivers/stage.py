@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 
-from drivers.device import Device
+from drivers.device import Device, Property
+from drivers.errors import BadValue
 
 
 class Stage(Device):
@@ -13,25 +14,52 @@ class Stage(Device):
     def __init__(self) -> None:
         super().__init__("stage")
 
+    def properties(self) -> dict[str, Property]:
+        """How it stands."""
+        return {"name": self.name, "mask": self.mask, "is_sample_in": self.is_sample_in}
+
     @property
-    @abstractmethod
     def masks(self) -> tuple[str, ...]:
         """The masks that can be put in, for example ("square", "stars")."""
+        with self._talking():
+            return self._read_masks()
 
     @property
-    @abstractmethod
     def mask(self) -> str:
         """The mask that is in."""
+        with self._talking():
+            return self._read_mask()
 
-    @abstractmethod
     def set_mask(self, mask: str) -> None:
         """Put another mask in."""
+        masks = self.masks
+        if mask not in masks:
+            raise BadValue(f"there is no mask {mask!r}; there are {', '.join(masks)}")
+        with self._talking():
+            self._set_mask(mask)
 
     @property
-    @abstractmethod
     def is_sample_in(self) -> bool:
         """Whether the sample is in the beam."""
+        with self._talking():
+            return self._is_sample_in()
 
-    @abstractmethod
     def set_sample_in(self, sample_in: bool) -> None:
         """Move the sample into or out of the beam."""
+        with self._talking():
+            self._set_sample_in(sample_in=sample_in)
+
+    @abstractmethod
+    def _read_masks(self) -> tuple[str, ...]: ...
+
+    @abstractmethod
+    def _read_mask(self) -> str: ...
+
+    @abstractmethod
+    def _set_mask(self, mask: str) -> None: ...
+
+    @abstractmethod
+    def _is_sample_in(self) -> bool: ...
+
+    @abstractmethod
+    def _set_sample_in(self, *, sample_in: bool) -> None: ...

@@ -7,8 +7,10 @@ from collections import OrderedDict
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
-from drivers.interface import BadValue, Camera, CameraCapabilities, DeviceTimeout, Frame, Range, WrongState
-from simulated_devices.connection import Connection
+import numpy as np
+
+from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
+from simulated_devices.connection import Plugged
 from simulated_devices.emccd import Detector, Exposure
 from simulated_devices.settings import exposure_range_s
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 _RING_FRAMES = 8
 _EXPOSURE_STEPS_PER_S = 100_000
 _SLICE_S = 0.05
+_REGION_STEP_PX = 16
 _STATES_REMEMBERED = 1000
 
 
@@ -57,20 +60,23 @@ class _Run:
         return self.first_index + max(0, math.floor((time_s - self.start_s) / self.exposure_s + 1e-6))
 
 
-class SimulatedCamera(Camera):
+class SimulatedCamera(Plugged, Camera):
     """An EMCCD in frame transfer: the next exposure runs while a frame is read out, so that the period is the exposure.
 
     A frame that is complete waits in a ring of eight; a reader who comes later than that finds a gap in `Frame.index`.
+    A part of the sensor is read out in steps of 16 pixels, as long as all of it.
     """
 
     def __init__(self, bench: SimulatedBench) -> None:
+        super().__init__()
         settings = bench.camera_settings
         self._bench, self._settings = bench, settings
-        self._connection = Connection("camera")
         self._detector = Detector(settings, seed=bench.simulation.seed)
-        self._amplifier: Amplifier = settings.amplifier
-        self._exposure_s = _rounded(settings.exposure_s)
-        self._em_gain = settings.em_gain
+        self._sensor = self._part = Region(0, 0, settings.rows, settings.columns)
+        self._chosen_amplifier: Amplifier = settings.amplifier
+        self._em_readout_speed = settings.readout_speed
+        self._chosen_exposure_s = _rounded(settings.exposure_s)
+        self._chosen_em_gain = settings.em_gain
         self._runs: list[_Run] = []  # the last is the present one; earlier ones until their frames are read
         self._next_index = 0
         self._starts = 0
@@ -82,102 +88,107 @@ class SimulatedCamera(Camera):
         """What it is."""
         return "Simulated C9100-23B"
 
-    @property
-    def capabilities(self) -> CameraCapabilities:
-        """What is allowed with the amplifier in use."""
-        self._connection.check()
-        settings = self._settings
+    def state_of_frame(self, index: int) -> int | None:
+        """State of the sample that a frame shows, None without the sample; of the last 1000 frames since the start."""
+        return self._states[index]
+
+    def inject(self, fault: Fault) -> None:
+        """Let a fault happen now."""
+        match fault:
+            case Unplug():
+                self.unplug()
+            case Stall():
+                self._is_stalled = True
+            case LoseFrames(count):
+                self._next_index += count
+
+    def _read_capabilities(self) -> CameraCapabilities:
+        settings, has_multiplier = self._settings, self._chosen_amplifier == "em"
         return CameraCapabilities(
-            rows=settings.rows,
-            columns=settings.columns,
+            rows=self._part.rows,
+            columns=self._part.columns,
             pixel_pitch_m=self._bench.sensor.pixel_pitch_m,
             full_scale=2**settings.bits - 1,
-            exposure_range_s=exposure_range_s(self._amplifier, settings.readout_speed),
+            exposure_range_s=exposure_range_s(self._chosen_amplifier, self._em_readout_speed),
+            em_gain_range=Range(1.0, settings.maximum_em_gain if has_multiplier else 1.0),
             amplifiers=("normal", "em"),
-            em_gain_range=Range(1.0, settings.maximum_em_gain if self._amplifier == "em" else 1.0),
+            readout_speeds=(1, 2, 3) if has_multiplier else (1,),
+            sensor=self._sensor,
+            region_step_px=_REGION_STEP_PX,
         )
 
-    @property
-    def exposure_s(self) -> float:
-        """The exposure time in force."""
-        self._connection.check()
-        return self._exposure_s
+    def _read_exposure(self) -> float:
+        return self._chosen_exposure_s
 
-    def set_exposure(self, exposure_s: float) -> float:
-        """Change the exposure time, rounded to 10 us; while running, the frame that is being exposed begins anew."""
-        self.capabilities.exposure_range_s.check(exposure_s, "exposure_s")
-        self._exposure_s = _rounded(exposure_s)
+    def _set_exposure(self, exposure_s: float) -> float:
+        """Round to 10 us; while running, the frame that is being exposed begins anew."""
+        self._accept("the exposure time")
+        self._chosen_exposure_s = _rounded(exposure_s)
         if self._runs:
             now_s = self._bench.clock.now()
-            self._continue(replace(self._runs[-1], start_s=now_s, exposure_s=self._exposure_s), now_s)
-        return self._exposure_s
+            self._continue(replace(self._runs[-1], start_s=now_s, exposure_s=self._chosen_exposure_s), now_s)
+        return self._chosen_exposure_s
 
-    @property
-    def amplifier(self) -> str:
-        """The amplifier in use."""
-        self._connection.check()
-        return self._amplifier
+    def _read_em_gain(self) -> float:
+        return self._chosen_em_gain
 
-    def set_amplifier(self, amplifier: str) -> None:
-        """Change the amplifier; only while stopped. Exposure and gain are moved into the new ranges."""
-        self._connection.check()
-        if amplifier not in ("normal", "em"):
-            raise BadValue(f"there is no amplifier {amplifier!r}; there are normal, em")
-        if self._runs:
-            raise WrongState("the amplifier can be changed only while the camera is stopped")
-        self._amplifier = "normal" if amplifier == "normal" else "em"
-        allowed = self.capabilities
-        self._exposure_s = _clamped(self._exposure_s, allowed.exposure_range_s)
-        self._em_gain = _clamped(self._em_gain, allowed.em_gain_range)
-
-    @property
-    def em_gain(self) -> float:
-        """The electron multiplication in force."""
-        self._connection.check()
-        return self._em_gain
-
-    def set_em_gain(self, em_gain: float) -> float:
-        """Change the electron multiplication; while running, from the frame that is being exposed."""
-        self._em_gain = self.capabilities.em_gain_range.check(em_gain, "em_gain")
+    def _set_em_gain(self, em_gain: float) -> float:
+        """While running, from the frame that is being exposed."""
+        self._accept("the gain")
+        self._chosen_em_gain = em_gain
         if self._runs:
             run, now_s = self._runs[-1], self._bench.clock.now()
             frames = run.complete(now_s) - run.first_index
             self._continue(replace(run, start_s=run.start_s + frames * run.exposure_s, em_gain=em_gain), now_s)
         return em_gain
 
-    @property
-    def is_running(self) -> bool:
-        """Whether frames are being taken."""
-        self._connection.check()
+    def _read_amplifier(self) -> str:
+        return self._chosen_amplifier
+
+    def _set_amplifier(self, amplifier: str) -> None:
+        """Exposure and gain are moved into the new ranges."""
+        self._accept("the amplifier")
+        self._chosen_amplifier = "normal" if amplifier == "normal" else "em"
+        self._move_into_ranges()
+
+    def _read_readout_speed(self) -> int:
+        return self._em_readout_speed if self._chosen_amplifier == "em" else 1
+
+    def _set_readout_speed(self, readout_speed: int) -> None:
+        """The exposure is moved into the new range."""
+        self._accept("the readout speed")
+        if self._chosen_amplifier == "em":
+            self._em_readout_speed = readout_speed
+        self._move_into_ranges()
+
+    def _read_region(self) -> Region:
+        return self._part
+
+    def _set_region(self, region: Region) -> Region:
+        self._accept("the region")
+        self._part = region
+        return region
+
+    def _is_running(self) -> bool:
         return bool(self._runs)
 
-    def start(self) -> None:
-        """Begin to take frames, counted from 0."""
-        self._connection.check()
-        if self._runs:
-            raise WrongState("the camera is running already")
+    def _start(self) -> None:
         self._next_index = 0
         self._starts += 1
         self._is_stalled = False
         self._states.clear()
         now_s = self._bench.clock.now()
-        self._runs = [_Run(first_index=0, start_s=now_s, exposure_s=self._exposure_s, em_gain=self._em_gain)]
+        self._runs = [
+            _Run(first_index=0, start_s=now_s, exposure_s=self._chosen_exposure_s, em_gain=self._chosen_em_gain)
+        ]
 
-    def stop(self) -> None:
-        """Stop taking frames; those not yet read are gone. Stopping twice is allowed."""
-        self._connection.check()
+    def _stop(self) -> None:
         self._runs = []
 
-    def read(self, timeout_s: float) -> Frame:
-        """Return the oldest frame not yet read, waiting at most `timeout_s`, else raise `DeviceTimeout`."""
-        self._connection.check()
-        if not timeout_s >= 0:
-            raise BadValue(f"timeout_s = {timeout_s:g} must be 0 or positive")
+    def _read(self, timeout_s: float) -> Frame:
         clock = self._bench.clock
         deadline_s = clock.now() + timeout_s
         while True:
-            if not self._runs:
-                raise WrongState("the camera must be started before a frame can be read")
             now_s = clock.now()
             complete = self._runs[-1].complete(now_s)
             if complete > self._next_index and not self._is_stalled:
@@ -188,25 +199,14 @@ class SimulatedCamera(Camera):
                 raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
             clock.sleep(max(1e-5, min(self._end_s(self._next_index) - now_s, deadline_s - now_s, _SLICE_S)))
 
-    def state_of_frame(self, index: int) -> int | None:
-        """State of the sample that a frame shows, None without the sample; of the last 1000 frames since the start."""
-        return self._states[index]
-
-    def inject(self, fault: Fault) -> None:
-        """Let a fault happen now."""
-        match fault:
-            case Unplug():
-                self._connection.unplug()
-            case Stall():
-                self._is_stalled = True
-            case LoseFrames(count):
-                self._next_index += count
-
-    def close(self) -> None:
-        """Stop and let go; closing twice is allowed."""
+    def _close(self) -> None:
         self._runs = []
-        self._connection.is_closed = True
         self._detector.close()
+
+    def _move_into_ranges(self) -> None:
+        allowed = self._read_capabilities()
+        self._chosen_exposure_s = _clamped(self._chosen_exposure_s, allowed.exposure_range_s)
+        self._chosen_em_gain = _clamped(self._chosen_em_gain, allowed.em_gain_range)
 
     def _continue(self, run: _Run, now_s: float) -> None:
         """Go on with other settings, from the first frame that is not complete."""
@@ -231,10 +231,13 @@ class SimulatedCamera(Camera):
         exposure = Exposure(
             index=(self._starts << 40) + index,  # no two starts share their noise
             exposure_s=run.exposure_s,
-            amplifier=self._amplifier,
+            amplifier=self._chosen_amplifier,
+            readout_speed=self._read_readout_speed(),
             em_gain=run.em_gain,
         )
-        pixels = self._detector.counts(exposed.photons, exposure)
+        part = self._part
+        photons = exposed.photons[part.top : part.top + part.rows, part.left : part.left + part.columns]
+        pixels = self._detector.counts(np.ascontiguousarray(photons), exposure)
         pixels.setflags(write=False)
         return Frame(pixels, index, end_s, self._bench.clock.now(), run.exposure_s, run.em_gain)
 

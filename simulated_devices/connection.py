@@ -1,25 +1,36 @@
-"""Whether a simulated device can be spoken to."""
+"""The plug of a simulated device, which somebody may pull, and a setting that it may refuse."""
 
 from __future__ import annotations
 
-from drivers.interface import Disconnected, WrongState
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from drivers.interface import BadValue, Device, Disconnected
 
 
-class Connection:
-    """Open, until it is closed or somebody pulls the plug."""
+class Plugged(Device):
+    """Mixed into a simulated device, before what kind of a device it is."""
 
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self.is_closed = False
-        self._is_unplugged = False
-
-    def check(self) -> None:
-        """Raise `WrongState` after closing, `Disconnected` after the plug was pulled."""
-        if self.is_closed:
-            raise WrongState(f"the {self._what} is closed")
-        if self._is_unplugged:
-            raise Disconnected(f"the {self._what} does not answer; is it plugged in and switched on?")
+    _is_unplugged = False
+    _refuses_next = False
 
     def unplug(self) -> None:
-        """Pull the plug."""
+        """Pull the plug, as a fault."""
         self._is_unplugged = True
+
+    def refuse_next(self) -> None:
+        """Let it refuse the next setting, as a fault."""
+        self._refuses_next = True
+
+    def _accept(self, what: str) -> None:
+        """Raise `BadValue` if the next setting is to be refused."""
+        if self._refuses_next:
+            self._refuses_next = False
+            raise BadValue(f"the {self._what} refused {what}")
+
+    @contextmanager
+    def _talking(self) -> Iterator[None]:
+        with super()._talking():
+            if self._is_unplugged:
+                raise Disconnected(f"the {self._what} does not answer; is it plugged in and switched on?")
+            yield

@@ -30,6 +30,7 @@ class Exposure:
     exposure_s: float
     amplifier: Amplifier
     em_gain: float
+    readout_speed: int  # of the EM amplifier
 
 
 class Detector:
@@ -46,12 +47,11 @@ class Detector:
         """End the threads."""
         self._pool.shutdown()
 
-    def read_noise_e(self, amplifier: Amplifier) -> float:
+    def read_noise_e(self, amplifier: Amplifier, readout_speed: int) -> float:
         """Standard deviation of the read-out, in electrons behind the multiplication."""
-        settings = self._settings
         if amplifier == "normal":
-            return settings.normal_read_noise_e
-        return settings.em_read_noise_e[settings.readout_speed - 1]
+            return self._settings.normal_read_noise_e
+        return self._settings.em_read_noise_e[readout_speed - 1]
 
     def counts(self, photons: NDArray[np.float32], exposure: Exposure) -> NDArray[np.uint16]:
         """Counts of one frame, (row, column), from the mean photons that meet each pixel during the exposure."""
@@ -65,7 +65,7 @@ class Detector:
                 settings.full_well_e,
                 exposure.em_gain if exposure.amplifier == "em" else 1.0,
                 settings.register_full_well_e,
-                self.read_noise_e(exposure.amplifier),
+                self.read_noise_e(exposure.amplifier, exposure.readout_speed),
                 1 / settings.electrons_per_count,
                 settings.offset_counts,
                 2**settings.bits - 1,

@@ -20,7 +20,6 @@ from drivers.interface import (
     LightSource,
     Range,
     Stage,
-    WrongState,
 )
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.field_modes import LegendreModes
@@ -50,62 +49,66 @@ class FakeCamera(Camera):
     name = "fake camera"
 
     def __init__(self, *, rows: int = 300, columns: int = 430, lattice: Lattice = LATTICE) -> None:
+        super().__init__()
         self.light, self.stage = FakeLight(), FakeStage()
         self.fault: Exception | None = None
-        self.is_closed = False
         self.period_s = 0.02
-        exposures, gains = Range(0.01, 10), Range(1, 1200)
-        self._capabilities = CameraCapabilities(rows, columns, 16e-6, FULL_SCALE, exposures, ("em", "normal"), gains)
-        self._exposure_s, self._amplifier, self._em_gain, self._running = 0.02, "em", 1.0, False
-        self._index, self._started_s = 0, 0.0
+        self._capabilities = CameraCapabilities(
+            rows=rows,
+            columns=columns,
+            pixel_pitch_m=16e-6,
+            full_scale=FULL_SCALE,
+            exposure_range_s=Range(0.01, 10),
+            em_gain_range=Range(1, 1200),
+            amplifiers=("em", "normal"),
+        )
+        self._exposure, self._chosen, self._gain, self._running = 0.02, "em", 1.0, False
+        self._index = 0
         self._images = [_squares((rows, columns), lattice, strength) for strength in (0.0, 1.0)]
         self._noise = np.random.default_rng(1)
 
     @property
-    def capabilities(self) -> CameraCapabilities:
+    def is_closed(self) -> bool:
+        return self.state == "closed"
+
+    def _read_capabilities(self) -> CameraCapabilities:
         return self._capabilities
 
-    @property
-    def exposure_s(self) -> float:
-        return self._exposure_s
+    def _read_exposure(self) -> float:
+        return self._exposure
 
-    def set_exposure(self, exposure_s: float) -> float:
+    def _set_exposure(self, exposure_s: float) -> float:
         if 0.05 < exposure_s < 0.06:
             raise BadValue("exposures between 50 and 60 ms are broken")
-        self._exposure_s = round(self._capabilities.exposure_range_s.check(exposure_s, "exposure_s"), 3)
-        return self._exposure_s
+        self._exposure = round(exposure_s, 3)
+        return self._exposure
 
-    @property
-    def amplifier(self) -> str:
-        return self._amplifier
+    def _read_amplifier(self) -> str:
+        return self._chosen
 
-    def set_amplifier(self, amplifier: str) -> None:
-        if self._running:
-            raise WrongState("stop first")
-        self._amplifier = amplifier
+    def _set_amplifier(self, amplifier: str) -> None:
+        self._chosen = amplifier
 
-    @property
-    def em_gain(self) -> float:
-        return self._em_gain
+    def _read_em_gain(self) -> float:
+        return self._gain
 
-    def set_em_gain(self, em_gain: float) -> float:
-        self._em_gain = em_gain
+    def _set_em_gain(self, em_gain: float) -> float:
+        self._gain = em_gain
         return em_gain
 
-    @property
-    def is_running(self) -> bool:
+    def _is_running(self) -> bool:
         return self._running
 
-    def start(self) -> None:
-        self._running, self._index, self._started_s = True, 0, time.perf_counter()
+    def _start(self) -> None:
+        self._running, self._index = True, 0
 
-    def stop(self) -> None:
+    def _stop(self) -> None:
         self._running = False
 
-    def read(self, timeout_s: float) -> Frame:
+    def _read(self, timeout_s: float) -> Frame:
         if self.fault is not None:
             raise self.fault
-        if self._exposure_s > timeout_s:
+        if self._exposure > timeout_s:
             time.sleep(timeout_s)
             raise DeviceTimeout("no frame yet")
         time.sleep(self.period_s)
@@ -115,57 +118,61 @@ class FakeCamera(Camera):
         self._index += 1
         return frame
 
-    def close(self) -> None:
-        self.is_closed, self._running = True, False
+    def _close(self) -> None:
+        self._running = False
 
 
 class FakeLight(LightSource):
     name = "fake light"
-    current_range_a = Range(0, 1)
 
     def __init__(self) -> None:
-        self._current_a, self._on = 0.35, False
+        super().__init__(sleep=lambda _: None)
+        self._current, self.shines = 0.35, False
+        self._begin()
 
-    @property
-    def current_a(self) -> float:
-        return self._current_a
+    def _read_range(self) -> Range:
+        return Range(0, 1)
 
-    def set_current(self, current_a: float) -> float:
-        self._current_a = current_a
+    def _read_current(self) -> float:
+        return self._current
+
+    def _set_current(self, current_a: float) -> float:
+        self._current = current_a
         return current_a
 
-    @property
-    def is_on(self) -> bool:
-        return self._on
+    def _is_lit(self) -> bool:
+        return self.shines
 
-    def set_on(self, on: bool) -> None:
-        self._on = on
+    def _switch(self, *, on: bool) -> None:
+        self.shines = on
 
-    def close(self) -> None:
-        self._on = False
+    def _close(self) -> None:
+        pass
 
 
 class FakeStage(Stage):
-    masks = ("square", "stars")
+    name = "fake stage"
 
     def __init__(self) -> None:
-        self._mask, self._in = "square", False
+        super().__init__()
+        self._chosen, self._in = "square", False
 
-    @property
-    def mask(self) -> str:
-        return self._mask
+    def _read_masks(self) -> tuple[str, ...]:
+        return ("square", "stars")
 
-    def set_mask(self, mask: str) -> None:
-        self._mask = mask
+    def _read_mask(self) -> str:
+        return self._chosen
 
-    @property
-    def is_sample_in(self) -> bool:
+    def _set_mask(self, mask: str) -> None:
+        self._chosen = mask
+
+    def _is_sample_in(self) -> bool:
         return self._in
 
-    def set_sample_in(self, sample_in: bool) -> None:
+    def _set_sample_in(self, *, sample_in: bool) -> None:
         self._in = sample_in
 
-    def close(self) -> None:
+    def _close(self) -> None:
         self._in = False
 
 

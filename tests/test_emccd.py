@@ -25,7 +25,7 @@ BARE = SimulatedCameraSettings(
     electrons_per_count=1.0,
     offset_counts=0.0,
 )
-NORMAL = Exposure(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0)
+NORMAL = Exposure(index=0, exposure_s=1.0, amplifier="normal", readout_speed=3, em_gain=1.0)
 SHAPE = (400, 500)
 PIXELS = SHAPE[0] * SHAPE[1]
 

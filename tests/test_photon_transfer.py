@@ -30,7 +30,8 @@ def test_noise_is_found_in_frames_of_the_simulated_camera(em_gain: float, frames
 
     def stack(photons: np.ndarray, first: int) -> np.ndarray:
         exposures = (
-            Exposure(index=i, exposure_s=0.02, amplifier="em", em_gain=em_gain) for i in range(first, first + frames)
+            Exposure(index=i, exposure_s=0.02, amplifier="em", readout_speed=3, em_gain=em_gain)
+            for i in range(first, first + frames)
         )
         return np.array([detector.counts(photons, exposure) for exposure in exposures], np.float64)
 

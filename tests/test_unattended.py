@@ -58,7 +58,7 @@ def test_signal_closes_the_window_and_turns_the_light_off(
     with pytest.raises(Interrupted):
         run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
     assert camera.is_closed
-    assert not camera.light.is_on
+    assert not camera.light.shines
     assert signal.getsignal(number) == before
 
 

@@ -97,7 +97,7 @@ def test_device_failure_is_told_and_the_window_reconnects(make_window: MakeWindo
     assert not window.messages.reconnect.isVisible()
     first.fault = Disconnected("the camera was unplugged")
     qtbot.waitUntil(lambda: "camera was unplugged" in window.messages.text.text(), timeout=3000)
-    assert not first.light.is_on
+    assert not first.light.shines
     assert window.controls.light.text() == "Light off"
     assert not window.controls.isEnabled()
     window.messages.reconnect.click()
@@ -153,7 +153,7 @@ def test_closing_in_a_long_exposure_is_quick_and_leaves_the_light_off(
     began_s = time.perf_counter()
     window.close()
     assert time.perf_counter() - began_s < 1
-    assert not camera.light.is_on
+    assert not camera.light.shines
     assert camera.is_closed
     assert not window.is_stuck
 

@@ -55,7 +55,11 @@ class EmCamera:
         """Counts above the offset of one noisy frame."""
         settings = self.settings
         exposure = Exposure(
-            index=index, exposure_s=settings.exposure_s, amplifier=settings.amplifier, em_gain=settings.em_gain
+            index=index,
+            exposure_s=settings.exposure_s,
+            amplifier=settings.amplifier,
+            readout_speed=settings.readout_speed,
+            em_gain=settings.em_gain,
         )
         with closing(Detector(settings, seed=seed)) as detector:
             counts = detector.counts(electrons / np.float32(settings.quantum_efficiency), exposure)
