@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.devices import Devices
-from drivers.interface import Camera, DeviceTimeout, Frame
+from drivers.interface import Camera, DeviceTimeout, Frame, FrameLost
 
 Progress = Callable[[Frame, float], None]  # the frame that has come, and how much is done, 0 ... 1
 ShouldStop = Callable[[], bool]
@@ -41,14 +41,17 @@ class Average:
 
 
 def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
-    """Wait for the next frame in slices; raise `Cancelled` when asked to stop, `DeviceTimeout` when none comes."""
+    """Wait for the next frame in slices; raise `Cancelled` when asked to stop, `DeviceTimeout` when none comes.
+
+    One that was lost on its way is passed over: the gap in the numbers tells of it.
+    """
     deadline_s = time.monotonic() + camera.exposure_s + _MARGIN_S
     while True:
         if should_stop():
             raise Cancelled
         try:
             return camera.read(WAIT_SLICE_S)
-        except DeviceTimeout:
+        except (DeviceTimeout, FrameLost):
             if time.monotonic() > deadline_s:
                 raise
 
