@@ -51,9 +51,12 @@ def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
             raise Cancelled
         try:
             return camera.read(WAIT_SLICE_S)
-        except (DeviceTimeout, FrameLost):
+        except DeviceTimeout:
             if time.monotonic() > deadline_s:
                 raise
+        except FrameLost as error:
+            if time.monotonic() > deadline_s:
+                raise DeviceTimeout(f"no whole frame has come for long: {error}") from error
 
 
 def average(camera: Camera, frames: int, *, progress: Progress, should_stop: ShouldStop) -> Average:
