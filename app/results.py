@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+import h5netcdf
 import numpy as np
 import xarray as xr
 
 from app.config import Bench, write_bench
+from app.errors import InputError
 from app.files import appearing_whole
 from app.read_outs import Variable, about, point_spread, structure, transfer
 from reconstruction.geometry import Floats
@@ -17,6 +19,7 @@ from reconstruction.image_quality import psf
 from reconstruction.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
+_FRAME = "frame"
 _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
 
@@ -74,22 +77,53 @@ def truth_dataset(views: Floats, bench: Bench) -> xr.Dataset:
 
 def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapping[str, str]) -> None:
     """Write a dataset with the bench, the software's version and the names of the inputs as attributes."""
-    dataset = dataset.assign_attrs(
-        title="Space-variant wavefront", software=f"svwfs {version('svwfs')}", bench=write_bench(bench), **inputs
-    )
+    write_pieces(path, [dataset], bench=bench, inputs=inputs)
+
+
+def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inputs: Mapping[str, str]) -> None:
+    """Write results of many frames, as `write_results` does, piece by piece along `frame`: one is in memory at a time.
+
+    `InputError` when a piece has another shape than the first: the settings have changed between them.
+    """
     with appearing_whole(path) as temporary:
-        dataset.to_netcdf(temporary, engine="h5netcdf")
+        for piece in pieces:
+            if temporary.exists():
+                _append(temporary, piece)
+                continue
+            origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
+            piece.assign_attrs(title="Space-variant wavefront", **origin).to_netcdf(
+                temporary, engine="h5netcdf", unlimited_dims=[_FRAME] if _FRAME in piece.dims else []
+            )
+
+
+def _append(path: Path, piece: xr.Dataset) -> None:
+    """Put more frames behind those that are in a file."""
+    with h5netcdf.File(path, "r+") as file:
+        first = file.dimensions[_FRAME].size
+        sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != _FRAME}
+        if sizes != {name: size for name, size in piece.sizes.items() if name != _FRAME}:
+            raise InputError("the frames were measured with settings of different shapes: choose some of the frames")
+        file.resize_dimension(_FRAME, first + piece.sizes[_FRAME])
+        for name, variable in piece.variables.items():
+            if _FRAME in variable.dims:
+                stored = file.variables[name]
+                stored[first:] = variable.values.astype(stored.dtype)
 
 
 def stack_frames(
     datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
 ) -> xr.Dataset:
     """Put the results of several frames after one another, along a new first dimension `frame`."""
-    stacked = xr.concat(datasets, "frame", join="exact", combine_attrs="override", coords="minimal", compat="override")
+    age = about("s", "age of the bias that refined the frame; NaN: not refined")
+    return along_frames(datasets, frame_index, time_s).assign_coords(bias_age=(_FRAME, list(bias_age_s), age))
+
+
+def along_frames(datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float]) -> xr.Dataset:
+    """The same for frames of which it is not known how old their bias was."""
+    stacked = xr.concat(datasets, _FRAME, join="exact", combine_attrs="override", coords="minimal", compat="override")
     return stacked.assign_coords(
-        frame_index=("frame", list(frame_index), about("1", "the camera's count since start")),
-        time=("frame", list(time_s), about("s", "end of the exposure on the camera's clock")),
-        bias_age=("frame", list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
+        frame_index=(_FRAME, list(frame_index), about("1", "the camera's count since start")),
+        time=(_FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
     )
 
 

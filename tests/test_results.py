@@ -10,7 +10,8 @@ import xarray as xr
 from optics import SmallBench
 
 from app.config import load_bench, parse_bench
-from app.results import result_dataset, stack_frames, write_results
+from app.errors import InputError
+from app.results import along_frames, result_dataset, stack_frames, write_pieces, write_results
 
 BENCH = load_bench(
     Path(__file__).parent / "foreign_frames" / "bench.toml",
@@ -86,6 +87,29 @@ def test_frames_are_stacked_along_a_new_first_dimension(dataset: xr.Dataset) -> 
     np.testing.assert_array_equal(stacked["frame_index"], [4, 7])
     np.testing.assert_allclose(stacked["wavefront"][1], 2 * dataset["wavefront"])
     assert stacked["view_x"].dims == ("view_column",)
+
+
+def test_pieces_make_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: Path) -> None:
+    frames = [
+        dataset.assign(rms=dataset["rms"] * factor, valid=dataset["valid"] ^ bool(factor % 2)) for factor in range(5)
+    ]
+    whole = along_frames(frames, [0, 1, 3, 4, 9], [0.0, 0.1, 0.3, 0.4, 0.9])
+    write_results(tmp_path / "whole.nc", whole, bench=BENCH, inputs={"recording": "r"})
+    pieces = (whole.isel(frame=part) for part in (slice(0, 2), slice(2, 3), slice(3, 5)))
+    write_pieces(tmp_path / "pieces.nc", pieces, bench=BENCH, inputs={"recording": "r"})
+    with xr.open_dataset(tmp_path / "whole.nc") as one, xr.open_dataset(tmp_path / "pieces.nc") as other:
+        xr.testing.assert_identical(one, other)
+        assert other.sizes["frame"] == 5
+        xr.testing.assert_identical(other["rms"].drop_attrs(), whole["rms"].drop_attrs())
+        xr.testing.assert_identical(other["valid"].drop_attrs(), whole["valid"].drop_attrs())
+
+
+def test_pieces_of_another_shape_are_refused_and_leave_nothing(dataset: xr.Dataset, tmp_path: Path) -> None:
+    whole = along_frames([dataset], [0], [0.0])
+    fewer = whole.isel(pupil_mode=slice(0, 10))
+    with pytest.raises(InputError, match="settings of different shapes"):
+        write_pieces(tmp_path / "r.nc", [whole, fewer], bench=BENCH, inputs={})
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_flat_wavefront_is_as_good_as_light_allows(small_bench: SmallBench) -> None:
