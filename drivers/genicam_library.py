@@ -1,0 +1,201 @@
+"""Aravis 0.8, the library that speaks GigE Vision and USB3 Vision, called straight from Python through its C functions.
+
+Its GObject introspection would need PyGObject, which Debian ships for the system's own Python alone and which pip can
+only build with the headers of cairo and girepository. The C functions need one package, the library itself, and work
+from any Python: about forty of them are declared here. The library's errors become the drivers' family here, too.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import sys
+from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
+from functools import cache
+from typing import Any, Final
+
+from drivers.errors import BadValue, Busy, DeviceError, Disconnected, Unsupported, WrongState
+
+HOW_TO_INSTALL: Final = "sudo apt-get install libaravis-0.8-0"
+
+STATUS_SUCCESS: Final = 0  # ArvBufferStatus
+PACKET_SOCKET_DISABLED: Final = 1  # ArvGvStreamOption
+SOCKET_BUFFER_FIXED: Final = 0  # ArvGvStreamSocketBuffer
+
+_NAMES = {
+    "linux": ("libaravis-0.8.so.0",),
+    "darwin": ("libaravis-0.8.dylib", "/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"),
+}
+_G_TYPE_INT: Final = 6 << 2
+
+
+class _Error(ctypes.Structure):
+    """GError."""
+
+    _fields_ = (("domain", c_uint32), ("code", c_int), ("message", c_char_p))
+
+
+class _Value(ctypes.Structure):
+    """GValue."""
+
+    _fields_ = (("kind", c_size_t), ("data", c_uint64 * 2))
+
+
+_ERROR = POINTER(POINTER(_Error))
+_INT = POINTER(c_int)
+_LONG = POINTER(c_int64)
+_FLOAT = POINTER(c_double)
+_STRINGS = POINTER(c_char_p)
+
+# What comes back, and what goes in; those that end in _ERROR are called without it and raise instead.
+_FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
+    "arv_device_error_quark": (c_uint32, ()),
+    "arv_update_device_list": (None, ()),
+    "arv_get_n_devices": (c_uint, ()),
+    "arv_get_device_id": (c_char_p, (c_uint,)),
+    "arv_get_device_vendor": (c_char_p, (c_uint,)),
+    "arv_get_device_model": (c_char_p, (c_uint,)),
+    "arv_get_device_serial_nbr": (c_char_p, (c_uint,)),
+    "arv_get_device_address": (c_char_p, (c_uint,)),
+    "arv_get_device_protocol": (c_char_p, (c_uint,)),
+    "arv_camera_new": (c_void_p, (c_char_p, _ERROR)),
+    "arv_camera_get_device": (c_void_p, (c_void_p,)),
+    "arv_camera_is_gv_device": (c_int, (c_void_p,)),
+    "arv_gv_device_is_controller": (c_int, (c_void_p,)),
+    "arv_camera_is_feature_available": (c_int, (c_void_p, c_char_p, _ERROR)),
+    "arv_camera_execute_command": (None, (c_void_p, c_char_p, _ERROR)),
+    "arv_camera_get_string": (c_char_p, (c_void_p, c_char_p, _ERROR)),
+    "arv_camera_set_string": (None, (c_void_p, c_char_p, c_char_p, _ERROR)),
+    "arv_camera_set_boolean": (None, (c_void_p, c_char_p, c_int, _ERROR)),
+    "arv_camera_get_integer": (c_int64, (c_void_p, c_char_p, _ERROR)),
+    "arv_camera_get_integer_bounds": (None, (c_void_p, c_char_p, _LONG, _LONG, _ERROR)),
+    "arv_camera_get_integer_increment": (c_int64, (c_void_p, c_char_p, _ERROR)),
+    "arv_camera_get_float": (c_double, (c_void_p, c_char_p, _ERROR)),
+    "arv_camera_dup_available_enumerations_as_strings": (_STRINGS, (c_void_p, c_char_p, POINTER(c_uint), _ERROR)),
+    "arv_camera_get_exposure_time": (c_double, (c_void_p, _ERROR)),
+    "arv_camera_set_exposure_time": (None, (c_void_p, c_double, _ERROR)),
+    "arv_camera_get_exposure_time_bounds": (None, (c_void_p, _FLOAT, _FLOAT, _ERROR)),
+    "arv_camera_is_gain_available": (c_int, (c_void_p, _ERROR)),
+    "arv_camera_get_gain": (c_double, (c_void_p, _ERROR)),
+    "arv_camera_set_gain": (None, (c_void_p, c_double, _ERROR)),
+    "arv_camera_get_gain_bounds": (None, (c_void_p, _FLOAT, _FLOAT, _ERROR)),
+    "arv_camera_is_frame_rate_available": (c_int, (c_void_p, _ERROR)),
+    "arv_camera_get_frame_rate": (c_double, (c_void_p, _ERROR)),
+    "arv_camera_set_frame_rate": (None, (c_void_p, c_double, _ERROR)),
+    "arv_camera_set_trigger": (None, (c_void_p, c_char_p, _ERROR)),
+    "arv_camera_clear_triggers": (None, (c_void_p, _ERROR)),
+    "arv_camera_get_region": (None, (c_void_p, _INT, _INT, _INT, _INT, _ERROR)),
+    "arv_camera_set_region": (None, (c_void_p, c_int, c_int, c_int, c_int, _ERROR)),
+    "arv_camera_is_binning_available": (c_int, (c_void_p, _ERROR)),
+    "arv_camera_set_binning": (None, (c_void_p, c_int, c_int, _ERROR)),
+    "arv_camera_get_payload": (c_uint, (c_void_p, _ERROR)),
+    "arv_camera_gv_set_stream_options": (None, (c_void_p, c_int)),
+    "arv_camera_gv_auto_packet_size": (c_uint, (c_void_p, _ERROR)),
+    "arv_camera_gv_set_packet_size": (None, (c_void_p, c_int, _ERROR)),
+    "arv_camera_gv_get_packet_size": (c_uint, (c_void_p, _ERROR)),
+    "arv_camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p, _ERROR)),
+    "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
+    "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
+    "arv_buffer_new_allocate": (c_void_p, (c_size_t,)),
+    "arv_buffer_get_status": (c_int, (c_void_p,)),
+    "arv_buffer_get_frame_id": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_system_timestamp": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t))),
+    "g_error_free": (None, (c_void_p,)),
+    "g_free": (None, (c_void_p,)),
+    "g_object_unref": (None, (c_void_p,)),
+    "g_object_set_property": (None, (c_void_p, c_char_p, POINTER(_Value))),
+    "g_value_init": (c_void_p, (POINTER(_Value), c_size_t)),
+    "g_value_set_int": (None, (POINTER(_Value), c_int)),
+}
+
+# ArvDeviceError, by number
+_KINDS: Final[dict[int, type[DeviceError]]] = {
+    0: Unsupported,  # the feature is of another type
+    1: Unsupported,  # there is no such feature
+    2: Disconnected,  # not connected
+    5: Disconnected,  # no answer, after five attempts
+    6: Disconnected,  # not found
+    7: BadValue,  # invalid parameter
+    10: Disconnected,  # no longer its controller
+    12: Unsupported,  # not implemented
+    13: BadValue,  # invalid parameter, says the camera
+    15: WrongState,  # write-protected
+    17: WrongState,  # access denied
+    18: WrongState,  # busy with something else
+}
+# libusb's words in the message, where Aravis has no number for it
+_USB: Final[dict[str, type[DeviceError]]] = {
+    "LIBUSB_ERROR_NO_DEVICE": Disconnected,
+    "LIBUSB_ERROR_IO": Disconnected,
+    "LIBUSB_ERROR_BUSY": Busy,
+}
+
+
+class Aravis:
+    """The library, loaded."""
+
+    def __init__(self) -> None:
+        self._library = _load()
+        for name, (result, arguments) in _FUNCTIONS.items():
+            function = getattr(self._library, name)
+            function.restype, function.argtypes = result, arguments
+        self._device_errors = self._library.arv_device_error_quark()
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call the function of that name; text comes back as str. Raise its error as one of the drivers' family."""
+        if _FUNCTIONS[name][1][-1:] != (_ERROR,):
+            return _text(getattr(self._library, name)(*arguments))
+        error = POINTER(_Error)()
+        result = getattr(self._library, name)(*arguments, ctypes.byref(error))
+        if error:
+            raise self._taken(error)
+        return _text(result)
+
+    def choices(self, camera: int, feature: str) -> tuple[str, ...]:
+        """Return the values that an enumeration of the camera can have now."""
+        count = c_uint()
+        name = "arv_camera_dup_available_enumerations_as_strings"
+        values = self.call(name, camera, feature.encode(), ctypes.byref(count))
+        try:
+            return tuple(_text(values[i]) for i in range(count.value))
+        finally:
+            self._library.g_free(values)
+
+    def set_property(self, target: int, name: str, number: int) -> None:
+        """Set a property of one of the library's objects that is a whole number or an enumeration."""
+        value = _Value()
+        self._library.g_value_init(ctypes.byref(value), _G_TYPE_INT)
+        self._library.g_value_set_int(ctypes.byref(value), number)
+        self._library.g_object_set_property(target, name.encode(), ctypes.byref(value))
+
+    def _taken(self, error: Any) -> DeviceError:
+        """Turn a GError into ours, and free it."""
+        domain, code, message = error.contents.domain, error.contents.code, _text(error.contents.message)
+        self._library.g_error_free(error)
+        kind = next((kind for word, kind in _USB.items() if word in message), None)
+        if kind is None:
+            kind = _KINDS.get(code, DeviceError) if domain == self._device_errors else DeviceError
+        happened = "does not answer" if kind is Disconnected else "does not do what it was asked to"
+        return kind(f"the camera {happened}: {message}")
+
+
+@cache
+def load_aravis() -> Aravis:
+    """Return the library; raise `Unsupported` with how to install it where it is missing."""
+    return Aravis()
+
+
+def _load() -> ctypes.CDLL:
+    found = ctypes.util.find_library("aravis-0.8")
+    for name in (*_NAMES.get(sys.platform, ()), *([found] if found else ())):
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    raise Unsupported(f"GenICam cameras need the library Aravis 0.8, which is not installed: {HOW_TO_INSTALL}")
+
+
+def _text(value: Any) -> Any:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
