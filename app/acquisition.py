@@ -16,49 +16,25 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
-from app.calibration import Calibration, one_blas_thread
-from app.config import Bench
+from app.calibration import one_blas_thread
+from app.config import Bench, write_bench
 from app.devices import Devices
 from app.errors import InputError, RunError
 from app.instrument import Instrument, Reconstruction, Status
-from app.live_refinement import RefinementState
+from app.measurement import PASSED_OVER, Counts, LightState, Measurement
+from app.recording.background import RecordingState
+from app.recording.recorder import Recorder
 from app.routines import WAIT_SLICE_S, Cancelled, next_frame
 from app.timing import Timings
-from drivers.interface import BadValue, Camera, DeviceError, DeviceTimeout, Frame, WrongState
-from reconstruction.displacement import Displacement
+from drivers.interface import BadValue, DeviceError, DeviceTimeout, Frame, FrameLost, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
-from reconstruction.wavefront import Wavefront
 
 T = TypeVar("T")
 
-PASSED_OVER = "passed over: the computer was behind, and a newer frame was there"
-
-
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """What has become of the frames since the loop began."""
-
-    acquired: int = 0
-    reconstructed: int = 0  # fewer, when the computer is slower than the camera: then only the newest are
-    lost: int = 0  # overwritten in the camera before they were read
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurement:
-    """One frame, what became of it, and what is needed to make the same of it again."""
-
-    frame: Frame
-    wavefront: Wavefront | None
-    problem: str  # why there is no wavefront; empty when there is one
-    counts: Counts
-    exposure_end_s: float  # when it was exposed, by this computer's time.perf_counter()
-    latency_s: float  # from then to this result
-    refinement: RefinementState = RefinementState()  # with the bias that was applied, if any
-    calibration: Calibration | None = None  # the same object as long as it is in force
-    start: Displacement | None = None  # where the registration began: as the frame before was registered; None if cold
-    registered: Displacement | None = None  # what it found; the wavefront's own is less the bias
+__all__ = ["Acquisition", "Activity", "Counts", "Measurement"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +54,7 @@ class Acquisition:
         open_devices: Callable[[Bench, Callable[[float], None]], Devices],
         sinks: tuple[Callable[[Measurement], None], ...] = (),
     ) -> None:
-        self._bench, self._open_devices, self._sinks = bench, open_devices, sinks
+        self._bench, self._open_devices = bench, open_devices
         self._commands: queue.Queue[tuple[Callable[[Instrument], None], Future[Any]]] = queue.Queue()
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
@@ -89,6 +65,8 @@ class Acquisition:
         self._next_index = 0
         self._clock_lag_s = math.inf  # host's clock minus camera's
         self.timings = Timings()
+        self._recorder = Recorder(self.timings)
+        self._sinks = (self._recorder.take, *sinks)
         self.newest: Measurement | None = None  # the mailbox: written by the worker, read by anybody
         self.status: Status | None = None  # None until the devices are open
         self.activity = Activity("opening the devices")
@@ -99,7 +77,10 @@ class Acquisition:
         self._thread.start()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Stop at once, turn the light off, close the devices and wait, at most `timeout_s`, for the worker to end."""
+        """Stop at once, turn the light off, close the devices and wait, at most `timeout_s`, for the worker to end.
+
+        A recording is finished before.
+        """
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
@@ -151,6 +132,32 @@ class Acquisition:
         return self._routine(
             f"taking the reference, {frames} frames", lambda instrument: instrument.take_reference, frames
         )
+
+    def start_recording(self, folder: Path, *, command: str = "live", frames: int | None = None) -> Future[None]:
+        """Record every frame from now on into a folder: `frames` of them, or until the recording is stopped.
+
+        The future has an `InputError` when the folder, or the time, is not free for it. What happens later, a full disk
+        for one, is told by `recording`; the frames go on all the same.
+        """
+        return self.submit(lambda instrument: self._recorder.start(folder, _facts(instrument, command), frames=frames))
+
+    def stop_recording(self) -> None:
+        """End the recording that is under way, if any; it is finished soon after."""
+        self._recorder.stop()
+
+    def keep_recent(self, folder: Path, *, command: str = "live") -> Future[None]:
+        """Write the last ten seconds as a recording, whether or not one is under way."""
+        return self.submit(lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, command)))
+
+    @property
+    def recording(self) -> RecordingState | None:
+        """How the recording stands that is under way, or the last one; None before the first."""
+        return self._recorder.state
+
+    @property
+    def kept(self) -> RecordingState | None:
+        """Likewise of the seconds that were kept last."""
+        return self._recorder.kept_state
 
     def cancel(self) -> None:
         """End the routine that is under way, if any; it leaves the devices as it found them."""
@@ -220,7 +227,7 @@ class Acquisition:
     def _acquire(self, instrument: Instrument) -> None:
         """Take one frame, reconstruct it and pass it on."""
         try:
-            frame = self._newest_frame(instrument.devices.camera)
+            frame = self._newest_frame(instrument)
         except Cancelled:
             return
         made = instrument.measure(frame)
@@ -235,19 +242,19 @@ class Acquisition:
         for sink in self._sinks:
             sink(measurement)
 
-    def _newest_frame(self, camera: Camera) -> Frame:
+    def _newest_frame(self, instrument: Instrument) -> Frame:
         """Wait for a frame; when it has lain in the camera for long, pass it over for the newest that is there."""
-        start_s = time.perf_counter()
+        camera, start_s = instrument.devices.camera, time.perf_counter()
         frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.empty())
         arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
         self.timings.note("wait", arrived_s - start_s)
         self.timings.note("copy", time.perf_counter() - arrived_s)
         self._count(frame)
         if self._age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
-            with suppress(DeviceTimeout):  # there is no newer one
+            with suppress(DeviceTimeout, FrameLost):  # there is no newer one
                 while True:
                     newer = camera.read(0.0)
-                    self._publish(self._measurement(frame, Reconstruction(None, PASSED_OVER)))
+                    self._publish(self._measurement(frame, Reconstruction(None, PASSED_OVER, instrument.calibration)))
                     frame = newer
                     self._count(frame)
         return frame
@@ -277,6 +284,7 @@ class Acquisition:
             calibration=made.calibration,
             start=made.start,
             registered=made.registered,
+            light=None if self.status is None else LightState(self.status.is_light_on, self.status.current_a),
         )
 
     def _age_s(self, frame: Frame) -> float:
@@ -284,15 +292,32 @@ class Acquisition:
         return time.perf_counter() - (frame.camera_time_s + self._clock_lag_s)
 
     def _end(self) -> None:
-        """Refuse all commands that nobody will execute any more."""
+        """Finish what is being recorded; refuse all commands that nobody will execute any more."""
         with self._ending:
             self._ended = True
         while not self._commands.empty():
             _, future = self._commands.get()
             if future.set_running_or_notify_cancel():
                 future.set_exception(WrongState(self.failure or "the acquisition has ended"))
+        self._recorder.close(self.failure)
         self.activity = Activity()
 
 
 _OLD_S = 0.1  # a frame that is older, and there are newer ones, is not reconstructed
-_HARMLESS = (Cancelled, ReconstructionError, BadValue, WrongState)  # the caller's business; the loop goes on
+_HARMLESS = (
+    Cancelled,
+    ReconstructionError,
+    InputError,
+    BadValue,
+    Unsupported,
+    WrongState,
+)  # the caller's business; the loop goes on
+
+
+def _facts(instrument: Instrument, command: str) -> dict[str, Any]:
+    """What a recording says of where it comes from."""
+    return {
+        "command": command,
+        "bench": write_bench(instrument.bench),
+        "devices": instrument.properties(),
+    }

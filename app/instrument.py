@@ -17,7 +17,7 @@ from app.devices import Devices
 from app.live_refinement import LiveRefinement, RefinementState
 from app.routines import Average, Progress, ShouldStop, take_dark, take_reference
 from app.timing import Timings
-from drivers.interface import BadValue, CameraCapabilities, Frame, Range
+from drivers.interface import BadValue, CameraCapabilities, Device, Frame, Property, Range
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
@@ -94,6 +94,20 @@ class Instrument:
     def reference(self) -> Average | None:
         """The reference in force."""
         return self._reference
+
+    @property
+    def bench(self) -> Bench:
+        """The bench as it is set now."""
+        return self._bench
+
+    def properties(self) -> dict[str, dict[str, Property]]:
+        """All that the devices can tell of themselves, for the record."""
+        devices: dict[str, Device] = {
+            "camera": self.devices.camera,
+            "light": self.devices.light,
+            "stage": self.devices.stage,
+        }
+        return {name: device.properties() for name, device in devices.items()}
 
     def status(self) -> Status:
         """Ask the devices how they stand."""

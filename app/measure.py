@@ -9,12 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from app.acquisition import PASSED_OVER, Acquisition, Measurement
+from app.acquisition import Acquisition, Measurement
 from app.config import Bench
 from app.devices import open_devices
 from app.errors import Interrupted, RunError
 from app.files import make_folder, write_image
 from app.instrument import Instrument
+from app.measurement import PASSED_OVER
 from app.results import result_dataset, stack_frames, write_results
 from app.run_record import write_run
 from app.start_up import start_up

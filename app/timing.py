@@ -15,7 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "draw", "to_result", "to_screen"]
+Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 MEANINGS: dict[Stage, str] = {
     "wait": "for the camera's next frame",
@@ -23,6 +23,7 @@ MEANINGS: dict[Stage, str] = {
     "register": "how each subimage lies, from the pixels",
     "reconstruct": "the wavefront, from the displacements",
     "publish": "to whoever takes every result",
+    "record": "a frame onto the disk, beside the rest",
     "draw": "in the window, painting included",
     "to_result": "age of a frame, from the end of its exposure, when its result is there",
     "to_screen": "the same when it has been painted",

@@ -1,0 +1,74 @@
+"""Calibrations on the disk: `bench.toml` with the lattice in force, `dark.npz`, `reference.npz`, `camera.json`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from app.calibration import Calibration
+from app.config import load_bench, write_bench
+from app.errors import InputError
+from app.files import appearing_whole
+from app.routines import Average
+from reconstruction.geometry import Floats
+
+
+def write_calibration(folder: Path, calibration: Calibration) -> None:
+    """Write a calibration into a folder of its own, whole or not at all."""
+    temporary = folder.with_name(f".{folder.name}.partial")
+    temporary.mkdir(parents=True)
+    bench = replace(calibration.bench, lattice=calibration.lattice)
+    (temporary / "bench.toml").write_text(write_bench(bench), "utf-8")
+    (temporary / "camera.json").write_text(json.dumps({"full_scale": calibration.full_scale}) + "\n")
+    _write_average(temporary / "reference.npz", calibration.reference)
+    if calibration.dark is not None:
+        _write_average(temporary / "dark.npz", calibration.dark)
+    temporary.rename(folder)
+
+
+def read_calibration(folder: Path) -> Calibration:
+    """Read it back; its reconstructor is bit-identical. `InputError` when it is missing or damaged."""
+    bench = load_bench(folder / "bench.toml")
+    try:
+        full_scale = float(json.loads((folder / "camera.json").read_text())["full_scale"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder / 'camera.json'}: cannot be read: {error}") from error
+    if bench.lattice is None:
+        raise InputError(f"{folder / 'bench.toml'}: lattice is missing")
+    dark = folder / "dark.npz"
+    return Calibration(
+        bench=bench,
+        dark=_read_average(dark) if dark.exists() else None,
+        reference=_read_average(folder / "reference.npz"),
+        lattice=bench.lattice,
+        full_scale=full_scale,
+    )
+
+
+def write_array(path: Path, values: Floats) -> None:
+    """Write an array as NPY, whole or not at all."""
+    with appearing_whole(path) as temporary:
+        np.save(temporary, values, allow_pickle=False)
+
+
+def _write_average(path: Path, average: Average) -> None:
+    np.savez(path, allow_pickle=False, **{field.name: getattr(average, field.name) for field in fields(Average)})
+
+
+def _read_average(path: Path) -> Average:
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            return Average(
+                mean=kept["mean"],
+                variance=kept["variance"],
+                frames=int(kept["frames"]),
+                exposure_s=float(kept["exposure_s"]),
+                em_gain=float(kept["em_gain"]),
+                amplifier=str(kept["amplifier"]),
+            )
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
