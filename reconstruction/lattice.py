@@ -1,108 +1,190 @@
 """Finding the lattice of lenslets in a reference.
 
-Every lenslet images the same thing, so the light of each cell repeats that of its neighbours. The phase of the first
-Fourier harmonic over one pitch says how far the light of a cell lies from the cell's middle; what all cells have in
-common moves the lattice, how it grows from cell to cell stretches and turns it. A few rounds make all of them vanish.
+Every lenslet images the same thing, so the light of each cell repeats that of its neighbours. The spectrum of the frame
+says roughly with which pitch and rotation; the phases of the first harmonic of the cells' light, and then the cells
+themselves compared with the typical one, say it to a small part of a pixel.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from reconstruction.bad_pixels import find_bad_pixels, repaired
+from reconstruction.displacement import Mask
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Floats, Lattice, Sensor, centered_steps, nominal_lattice
-from reconstruction.spline import Image, sample, spline_coefficients
+from reconstruction.geometry import Floats, Lattice, Sensor
+from reconstruction.lattice_fit import SMALLEST_PITCH_PX, Fit, fit_lattice
+from reconstruction.lattice_judgement import why_no_lattice
+from reconstruction.lattice_spectrum import REACH, Peak, strongest_peak
+from reconstruction.spline import Image
 
-_SAMPLES = 32  # across a cell
-_ROUNDS = 12
-_ALIKE = 0.01  # difference of light below which two blocks of lenslets count as equally lit
-_CONTRAST = 1e-3  # of the cells' harmonics over their light; an evenly lit frame has none
-_AGREEMENT = 0.7  # of the cells' harmonics, 1 when all point the same way; noise gives about 1 / sqrt(cells)
+Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
+
+_SATURATED_FRACTION = 0.01  # of the pixels
+_DARK_AT_MOST = 8  # times as many lenslets as are lit may there be
+_OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or a column of the array; the others may be dead
+_ALIKE = 0.3  # rows and columns; blocks that differ by less have as many lit lenslets
 
 
-def find_lattice(reference: NDArray[np.generic], sensor: Sensor) -> Lattice:
-    """Find where the sensor's lenslets lie on a reference (row, column), from the pitch the sensor is known to have.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Survey:
+    """The lattice that a reference shows, and how well."""
 
-    The subimages of the reference must be symmetric about the lenslet axes on average. Of the lattices that fit, the
-    one with the most light is returned, and of those alike the one closest to the frame's middle. Raises
-    `ReconstructionError` when the frame shows no lattice.
+    lattice: Lattice  # its middle is that of the sensor's block of lenslets
+    rows: int  # of lenslets that are lit and lie whole on the frame, whatever the sensor has
+    columns: int
+    illuminated: Mask  # which of the sensor's lenslets are lit, (lenslet_row, lenslet_column)
+    displacement_px: Floats  # of their light from the lattice, NaN where not lit, (lenslet_row, lenslet_column, xy)
+    brightness: Floats  # of each lenslet over the typical one's, (lenslet_row, lenslet_column)
+    likeness: float  # median correlation of a lit lenslet's image with the typical one, 1 when they are all the same
+
+    @property
+    def residual_px(self) -> float:
+        """RMS distance of the lit lenslets' light from the lattice."""
+        return float(np.sqrt(np.nanmean(np.sum(self.displacement_px**2, axis=-1))))
+
+    @property
+    def illuminated_fraction(self) -> float:
+        """Share of the sensor's lenslets that are lit."""
+        return float(np.mean(self.illuminated))
+
+
+def find_lattice(reference: Counts, sensor: Sensor) -> Lattice:
+    """Find where the sensor's lenslets lie on a reference (row, column); raises as `survey` does."""
+    return survey(reference, sensor).lattice
+
+
+def survey(reference: Counts, sensor: Sensor, *, dark: Counts | None = None, full_scale: float = np.inf) -> Survey:
+    """Find the sensor's lenslets on a reference (row, column), counts, and say how well the frame shows them.
+
+    The pitch may differ from the designed one by 15 %. The rotation is the one within +-45 degrees: a square lattice
+    looks the same after a quarter turn, so a sensor mounted on its side cannot be told from one that is upright. The
+    subimages must be symmetric about the lenslet axes on average; `reconstruction.lattice_fit` says what is taken for
+    the centre where they are not. Of the lattice's cells those are taken for the sensor's that have most lit lenslets,
+    and of blocks alike the one closest to the frame's middle. Raises `ReconstructionError`, in one sentence, when the
+    frame shows no such lattice.
     """
-    rows, columns = reference.shape
-    lattice = nominal_lattice(sensor, rows, columns)
-    cells = (int(rows / lattice.pitch_px) - 1, int(columns / lattice.pitch_px) - 1)
-    too_small = cells[0] < sensor.lenslet_rows - 1 or cells[1] < sensor.lenslet_columns - 1
-    if too_small or min(cells) < 2:
-        raise ReconstructionError(
-            f"{sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets of {lattice.pitch_px:.1f} px do not fit on"
-            f" {rows} x {columns} pixels"
-        )
-    coefficients = spline_coefficients(np.asarray(reference, np.float32))
-    harmonics = np.zeros((*cells, 2), np.complex128)
-    for _ in range(_ROUNDS):
-        harmonics = _harmonics(coefficients, lattice, cells)
-        lattice = _improve(lattice, harmonics)
-    strength = np.abs(harmonics).sum(axis=(0, 1))
-    agreement = float(np.min(np.abs(harmonics.sum(axis=(0, 1))) / np.maximum(strength, 1e-30)))
-    contrast = float(strength.min()) / max(float(np.abs(_cell_light(coefficients, lattice, cells)).sum()), 1e-30)
-    if not (agreement > _AGREEMENT and contrast > _CONTRAST):
-        raise ReconstructionError(
-            f"the reference shows no lattice of {sensor.lenslet_pitch_px:.1f} px pitch: was the light on?"
-        )
-    return _most_light(coefficients, lattice, cells, sensor)
+    light = _light(reference, sensor, dark, full_scale)
+    pitch_px = sensor.lenslet_pitch_px
+    fit, why = _fitted(light, sensor, pitch_px)
+    if fit is None:
+        others = (_fitted(light, sensor, pitch_px * factor)[0] for factor in (2.0, 0.5))
+        fit = next((other for other in others if other is not None), None)
+    if fit is not None and abs(fit.lattice.pitch_px / pitch_px - 1) < REACH:
+        return _of_the_sensor(fit, sensor, light.shape)
+    if fit is not None:
+        why = f"it shows one of {fit.lattice.pitch_px:.1f} px; check sensor.lenslet_pitch_m and pixel_pitch_m"
+    text = f"the reference shows no lattice of {pitch_px:.1f} px pitch: {why}"
+    raise ReconstructionError(text, image="reference")
 
 
-def _harmonics(coefficients: Image, lattice: Lattice, cells: tuple[int, int]) -> NDArray[np.complex128]:
-    """First Fourier harmonic of the light of each cell along x and along y: (cell_row, cell_column, xy)."""
-    light = _cell_light(coefficients, lattice, cells)
-    wave = np.exp(2j * np.pi * centered_steps(_SAMPLES) / _SAMPLES)
-    return np.stack([light.sum(axis=2) @ wave, light.sum(axis=3) @ wave], axis=-1)
+def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, str]:
+    """Fit a lattice of about that pitch to the light of a frame (row, column); or say why there is none."""
+    if pitch_px < SMALLEST_PITCH_PX or min(light.shape) < 2 * pitch_px:
+        return None, "its pitch is too small or too large"
+    brightest = max(1, sensor.lenslet_rows * sensor.lenslet_columns // _DARK_AT_MOST)
+    peak = strongest_peak(light, pitch_px)
+    fit = fit_lattice(light, _start(peak, light.shape), brightest)
+    why = why_no_lattice(fit, peak, light, brightest)
+    return (None if why else fit), why
 
 
-def _cell_light(coefficients: Image, lattice: Lattice, cells: tuple[int, int]) -> Floats:
-    """The light on a grid of samples over each cell: (cell_row, cell_column, sample_row, sample_column)."""
-    steps = centered_steps(_SAMPLES) / _SAMPLES
-    y = centered_steps(cells[0])[:, None, None, None] + steps[:, None]
-    x = centered_steps(cells[1])[:, None, None] + steps
-    position_px = lattice.to_camera_px(np.stack(np.broadcast_arrays(x, y), axis=-1) * lattice.pitch_px)
-    edge = np.array(coefficients.shape[::-1]) - 1
-    return sample(coefficients, np.clip(position_px, 0, edge))[0]
-
-
-def _improve(lattice: Lattice, harmonics: NDArray[np.complex128]) -> Lattice:
-    """Move, stretch and turn the lattice by what the harmonics' phases have in common."""
-    to_pitches = 1 / (2 * np.pi)
-    move = np.angle(harmonics.sum(axis=(0, 1))) * to_pitches * lattice.pitch_px
-    along_columns = np.angle((harmonics[:, 1:] * harmonics[:, :-1].conj()).sum(axis=(0, 1))) * to_pitches
-    along_rows = np.angle((harmonics[1:] * harmonics[:-1].conj()).sum(axis=(0, 1))) * to_pitches
-    center_x_px, center_y_px = lattice.to_camera_px(move)
-    return replace(
-        lattice,
-        center_x_px=float(center_x_px),
-        center_y_px=float(center_y_px),
-        pitch_px=lattice.pitch_px * (1 + float(along_columns[0] + along_rows[1]) / 2),
-        rotation_rad=lattice.rotation_rad + float(along_columns[1] - along_rows[0]) / 2,
+def _start(peak: Peak, shape: tuple[int, int]) -> Lattice:
+    """Return the lattice of the spectrum's peak about the middle of the frame."""
+    return Lattice(
+        center_x_px=(shape[1] - 1) / 2,
+        center_y_px=(shape[0] - 1) / 2,
+        pitch_px=max(peak.pitch_px, SMALLEST_PITCH_PX),
+        rotation_rad=peak.rotation_rad,
     )
 
 
-def _most_light(coefficients: Image, lattice: Lattice, cells: tuple[int, int], sensor: Sensor) -> Lattice:
-    """Of the lattice's cells, choose the block of the sensor's lenslets that holds the most light."""
-    wanted = np.array([sensor.lenslet_columns, sensor.lenslet_rows])
-    half_cell = np.mod(np.array(cells[::-1]) - wanted, 2) / 2  # an even block has a cell's edge in its middle
-    corner = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * wanted / 2 * lattice.pitch_px
-    last = np.array(coefficients.shape[::-1]) - 1
-    candidates: list[tuple[float, float, Lattice]] = []
-    for shift in np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 2):
-        center_px = lattice.to_camera_px((shift + half_cell) * lattice.pitch_px)
-        candidate = replace(lattice, center_x_px=float(center_px[0]), center_y_px=float(center_px[1]))
-        outline_px = candidate.to_camera_px(corner)
-        if np.all(outline_px > -1.5) and np.all(outline_px < last + 1.5):
-            light = float(_cell_light(coefficients, candidate, (int(wanted[1]), int(wanted[0]))).mean())
-            candidates.append((light, float(np.hypot(*(center_px - last / 2))), candidate))
-    if not candidates:
-        raise ReconstructionError("the lattice of the reference does not lie wholly on the frame: move the camera")
-    most = max(light for light, _, _ in candidates)
-    alike = [candidate for candidate in candidates if candidate[0] >= most - _ALIKE * abs(most)]
-    return min(alike, key=lambda candidate: candidate[1])[2]
+def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: float) -> Image:
+    """Check the reference and return its light above the dark, bad pixels repaired."""
+    if reference.ndim != 2 or 0 in reference.shape:
+        raise ReconstructionError("the reference is no image of rows x columns", image="reference")
+    rows, columns = reference.shape
+    smallest_px = sensor.lenslet_pitch_px * (1 - REACH)
+    if rows < sensor.lenslet_rows * smallest_px - 2 or columns < sensor.lenslet_columns * smallest_px - 2:
+        raise ReconstructionError(
+            f"{sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets of {sensor.lenslet_pitch_px:.1f} px do not fit"
+            f" on {rows} x {columns} pixels",
+            image="reference",
+        )
+    if dark is not None and np.shape(dark) != reference.shape:
+        raise ReconstructionError("the dark has another size than the reference", image="dark")
+    for image, name in ((reference, "reference"), (dark, "dark")):
+        if image is not None and not np.isfinite(image).all():
+            raise ReconstructionError(f"the {name} holds values that are not finite", image=name)
+    if np.count_nonzero(reference >= full_scale) > _SATURATED_FRACTION * reference.size:
+        raise ReconstructionError(
+            "the reference is saturated: shorten the exposure or lower the light's current", image="reference"
+        )
+    light = np.asarray(reference, np.float32) - np.float32(0 if dark is None else dark)
+    if np.ptp(light) == 0:
+        raise ReconstructionError("the reference shows no lattice: all its pixels are alike", image="reference")
+    return repaired(light, find_bad_pixels(reference, dark))
+
+
+def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
+    """Choose the sensor's lenslets among the cells of the fit."""
+    first = fit.cells.index.min(axis=0)
+    columns, rows = fit.cells.index.max(axis=0) - first + 1
+    x, y = (fit.cells.index - first).T
+    whole = np.zeros((rows, columns), np.bool_)
+    lit, brightness, beside = np.zeros_like(whole), np.zeros(whole.shape), np.full((*whole.shape, 2), np.nan)
+    whole[y, x], lit[y, x] = True, fit.comparison.is_lit
+    brightness[y, x], beside[y, x] = fit.comparison.brightness, fit.off_lattice * fit.lattice.pitch_px
+    beside[~lit] = np.nan
+    extent = _extent(lit)
+    wanted = (sensor.lenslet_rows, sensor.lenslet_columns)
+    found = [part.stop - part.start for part in extent]
+    fits: Mask = np.zeros((0, 0), np.bool_)
+    if wanted[0] <= rows and wanted[1] <= columns:
+        fits = np.asarray(sliding_window_view(whole, wanted).all(axis=(2, 3)))
+    if not fits.any():
+        raise ReconstructionError(
+            f"of the lattice of {fit.lattice.pitch_px:.1f} px only {found[0]} x {found[1]} lenslets lie whole on the"
+            f" frame, not the sensor's {wanted[0]} x {wanted[1]}: move the camera, or change sensor.lenslet_rows and"
+            " lenslet_columns",
+            image="reference",
+        )
+    light = np.add.outer(_occupied(lit, 1, wanted[0]), _occupied(lit, 0, wanted[1]))
+    top, left = np.indices(fits.shape)
+    middle = np.stack([left + (wanted[1] - 1) / 2, top + (wanted[0] - 1) / 2], axis=-1) + first
+    center_px = fit.lattice.to_camera_px(middle * fit.lattice.pitch_px)
+    away_px = np.hypot(*np.moveaxis(center_px - (np.array(shape[::-1]) - 1) / 2, -1, 0))
+    alike = fits & (light >= light[fits].max() - _ALIKE)
+    row, column = np.unravel_index(np.argmin(np.where(alike, away_px, np.inf)), fits.shape)
+    block = slice(row, row + wanted[0]), slice(column, column + wanted[1])
+    center_x_px, center_y_px = center_px[row, column]
+    return Survey(
+        lattice=replace(fit.lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px)),
+        rows=found[0],
+        columns=found[1],
+        illuminated=lit[block],
+        displacement_px=beside[block],
+        brightness=brightness[block],
+        likeness=float(np.median(fit.comparison.likeness[fit.comparison.is_lit])),
+    )
+
+
+def _extent(lit: Mask) -> tuple[slice, slice]:
+    """Rows and columns of the largest patch of lit cells that touch one another."""
+    patches, count = ndimage.label(lit, np.ones((3, 3)))
+    sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
+    rows, columns = ndimage.find_objects(patches)[int(np.argmax(sizes))]
+    return rows, columns
+
+
+def _occupied(lit: Mask, axis: int, wanted: int) -> Floats:
+    """How many of the rows (or columns) are lit in each block of `wanted`; one lit by half counts fully, (block,)."""
+    count = lit.sum(axis=axis)
+    usual = np.median(np.sort(count)[-wanted:])
+    return np.convolve(np.minimum(1, count / max(_OCCUPIED * usual, 1)), np.ones(wanted), "valid")
