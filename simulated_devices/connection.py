@@ -1,11 +1,11 @@
-"""The plug of a simulated device, which somebody may pull, and a setting that it may refuse."""
+"""What may happen between the program and a simulated device: a pulled plug, no answer, a setting that is refused."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from drivers.interface import BadValue, Device, Disconnected
+from drivers.interface import BadValue, Device, DeviceTimeout, Disconnected
 
 
 class Plugged(Device):
@@ -13,6 +13,7 @@ class Plugged(Device):
 
     _is_unplugged = False
     _refuses_next = False
+    _fails_next = False
 
     def unplug(self) -> None:
         """Pull the plug, as a fault."""
@@ -22,8 +23,19 @@ class Plugged(Device):
         """Let it refuse the next setting, as a fault."""
         self._refuses_next = True
 
+    def fail_next(self) -> None:
+        """Let its next answer never come, as a fault."""
+        self._fails_next = True
+
+    def _answer(self) -> None:
+        """Raise `DeviceTimeout` if the next answer is not to come."""
+        if self._fails_next:
+            self._fails_next = False
+            raise DeviceTimeout(f"the {self._what} did not answer in time")
+
     def _accept(self, what: str) -> None:
         """Raise `BadValue` if the next setting is to be refused."""
+        self._answer()
         if self._refuses_next:
             self._refuses_next = False
             raise BadValue(f"the {self._what} refused {what}")

@@ -33,6 +33,7 @@ class SimulatedLight(Plugged, LightSource):
         return Range(0.0, self._bench.light_settings.maximum_current_a)
 
     def _read_current(self) -> float:
+        self._answer()
         return self._bench.condition.current_a
 
     def _set_current(self, current_a: float) -> float:
@@ -41,6 +42,7 @@ class SimulatedLight(Plugged, LightSource):
         return current_a
 
     def _is_lit(self) -> bool:
+        self._answer()
         return self._bench.condition.is_light_on
 
     def _switch(self, *, on: bool) -> None:

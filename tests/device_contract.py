@@ -1,215 +1,311 @@
-"""What every camera, light and stage must do, simulated or real: subclass and give the fixture that opens the device.
+"""What every camera, light and stage must do, simulated or real over its stand-in.
 
-A real device's tests are the same classes with a fixture that opens it, run on demand.
+Subclass and give the fixtures. `CameraContract` needs `camera`, open and stopped, and `reopen`, which opens the same
+one again; `CameraFaultContract` also `faults`, the hand at its cable. Likewise for lights, and for a stage without
+faults. The checks themselves are `drivers/*_contract.py`: `svwfs devices --check` runs the same on a connected device.
 """
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable
+from itertools import pairwise
+from typing import Protocol
 
-import numpy as np
 import pytest
 
-from drivers.interface import BadValue, Camera, DeviceTimeout, Disconnected, LightSource, Stage, WrongState
+from drivers import camera_contract, light_contract, stage_contract
+from drivers.camera_contract import CAMERA_CHECKS
+from drivers.interface import (
+    Camera,
+    CameraState,
+    DeviceError,
+    DeviceTimeout,
+    Disconnected,
+    Frame,
+    FrameLost,
+    LightSource,
+    Stage,
+)
+from drivers.light_contract import LIGHT_CHECKS
+from drivers.stage_contract import STAGE_CHECKS
 
-GONE = (WrongState, Disconnected)
-NAN = float("nan")
+AT_ONCE_S = 2.0  # within which a pulled plug must be told
+_PAUSE_S = 0.03
+
+
+class CameraFaults(Protocol):
+    """What can happen to a camera; each takes effect at once, also from another thread."""
+
+    def unplug(self) -> None:
+        """Pull the plug."""
+
+    def plug_in(self) -> None:
+        """Put it back, so that the camera can be opened anew."""
+
+    def stall(self) -> None:
+        """No further frame comes."""
+
+    def lose_frames(self, count: int) -> None:
+        """The next `count` frames never arrive whole."""
+
+    def refuse_next(self) -> None:
+        """The next setting is refused."""
+
+
+class LightFaults(Protocol):
+    """What can happen to a light."""
+
+    @property
+    def shines(self) -> bool:
+        """Whether light comes out, whatever the driver believes."""
+
+    def unplug(self) -> None:
+        """Pull the plug."""
+
+    def plug_in(self) -> None:
+        """Put it back, so that the light can be opened anew."""
+
+    def refuse_next(self) -> None:
+        """The next setting is refused."""
+
+    def fail_next(self) -> None:
+        """The next exchange fails in a way that a second one may survive: garbage, or no answer in time."""
 
 
 class CameraContract:
-    """Needs a fixture `camera`, stopped, with a short exposure."""
+    @pytest.mark.parametrize("check", CAMERA_CHECKS, ids=lambda check: check.__name__)
+    def test_contract(self, camera: Camera, check: Callable[[Camera], None]) -> None:
+        check(camera)
+        _expect_state(camera, "stopped")
 
-    def test_has_a_name_and_capabilities(self, camera: Camera) -> None:
-        capabilities = camera.capabilities
+    def test_closes_for_good(self, camera: Camera) -> None:
+        camera_contract.check_closes_for_good(camera)
+
+    def test_opens_anew(self, camera: Camera, reopen: Callable[[], Camera]) -> None:
+        camera_contract.check_opens_anew(camera, reopen)
+
+
+class CameraFaultContract(CameraContract):
+    def test_unplugged_at_rest_every_call_says_so_and_it_closes(self, camera: Camera, faults: CameraFaults) -> None:
+        faults.unplug()
+        _expect_within(Disconnected, camera.start)
+        _expect_state(camera, "lost")
+        for what, call in camera_contract.calls_of(camera).items():
+            with pytest.raises(Disconnected):
+                pytest.fail(f"{what} returned {call()}")
         assert camera.name
-        assert capabilities.rows > 0
-        assert capabilities.columns > 0
-        assert capabilities.pixel_pitch_m > 0
-        assert capabilities.full_scale > 0
-        assert camera.amplifier in capabilities.amplifiers
-        capabilities.exposure_range_s.check(camera.exposure_s, "exposure_s")
-        capabilities.em_gain_range.check(camera.em_gain, "em_gain")
+        camera.close()
+        camera.close()
+        _expect_state(camera, "closed")
 
-    def test_does_not_run_until_it_is_started(self, camera: Camera) -> None:
-        assert not camera.is_running
-        with pytest.raises(WrongState):
-            camera.read(0.0)
-
-    def test_frames_count_from_zero_and_are_read_only(self, camera: Camera) -> None:
+    def test_unplugged_in_the_middle_of_a_frame(self, camera: Camera, faults: CameraFaults) -> None:
+        camera.set_exposure(min(1.0, camera.capabilities.exposure_range_s.maximum))
         camera.start()
-        assert camera.is_running
-        frames = [camera.read(10.0) for _ in range(3)]
-        capabilities = camera.capabilities
-        assert [frame.index for frame in frames] == [0, 1, 2]
-        for frame in frames:
-            assert frame.pixels.shape == (capabilities.rows, capabilities.columns)
-            assert frame.pixels.dtype == np.uint16
-            assert not frame.pixels.flags.writeable
-            assert frame.pixels.max() <= capabilities.full_scale
-            assert frame.exposure_s == camera.exposure_s
-            assert frame.em_gain == camera.em_gain
-        assert not np.shares_memory(frames[0].pixels, frames[1].pixels)
-        steps = np.diff([frame.camera_time_s for frame in frames])
-        assert (steps >= 0.9 * camera.exposure_s).all()
+        pulled_s = _after_a_pause(faults.unplug)
+        with pytest.raises(Disconnected):
+            _read_for(camera, 10.0)
+        assert time.monotonic() - pulled_s() < AT_ONCE_S
+        _expect_state(camera, "lost")
+        camera.close()
 
-    def test_a_read_that_is_too_early_times_out_and_loses_nothing(self, camera: Camera) -> None:
-        camera.start()
-        with pytest.raises(DeviceTimeout):
-            camera.read(0.0)
-        assert camera.read(10.0).index == 0
-
-    def test_a_timeout_must_be_a_time(self, camera: Camera) -> None:
-        camera.start()
-        for timeout_s in (NAN, -1.0):
-            with pytest.raises(BadValue):
-                camera.read(timeout_s)
-
-    def test_starts_anew_from_zero(self, camera: Camera) -> None:
-        for _ in range(2):
-            camera.start()
-            assert camera.read(10.0).index == 0
-            camera.stop()
-        assert not camera.is_running
-        with pytest.raises(WrongState):
-            camera.read(0.0)
-
-    def test_cannot_be_started_twice_but_stopped_twice(self, camera: Camera) -> None:
-        camera.start()
-        with pytest.raises(WrongState):
-            camera.start()
-        camera.stop()
-        camera.stop()
-
-    def test_takes_the_exposures_it_allows_and_no_other(self, camera: Camera) -> None:
+    def test_unplugged_in_the_middle_of_a_command(self, camera: Camera, faults: CameraFaults) -> None:
         allowed = camera.capabilities.exposure_range_s
-        for exposure_s in (allowed.minimum, min(allowed.maximum, 2 * allowed.minimum)):
-            taken_s = camera.set_exposure(exposure_s)
-            assert taken_s == pytest.approx(exposure_s, rel=0.01)
-            assert camera.exposure_s == taken_s
-        for exposure_s in (0.0, -1.0, NAN, 0.9 * allowed.minimum, 1.1 * allowed.maximum):
-            with pytest.raises(BadValue):
-                camera.set_exposure(exposure_s)
-        assert camera.exposure_s == taken_s
-
-    def test_the_exposure_can_be_changed_while_running(self, camera: Camera) -> None:
-        camera.start()
-        longer_s = camera.set_exposure(2 * camera.capabilities.exposure_range_s.minimum)
-        assert camera.is_running
-        frames = [camera.read(10.0) for _ in range(6)]
-        assert frames[-1].exposure_s == longer_s
-
-    def test_the_gain_stays_in_its_range(self, camera: Camera) -> None:
-        allowed = camera.capabilities.em_gain_range
-        assert camera.set_em_gain(allowed.maximum) == camera.em_gain == pytest.approx(allowed.maximum)
-        for em_gain in (NAN, allowed.minimum - 1, allowed.maximum + 1):
-            with pytest.raises(BadValue):
-                camera.set_em_gain(em_gain)
-
-    def test_every_amplifier_can_be_used(self, camera: Camera) -> None:
-        for amplifier in camera.capabilities.amplifiers:
-            camera.set_amplifier(amplifier)
-            assert camera.amplifier == amplifier
-            camera.capabilities.exposure_range_s.check(camera.exposure_s, "exposure_s")
-            camera.capabilities.em_gain_range.check(camera.em_gain, "em_gain")
-        with pytest.raises(BadValue):
-            camera.set_amplifier("no such amplifier")
-
-    def test_the_amplifier_cannot_be_changed_while_running(self, camera: Camera) -> None:
-        camera.start()
-        with pytest.raises(WrongState):
-            camera.set_amplifier(camera.amplifier)
-
-    def test_closes_twice_and_is_gone(self, camera: Camera) -> None:
-        camera.start()
+        pulled_s = _after_a_pause(faults.unplug)
+        with pytest.raises(Disconnected):
+            _repeat_for(10.0, lambda: camera.set_exposure(allowed.minimum))
+        assert time.monotonic() - pulled_s() < AT_ONCE_S
         camera.close()
+
+    def test_plugged_in_again_it_can_be_opened_anew(
+        self, camera: Camera, reopen: Callable[[], Camera], faults: CameraFaults
+    ) -> None:
+        camera.start()
+        faults.unplug()
+        with pytest.raises(Disconnected):
+            _read_for(camera, 10.0)
         camera.close()
-        calls: list[Callable[[], object]] = [
-            lambda: camera.capabilities,
-            lambda: camera.exposure_s,
-            lambda: camera.set_exposure(0.1),
-            lambda: camera.amplifier,
-            lambda: camera.set_amplifier("normal"),
-            lambda: camera.em_gain,
-            lambda: camera.set_em_gain(1.0),
-            lambda: camera.is_running,
-            camera.start,
-            camera.stop,
-            lambda: camera.read(0.0),
-        ]
-        for call in calls:
-            with pytest.raises(GONE):
-                call()
+        faults.plug_in()
+        with reopen() as again:
+            again.start()
+            assert _whole_frame(again).index == 0
+
+    def test_stalled_it_times_out_and_can_be_stopped(self, camera: Camera, faults: CameraFaults) -> None:
+        camera.start()
+        assert _whole_frame(camera).index == 0
+        faults.stall()
+        with pytest.raises(DeviceTimeout):
+            _read_for(camera, 10.0)
+        _expect_state(camera, "running")
+        camera.stop()
+        _expect_state(camera, "stopped")
+
+    def test_lost_frames_show_as_a_gap(self, camera: Camera, faults: CameraFaults) -> None:
+        camera.set_exposure(max(0.05, camera.capabilities.exposure_range_s.minimum))
+        camera.start()
+        assert _whole_frame(camera).index == 0
+        faults.lose_frames(3)
+        indexes = [0, *(_whole_frame(camera).index for _ in range(8))]
+        assert all(later > earlier for earlier, later in pairwise(indexes))
+        assert indexes[-1] - 8 == 3
+
+    def test_a_refused_setting_leaves_the_one_before(self, camera: Camera, faults: CameraFaults) -> None:
+        allowed = camera.capabilities.exposure_range_s
+        before_s = camera.set_exposure(min(2 * allowed.minimum, allowed.maximum))
+        faults.refuse_next()
+        with pytest.raises(DeviceError) as refused:
+            camera.set_exposure(allowed.minimum)
+        assert not isinstance(refused.value, Disconnected)
+        assert camera.exposure_s == before_s
+        camera.start()
+        assert _whole_frame(camera).exposure_s == before_s
 
 
 class LightContract:
-    """Needs a fixture `light`, just opened."""
-
-    def test_is_off_after_it_was_opened(self, light: LightSource) -> None:
-        assert not light.is_on
-        assert light.name
-        light.current_range_a.check(light.current_a, "current_a")
-
-    def test_can_be_switched(self, light: LightSource) -> None:
-        light.set_on(True)
-        assert light.is_on
-        light.set_on(False)
+    @pytest.mark.parametrize("check", LIGHT_CHECKS, ids=lambda check: check.__name__)
+    def test_contract(self, light: LightSource, check: Callable[[LightSource], None]) -> None:
+        check(light)
         assert not light.is_on
 
-    def test_takes_the_currents_it_allows_and_no_other(self, light: LightSource) -> None:
-        allowed = light.current_range_a
-        half_a = (allowed.minimum + allowed.maximum) / 2
-        assert light.set_current(half_a) == light.current_a == pytest.approx(half_a, rel=0.01)
-        for current_a in (NAN, allowed.minimum - 0.1, allowed.maximum + 0.1):
-            with pytest.raises(BadValue):
-                light.set_current(current_a)
-        assert light.current_a == pytest.approx(half_a, rel=0.01)
+    def test_closes_for_good(self, light: LightSource) -> None:
+        light_contract.check_closes_for_good(light)
 
-    def test_setting_the_current_does_not_switch_it_on(self, light: LightSource) -> None:
+    def test_opens_anew(self, light: LightSource, reopen: Callable[[], LightSource]) -> None:
+        light_contract.check_opens_anew(light, reopen)
+
+
+class LightFaultContract(LightContract):
+    def test_shines_when_it_is_on_and_at_no_other_time(self, light: LightSource, faults: LightFaults) -> None:
         light.set_current(light.current_range_a.maximum)
-        assert not light.is_on
-
-    def test_closes_twice_and_is_gone(self, light: LightSource) -> None:
+        assert not faults.shines
+        light.set_on(True)
+        assert faults.shines
+        light.set_on(False)
+        assert not faults.shines
         light.set_on(True)
         light.close()
+        assert not faults.shines
+
+    def test_goes_off_at_any_fault(self, light: LightSource, faults: LightFaults) -> None:
+        light.set_on(True)
+        faults.fail_next()
+        with pytest.raises(DeviceError):
+            _ = light.current_a
+        assert not faults.shines
+        assert not light.is_on
+        light.set_on(True)
+        assert faults.shines
+
+    def test_unplugged_every_call_says_so_and_it_closes(self, light: LightSource, faults: LightFaults) -> None:
+        light.set_on(True)
+        faults.unplug()
+        _expect_within(Disconnected, lambda: light.set_on(True))
+        for what, call in light_contract.calls_of(light).items():
+            with pytest.raises(Disconnected):
+                pytest.fail(f"{what} returned {call()}")
+        assert light.name
         light.close()
-        calls: list[Callable[[], object]] = [
-            lambda: light.current_range_a,
-            lambda: light.current_a,
-            lambda: light.set_current(0.0),
-            lambda: light.is_on,
-            lambda: light.set_on(True),
-        ]
-        for call in calls:
-            with pytest.raises(GONE):
-                call()
+        light.close()
+
+    def test_unplugged_in_the_middle_of_a_command(self, light: LightSource, faults: LightFaults) -> None:
+        light.set_on(True)
+        allowed = light.current_range_a
+        pulled_s = _after_a_pause(faults.unplug)
+        with pytest.raises(Disconnected):
+            _repeat_for(10.0, lambda: (light.set_current(allowed.minimum), light.set_current(allowed.maximum)))
+        assert time.monotonic() - pulled_s() < AT_ONCE_S
+        light.close()
+
+    def test_plugged_in_again_it_can_be_opened_anew_and_is_off(
+        self, light: LightSource, reopen: Callable[[], LightSource], faults: LightFaults
+    ) -> None:
+        light.set_on(True)
+        faults.unplug()
+        _expect_within(Disconnected, lambda: light.is_on)
+        light.close()
+        faults.plug_in()
+        with reopen() as again:
+            assert not again.is_on
+            assert not faults.shines
+            again.set_on(True)
+            assert faults.shines
+
+    def test_a_refused_current_leaves_the_one_before(self, light: LightSource, faults: LightFaults) -> None:
+        allowed = light.current_range_a
+        before_a = light.set_current(allowed.minimum + (allowed.maximum - allowed.minimum) / 2)
+        faults.refuse_next()
+        with pytest.raises(DeviceError) as refused:
+            light.set_current(allowed.maximum)
+        assert not isinstance(refused.value, Disconnected)
+        assert light.current_a == before_a
+        assert not faults.shines
 
 
 class StageContract:
-    """Needs a fixture `stage`."""
+    @pytest.mark.parametrize("check", STAGE_CHECKS, ids=lambda check: check.__name__)
+    def test_contract(self, stage: Stage, check: Callable[[Stage], None]) -> None:
+        check(stage)
 
-    def test_every_mask_can_be_put_in(self, stage: Stage) -> None:
-        assert stage.mask in stage.masks
-        for mask in stage.masks:
-            stage.set_mask(mask)
-            assert stage.mask == mask
-        with pytest.raises(BadValue):
-            stage.set_mask("no such mask")
+    def test_closes_for_good(self, stage: Stage) -> None:
+        stage_contract.check_closes_for_good(stage)
 
-    def test_the_sample_goes_in_and_out(self, stage: Stage) -> None:
-        for sample_in in (True, False, True):
-            stage.set_sample_in(sample_in)
-            assert stage.is_sample_in is sample_in
 
-    def test_closes_twice_and_is_gone(self, stage: Stage) -> None:
-        stage.close()
-        stage.close()
-        calls: list[Callable[[], object]] = [
-            lambda: stage.masks,
-            lambda: stage.mask,
-            lambda: stage.set_mask("square"),
-            lambda: stage.is_sample_in,
-            lambda: stage.set_sample_in(True),
-        ]
-        for call in calls:
-            with pytest.raises(GONE):
-                call()
+def _after_a_pause(happen: Callable[[], None]) -> Callable[[], float]:
+    """Let it happen from another thread, a moment later; the result tells when it did."""
+    happened_s: list[float] = []
+
+    def act() -> None:
+        happened_s.append(time.monotonic())
+        happen()
+
+    timer = threading.Timer(_PAUSE_S, act)
+    timer.start()
+
+    def when() -> float:
+        timer.join()
+        return happened_s[0]
+
+    return when
+
+
+def _expect_state(camera: Camera, state: CameraState) -> None:
+    assert camera.state == state
+
+
+def _expect_within(kind: type[DeviceError], call: Callable[[], object]) -> None:
+    """Expect the error, and that it does not come late."""
+    start_s = time.monotonic()
+    with pytest.raises(kind):
+        call()
+    assert time.monotonic() - start_s < AT_ONCE_S
+
+
+def _repeat_for(duration_s: float, call: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + duration_s
+    while time.monotonic() < deadline_s:
+        call()
+
+
+def _read_for(camera: Camera, duration_s: float) -> None:
+    """Read frames in slices, as the worker does; raise the timeout when none has come for longer than an exposure."""
+    start_s = time.monotonic()
+    heard_s = start_s
+    while time.monotonic() < start_s + duration_s:
+        try:
+            camera.read(0.1)
+            heard_s = time.monotonic()
+        except FrameLost:
+            continue
+        except DeviceTimeout:
+            if time.monotonic() > heard_s + camera.exposure_s + 0.5:
+                raise
+
+
+def _whole_frame(camera: Camera) -> Frame:
+    for _ in range(10):
+        try:
+            return camera.read(camera.exposure_s + 5.0)
+        except FrameLost:
+            continue
+    raise AssertionError("ten frames in a row came damaged")

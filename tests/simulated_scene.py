@@ -1,0 +1,92 @@
+"""A small simulated bench for tests: 3 x 4 lenslets on a non-square camera, with a clock that jumps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from reconstruction.geometry import Field, Lattice, Sensor
+from simulated_devices.bench import SimulatedBench
+from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall
+from simulated_devices.clock import ManualClock
+from simulated_devices.light import SimulatedLight
+from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
+
+SENSOR = Sensor(
+    lenslet_rows=3,
+    lenslet_columns=4,
+    lenslet_pitch_m=500e-6,
+    lenslet_focal_length_m=46.7e-3,
+    wavelength_m=462e-9,
+    pixel_pitch_m=16e-6,
+)
+LATTICE = Lattice(center_x_px=70.0, center_y_px=50.0, pitch_px=31.25)
+FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
+STILL = Simulation(object_samples=5, pupil_samples=10, screen=Screen(correlation_length_m=0.5e-3, samples=150))
+DRIFTING = replace(STILL, drifting_states=4, screen=replace(STILL.screen, drift_x_m_per_s=1e-3))
+CAMERA = SimulatedCameraSettings(rows=100, columns=140)
+
+
+def open_bench(
+    folder: Path,
+    simulation: Simulation = STILL,
+    camera: SimulatedCameraSettings = CAMERA,
+    progress: Callable[[float], None] | None = None,
+) -> SimulatedBench:
+    return SimulatedBench(
+        SENSOR,
+        LATTICE,
+        FIELD,
+        simulation,
+        camera,
+        SimulatedLightSettings(),
+        cache_folder=folder,
+        clock=ManualClock(),
+        progress=progress,
+    )
+
+
+class SimulatedCameraFaults:
+    """The hand at the simulated camera's cable."""
+
+    def __init__(self, camera: SimulatedCamera) -> None:
+        self._camera = camera
+
+    def unplug(self) -> None:
+        self._camera.unplug()
+
+    def plug_in(self) -> None:
+        """Nothing to do: the next camera has a plug of its own."""
+
+    def stall(self) -> None:
+        self._camera.inject(Stall())
+
+    def lose_frames(self, count: int) -> None:
+        self._camera.inject(LoseFrames(count))
+
+    def refuse_next(self) -> None:
+        self._camera.refuse_next()
+
+
+class SimulatedLightFaults:
+    """The hand at the simulated light's cable, and an eye on the light."""
+
+    def __init__(self, bench: SimulatedBench, light: SimulatedLight) -> None:
+        self._bench, self._light = bench, light
+
+    @property
+    def shines(self) -> bool:
+        return self._bench.condition.is_light_on
+
+    def unplug(self) -> None:
+        self._light.unplug()
+
+    def plug_in(self) -> None:
+        """Nothing to do: the next light has a plug of its own."""
+
+    def refuse_next(self) -> None:
+        self._light.refuse_next()
+
+    def fail_next(self) -> None:
+        self._light.fail_next()
