@@ -111,17 +111,36 @@ def measure(
     *,
     bench: BenchOption,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many frames to measure.")],
-    out: Annotated[Path, typer.Option(help="Folder for dark.tif, reference.tif and results.nc.")],
+    out: Annotated[Path, typer.Option(help="Folder that becomes a recording, with results.nc beside the frames.")],
     setting: SetOption = None,
 ) -> None:
-    """Measure without a window: dark, reference, sample in, so many frames, results."""
+    """Measure without a window: dark, reference, sample in, so many frames recorded, results.
+
+    Ctrl-C ends it early and keeps everything; docs/recording.md says what is in the folder.
+    """
     from app.measure import measure as run
     from app.report import print_measurement, progress_bar
 
     loaded = load(bench, setting)
     with progress_bar() as report:
-        collected = run(loaded, frames, out, report)
-    print_measurement(collected, out)
+        measured = run(loaded, frames, out, report)
+    print_measurement(measured, out)
+
+
+@cli.command()
+def recover(
+    recording: Annotated[Path, typer.Argument(help="The folder of a recording.")],
+) -> None:
+    """Finish a recording whose program was killed, or whose computer lost its power, before it could.
+
+    Nothing that can be read is changed or lost. A recording that is complete stays as it is.
+    """
+    from app.recording.recover import recover as run
+    from app.report import print_recovered, progress_bar
+
+    with progress_bar() as report:
+        found = run(recording, lambda fraction: report("looking at the frames", fraction))
+    print_recovered(found, recording)
 
 
 @cli.command()

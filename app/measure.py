@@ -1,121 +1,88 @@
-"""The instrument without a window: dark, reference, sample in, so many frames, results; `svwfs measure`."""
+"""The instrument without a window: dark, reference, sample in, so many frames recorded, results; `svwfs measure`."""
 
 from __future__ import annotations
 
-import math
-import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from concurrent.futures import Future
 from pathlib import Path
 
-from app.acquisition import Acquisition, Measurement
+from app.acquisition import Acquisition
 from app.config import Bench
 from app.devices import open_devices
-from app.errors import Interrupted, RunError
-from app.files import make_folder, write_image
-from app.instrument import Instrument
-from app.measurement import PASSED_OVER
-from app.results import result_dataset, stack_frames, write_results
-from app.run_record import write_run
+from app.errors import InputError, Interrupted, RunError
+from app.measured import Measured, write_measured
+from app.progress import Report
+from app.recording.layout import RUN
+from app.recording.reader import Recording
+from app.recording.run_writer import check_free
 from app.start_up import start_up
 from drivers.interface import DeviceError
-from reconstruction.wavefront import Wavefront
-
-Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
 
 _POLL_S = 0.05
 
 
-@dataclass(slots=True)
-class Collected:
-    """The results of the first `wanted` frames."""
+def measure(bench: Bench, frames: int, out: Path, report: Report) -> Measured:
+    """Record `frames` frames into the folder `out`, and write beside them the results, the dark and the reference.
 
-    bench: Bench
-    wanted: int
-    wavefronts: list[Wavefront] = field(default_factory=list)
-    frame_index: list[int] = field(default_factory=list)
-    time_s: list[float] = field(default_factory=list)
-    bias_age_s: list[float] = field(default_factory=list)  # of the refinement; NaN where the frame is not refined
-    problems: list[str] = field(default_factory=list)
-    lost: int = 0
-    complete: threading.Event = field(default_factory=threading.Event)
-
-    @property
-    def taken(self) -> int:
-        """How many frames have come, reconstructed or not."""
-        return len(self.wavefronts) + len(self.problems)
-
-    def take(self, measurement: Measurement) -> None:
-        """Take one more result from the worker, as long as more are wanted."""
-        if self.complete.is_set() or measurement.refinement.stage == "preparing" or measurement.problem == PASSED_OVER:
-            return
-        self.lost = measurement.counts.lost
-        if measurement.wavefront is None:
-            self.problems.append(measurement.problem)
-        else:
-            self.wavefronts.append(measurement.wavefront)
-            self.frame_index.append(measurement.frame.index)
-            self.time_s.append(measurement.frame.camera_time_s)
-            refinement = measurement.refinement
-            self.bias_age_s.append(refinement.age_s if refinement.stage == "applied" else math.nan)
-        if self.taken >= self.wanted:
-            self.complete.set()
-
-
-def measure(bench: Bench, frames: int, out: Path, report: Report) -> Collected:
-    """Measure `frames` frames and write dark, reference and results into the folder `out`.
-
-    Whatever ends it early, Ctrl-C among others, what has been measured is written first. A device that fails is a
-    `RunError`, a bench that cannot be is an `InputError`.
+    Whatever ends it early, Ctrl-C among others, the results of what has been recorded are written first. A device that
+    fails is a `RunError`, a bench that cannot be, or a folder that holds a recording, is an `InputError`.
     """
-    make_folder(out)
-    collected = Collected(bench, frames)
-    acquisition = Acquisition(bench, open_devices, sinks=(collected.take,))
+    check_free(out)
+    acquisition = Acquisition(bench, open_devices)
     acquisition.start()
-    is_stopped = False
+    is_stopped, fault = False, ""
     try:
-        _take_calibration(acquisition, out, report)
-        while acquisition.is_alive and not collected.complete.wait(_POLL_S):
-            report(f"measuring {frames} frames", collected.taken / frames)
+        _record(acquisition, bench, frames, out, report)
     except Interrupted:
         is_stopped = True
     except DeviceError as error:
-        raise _as_reported(acquisition.error or error) from error
+        fault = str(acquisition.error or error)
     finally:
         acquisition.close()
-        if collected.wavefronts:
-            datasets = [result_dataset(wavefront, bench) for wavefront in collected.wavefronts]
-            results = stack_frames(datasets, collected.frame_index, collected.time_s, collected.bias_age_s)
-            names = {"dark": "dark.tif", "reference": "reference.tif"}
-            write_results(out / "results.nc", results, bench=bench, inputs=names)
-            write_run(out / "run.json", "measure", acquisition)
+    if isinstance(acquisition.error, InputError):
+        raise acquisition.error
+    state = acquisition.recording
+    fault = fault or acquisition.failure or ("" if state is None else state.problem)
+    if not (out / RUN).exists():
+        raise Interrupted("stopped before the first frame") if is_stopped else RunError(fault)
+    measured = write_measured(Recording(out), bench, report)
     if is_stopped:
-        raise Interrupted(f"stopped: {len(collected.wavefronts)} of {frames} frames are in {out}")
-    if acquisition.error is not None:
-        raise _as_reported(acquisition.error) from acquisition.error
-    if not collected.wavefronts:
-        raise RunError(f"no frame could be reconstructed: {collected.problems[0]}")
-    report(f"measuring {frames} frames", 1.0)
-    return collected
+        raise Interrupted(f"stopped: {measured.reconstructed} of {frames} frames are in {out}")
+    if fault:
+        raise RunError(fault)
+    if not measured.reconstructed:
+        raise RunError(f"no frame could be reconstructed: {measured.problem}")
+    return measured
 
 
-def _as_reported(error: Exception) -> Exception:
-    """A device's error as the failure that ends a command; any other as it is."""
-    return RunError(str(error)) if isinstance(error, DeviceError) else error
+def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, report: Report) -> None:
+    """Take dark and reference, and record from the first frame on, or from the first that is refined."""
+
+    def begin() -> Future[None]:
+        return acquisition.start_recording(out, command="measure", frames=frames)
+
+    steps = start_up(acquisition)
+    _wait((*steps, *([] if bench.reconstruction.refine else [begin()])), acquisition, report)
+    if bench.reconstruction.refine:
+        while acquisition.is_alive and not _is_refined(acquisition):
+            report("waiting for the first refinement", 0.0)
+            time.sleep(_POLL_S)
+        _wait([begin()], acquisition, report)
+    while acquisition.is_alive and (state := acquisition.recording) is not None and state.stage == "recording":
+        report(f"recording {frames} frames", state.frames / frames)
+        time.sleep(_POLL_S)
 
 
-def _take_calibration(acquisition: Acquisition, out: Path, report: Report) -> None:
-    """Take dark and reference, write them, and go live."""
-    for step in start_up(acquisition):
+def _wait(steps: Iterable[Future[None]], acquisition: Acquisition, report: Report) -> None:
+    for step in steps:
         while not step.done():
             report(acquisition.activity.text, acquisition.activity.progress)
             time.sleep(_POLL_S)
         step.result()
-    acquisition.submit(lambda instrument: _write_calibration(instrument, out)).result()
 
 
-def _write_calibration(instrument: Instrument, out: Path) -> None:
-    for name, average in (("dark", instrument.dark), ("reference", instrument.reference)):
-        if average is not None:
-            write_image(out / f"{name}.tif", average.mean)
+def _is_refined(acquisition: Acquisition) -> bool:
+    """Whether a frame has come for which refinement was ready, or that cannot be reconstructed at all."""
+    newest = acquisition.newest
+    return newest is not None and newest.counts.acquired > 0 and newest.refinement.stage != "preparing"

@@ -7,11 +7,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from app.measure import Collected
+from app.measured import Measured
+from app.recording.recover import Recovered
 from app.selftest import Check
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
@@ -40,17 +42,24 @@ def print_refinement(changes_rad: Sequence[float]) -> None:
     )
 
 
-def print_measurement(collected: Collected, out: Path) -> None:
+def print_measurement(measured: Measured, out: Path) -> None:
     """Print mean and scatter of every view's RMS over the frames, and where the results are."""
-    field = collected.bench.field
-    values = np.array([rms(wavefront.views) for wavefront in collected.wavefronts])
-    table = _view_table(field, f"RMS (rad) of the wavefront, mean +- scatter of {len(values)} frames")
-    for y_m, mean, scatter in zip(field.view_y_m, values.mean(axis=0), values.std(axis=0), strict=True):
-        cells = (f"{m:.3f} +- {s:.3f}" for m, s in zip(mean, scatter, strict=True))
+    field = measured.bench.field
+    table = _view_table(field, f"RMS (rad) of the wavefront, mean +- scatter of {measured.reconstructed} frames")
+    for y_m, means, scatters in zip(field.view_y_m, measured.mean_rms_rad, measured.scatter_rms_rad, strict=True):
+        cells = (f"{mean:.3f} +- {scatter:.3f}" for mean, scatter in zip(means, scatters, strict=True))
         table.add_row(f"{y_m * 1e3:+.2f}", *cells)
     Console().print(table)
-    failed = f", {len(collected.problems)} not reconstructed ({collected.problems[0]})" if collected.problems else ""
-    Console().print(f"{collected.taken} frames{failed}, {collected.lost} lost by the camera; results are in {out}")
+    failed = measured.recorded - measured.reconstructed
+    why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
+    Console().print(f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}")
+
+
+def print_recovered(found: Recovered, folder: Path) -> None:
+    """Print what was found in a recording, and whether anything had to be done."""
+    typer.echo(f"{folder}: {'was complete' if found.was_complete else 'is complete now'}: {found.summary}")
+    if found.left_out:
+        typer.echo(f"{folder}: {found.left_out}")
 
 
 def print_checks(checks: Iterable[Check]) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app.errors import InputError, RunError
@@ -30,6 +30,12 @@ class Recovered:
     gaps: int
     left_out: str  # what could not be kept, and where it lies; empty when all could
 
+    @property
+    def summary(self) -> str:
+        """The numbers in words."""
+        text = f"{self.frames} frames, {self.reconstructed} of them reconstructed live"
+        return text + (f"; the camera lost {self.lost} in {self.gaps} gaps" if self.lost else "; no gaps")
+
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
     """Finish a recording: arrays as long as there are frames, `run.json` complete. Nothing that was read is lost.
@@ -43,7 +49,7 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
         lock(lines)
         recording.refresh()
         found = _count(recording, progress)
-        if recording.is_complete:
+        if found.was_complete:
             return found
         counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
         _write(lambda: _cut(recording, found.frames))
@@ -53,6 +59,8 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
         why = recording.ended_early or _WHY
         ended = {"complete": True, "ended": now(), "ended_early": why, "frames": counts}
         write_record(folder / RUN, {**recording.run, **ended})
+    if found.left_out:
+        return replace(found, left_out=f"{found.left_out}: their lines are in {_REST}")
     return found
 
 
@@ -68,7 +76,7 @@ def _count(recording: Recording, progress: Callable[[float], None]) -> Recovered
         except InputError as error:
             fault = str(error)
         if fault:
-            left_out = f"{fault}: this and the {total - index - 1} lines after it are in {_REST}"
+            left_out = f"{fault}; left out with the {total - index - 1} frames after it"
             break
         frames, reconstructed = frames + 1, reconstructed + (not line.problem)
         lost, gaps = lost + line.lost, gaps + (line.lost > 0)
