@@ -1,0 +1,161 @@
+"""Commands and faults in any order: no hang, nothing but `DeviceError`, no wrong answer, and never lit by mistake.
+
+`SVWFS_SEQUENCES=10000 pytest tests/test_dc4100.py -k Storm` runs as many sequences instead of a few.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+
+from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
+from drivers.interface import LightSource
+from simulated_devices.clock import ManualClock
+
+STORM = settings(
+    max_examples=int(os.environ.get("SVWFS_SEQUENCES", "30")),
+    stateful_step_count=20,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+LONGEST_S = 4.0  # of one call, whatever happens meanwhile
+LOST_S = 2.0  # to find that the device is gone
+REFUSALS = (BadValue, Unsupported, WrongState)
+T = TypeVar("T")
+
+
+class LightStorm(RuleBasedStateMachine):
+    """A subclass says what the device is, what can happen to it, and what is true of it."""
+
+    device: Any
+    light: LightSource | None
+
+    def make(self) -> Any:
+        """Return a stand-in."""
+        raise NotImplementedError
+
+    def open(self) -> LightSource:
+        """Open the driver over `self.device`."""
+        raise NotImplementedError
+
+    def true_current_a(self) -> float:
+        raise NotImplementedError
+
+    def true_maximum_a(self) -> float:
+        raise NotImplementedError
+
+    def happen(self, fault: Any) -> None:
+        """Let a fault come with the next call."""
+        raise NotImplementedError
+
+    def is_calm(self) -> bool:
+        """No fault is waiting, and the device is there."""
+        raise NotImplementedError
+
+    def recover(self) -> None:
+        """Plug in again, take all faults away."""
+        raise NotImplementedError
+
+    def faults(self) -> st.SearchStrategy[Any]:
+        raise NotImplementedError
+
+    @initialize()
+    def begin(self) -> None:
+        self.clock, self.device = ManualClock(), self.make()
+        self.light = self.open()
+
+    def call(self, action: Callable[[LightSource], T]) -> T | None:
+        """Return what it returned, None where it failed; a failure leaves the light off."""
+        assert self.light is not None
+        start_s = self.clock.now()
+        try:
+            result = action(self.light)
+        except Disconnected:
+            assert self.clock.now() - start_s <= LOST_S
+            return None
+        except REFUSALS:
+            return None
+        except DeviceError:
+            assert self.clock.now() - start_s <= LONGEST_S
+            if self.is_calm():
+                assert not self.device.is_lit
+            return None
+        assert self.clock.now() - start_s <= LONGEST_S
+        return result
+
+    @precondition(lambda self: self.light is not None)
+    @rule(on=st.booleans())
+    def switch(self, *, on: bool) -> None:
+        def action(light: LightSource) -> bool:
+            light.set_on(on)
+            return True
+
+        if self.call(action) and self.is_calm():
+            assert self.device.is_lit is on
+
+    @precondition(lambda self: self.light is not None)
+    @rule(part=st.floats(0, 1) | st.just(2.0) | st.just(float("nan")))
+    def set_current(self, part: float) -> None:
+        current_a = part * self.true_maximum_a()
+        taken_a = self.call(lambda light: light.set_current(current_a))
+        assert taken_a is None or (taken_a == self.true_current_a() and taken_a <= current_a + 1e-9)
+
+    @precondition(lambda self: self.light is not None)
+    @rule()
+    def read(self) -> None:
+        current_a = self.call(lambda light: light.current_a)
+        assert current_a in {None, self.true_current_a()}
+        allowed = self.call(lambda light: light.current_range_a)
+        assert allowed is None or allowed.maximum == self.true_maximum_a()
+        is_on = self.call(lambda light: light.is_on)
+        assert is_on in {None, self.device.is_lit}
+        properties = self.call(lambda light: light.properties())
+        assert properties is None or properties["name"]
+
+    @rule(data=st.data())
+    def fault(self, data: st.DataObject) -> None:
+        if self.is_calm():  # one after another
+            self.happen(data.draw(self.faults()))
+
+    @rule(duration_s=st.sampled_from([0.01, 0.3, 1.0]))
+    def wait(self, duration_s: float) -> None:
+        self.clock.sleep(duration_s)
+
+    @precondition(lambda self: self.light is not None)
+    @rule()
+    def close(self) -> None:
+        assert self.light is not None
+        was_calm = self.is_calm()
+        try:
+            self.light.close()
+        except DeviceError:
+            assert not was_calm
+        self.light.close()
+        assert not (was_calm and self.device.is_lit)
+        self.light = None
+
+    @precondition(lambda self: self.light is None)
+    @rule(is_repaired=st.booleans())
+    def reopen(self, *, is_repaired: bool) -> None:
+        if is_repaired:
+            self.recover()
+        try:
+            self.light = self.open()
+        except DeviceError:
+            assert not is_repaired
+        else:
+            assert not self.device.is_lit
+
+    def teardown(self) -> None:
+        if getattr(self, "light", None) is not None:
+            self.recover()
+            assert self.light is not None
+            try:
+                self.light.close()
+            except DeviceError:
+                return
