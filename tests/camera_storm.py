@@ -1,0 +1,233 @@
+"""Commands and faults in any order: no hang, nothing but `DeviceError`, frames in order, a state that fits.
+
+`SVWFS_SEQUENCES=10000 pytest tests/test_simulated_storms.py` runs as many sequences instead of a few.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from drivers.camera import Camera, Region
+from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+
+LONGEST_S = 5.0  # of one call beyond its own timeout, whatever happens meanwhile
+REFUSALS = (BadValue, Unsupported, WrongState)
+T = TypeVar("T")
+
+
+class CameraStorm(RuleBasedStateMachine):
+    """A subclass says what the device is and what can happen to it."""
+
+    device: Any
+    camera: Camera | None = None
+    last_index: int = -1
+    is_started: bool = False
+
+    def make(self) -> Any:
+        """Return a stand-in."""
+        raise NotImplementedError
+
+    def open(self) -> Camera:
+        """Open the driver over `self.device`."""
+        raise NotImplementedError
+
+    def faults(self) -> st.SearchStrategy[Any]:
+        """What can happen, also several at once."""
+        raise NotImplementedError
+
+    def happen(self, fault: Any) -> None:
+        """Let it happen."""
+        raise NotImplementedError
+
+    def recover(self) -> None:
+        """Plug in again, take all faults away."""
+        raise NotImplementedError
+
+    @initialize()
+    def begin(self) -> None:
+        self.device = self.make()
+        self.camera = self.open()
+        self.is_started, self.last_index = False, -1
+
+    def call(self, action: Callable[[Camera], T], *, timeout_s: float = 0.0) -> T | None:
+        """Return what it returned, None where it failed as devices do."""
+        assert self.camera is not None
+        start_s = time.monotonic()
+        try:
+            return action(self.camera)
+        except DeviceError as error:
+            assert str(error)
+            if isinstance(error, Disconnected):
+                assert self.camera.state == "lost"
+            return None
+        finally:
+            assert time.monotonic() - start_s < LONGEST_S + timeout_s
+
+    @precondition(lambda self: self.camera is not None)
+    @rule()
+    def start(self) -> None:
+        assert self.camera is not None
+        try:
+            self.camera.start()
+        except WrongState:
+            assert self.is_started
+        except DeviceError:
+            return
+        else:
+            assert not self.is_started
+            self.is_started, self.last_index = True, -1
+
+    @precondition(lambda self: self.camera is not None)
+    @rule()
+    def stop(self) -> None:
+        def action(camera: Camera) -> bool:
+            camera.stop()
+            return True
+
+        if self.call(action):
+            self.is_started = False
+
+    @precondition(lambda self: self.camera is not None)
+    @rule(timeout_s=st.sampled_from([0.0, 0.02, 0.2, float("nan"), -1.0, float("inf")]), count=st.integers(1, 3))
+    def read(self, timeout_s: float, count: int) -> None:
+        assert self.camera is not None
+        for _ in range(count):
+            try:
+                frame = self.camera.read(timeout_s)
+            except BadValue:
+                assert not 0 <= timeout_s < float("inf")
+            except WrongState:
+                assert not self.is_started
+            except (DeviceTimeout, FrameLost):
+                assert self.is_started
+            except DeviceError:
+                return
+            else:
+                assert self.is_started
+                assert frame.index > self.last_index
+                assert frame.pixels.ndim == 2
+                assert not frame.pixels.flags.writeable
+                self.last_index = frame.index
+
+    @precondition(lambda self: self.camera is not None)
+    @rule(part=st.floats(-0.1, 1.1) | st.just(float("nan")))
+    def set_exposure(self, part: float) -> None:
+        def action(camera: Camera) -> bool:
+            allowed = camera.capabilities.exposure_range_s
+            longest_s = min(allowed.maximum, allowed.minimum + 0.5)
+            before_s, wanted_s = camera.exposure_s, allowed.minimum + part * (longest_s - allowed.minimum)
+            try:
+                taken_s = camera.set_exposure(wanted_s)
+            except REFUSALS:
+                assert camera.exposure_s == before_s
+                return False
+            assert camera.exposure_s == taken_s
+            return True
+
+        self.call(action)
+
+    @precondition(lambda self: self.camera is not None)
+    @rule(part=st.floats(-0.1, 1.1) | st.just(float("nan")))
+    def set_gain(self, part: float) -> None:
+        def action(camera: Camera) -> None:
+            allowed = camera.capabilities.em_gain_range
+            before = camera.em_gain
+            try:
+                taken = camera.set_em_gain(allowed.minimum + part * (allowed.maximum - allowed.minimum))
+            except REFUSALS:
+                assert camera.em_gain == before
+            else:
+                assert camera.em_gain == taken
+
+        self.call(action)
+
+    @precondition(lambda self: self.camera is not None)
+    @rule(what=st.sampled_from(["amplifier", "readout_speed", "binning", "trigger"]), choice=st.integers(0, 4))
+    def set_mode(self, what: str, choice: int) -> None:
+        def action(camera: Camera) -> None:
+            values = getattr(camera.capabilities, f"{what}s")
+            before, wanted = getattr(camera, what), values[choice] if choice < len(values) else 99
+            if what == "trigger" and wanted != "internal":
+                return  # nobody is there to trigger it
+            try:
+                getattr(camera, f"set_{what}")(wanted)
+            except REFUSALS:
+                assert getattr(camera, what) == before
+            else:
+                assert getattr(camera, what) == wanted
+                assert not self.is_started
+
+        self.call(action)
+
+    @precondition(lambda self: self.camera is not None)
+    @rule(data=st.data())
+    def set_region(self, data: st.DataObject) -> None:
+        steps = data.draw(st.tuples(*[st.integers(-1, 40)] * 4))
+
+        def action(camera: Camera) -> None:
+            step_px, before = camera.capabilities.region_step_px, camera.region
+            top, left, rows, columns = (step * step_px for step in steps)
+            try:
+                taken = camera.set_region(Region(top, left, rows, columns))
+            except REFUSALS:
+                assert camera.region == before
+            else:
+                assert camera.region == taken
+
+        self.call(action)
+
+    @precondition(lambda self: self.camera is not None)
+    @rule()
+    def ask(self) -> None:
+        def action(camera: Camera) -> None:
+            allowed = camera.capabilities
+            allowed.exposure_range_s.check(camera.exposure_s, "exposure_s")
+            allowed.em_gain_range.check(camera.em_gain, "em_gain")
+            assert camera.amplifier in allowed.amplifiers
+            assert camera.readout_speed in allowed.readout_speeds
+            assert camera.properties()["name"] == camera.name
+
+        self.call(action)
+
+    @rule(data=st.data())
+    def fault(self, data: st.DataObject) -> None:
+        self.happen(data.draw(self.faults()))
+
+    @precondition(lambda self: self.camera is not None)
+    @rule()
+    def close(self) -> None:
+        assert self.camera is not None
+        with suppress(DeviceError):
+            self.camera.close()
+        self.camera.close()
+        assert self.camera.state == "closed"
+        self.camera = None
+
+    @precondition(lambda self: self.camera is None)
+    @rule(is_repaired=st.booleans())
+    def reopen(self, *, is_repaired: bool) -> None:
+        if is_repaired:
+            self.recover()
+        try:
+            self.camera = self.open()
+        except DeviceError:
+            assert not is_repaired
+        else:
+            self.is_started, self.last_index = False, -1
+
+    @invariant()
+    def state_fits(self) -> None:
+        if self.camera is not None:
+            state = self.camera.state
+            assert state in {"running" if self.is_started else "stopped", "lost"}
+
+    def teardown(self) -> None:
+        if self.camera is not None:
+            with suppress(DeviceError):
+                self.camera.close()
