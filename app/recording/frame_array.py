@@ -19,8 +19,14 @@ from numpy.typing import NDArray
 from app.errors import InputError, RunError
 from app.files import appearing_whole
 
+_METADATA = "zarr.json"
 _STEP = 4096  # frames by which an array grows
 _CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}]
+
+
+def is_array(path: Path) -> bool:
+    """Whether an array has been made there."""
+    return (path / _METADATA).exists()
 
 
 class FrameArray:
@@ -29,7 +35,7 @@ class FrameArray:
     def __init__(self, path: Path) -> None:
         """Open an array; `InputError` when it is none, or not one of these."""
         try:
-            self._metadata = json.loads((path / "zarr.json").read_text())
+            self._metadata = json.loads((path / _METADATA).read_text())
             self.length, *shape = (int(count) for count in self._metadata["shape"])
             self._type = np.dtype(self._metadata["data_type"]).newbyteorder("<")
             is_ours = self._metadata["codecs"] == _CODECS
@@ -94,7 +100,7 @@ class FrameArray:
     def set_length(self, length: int) -> None:
         """Make it longer or shorter for whoever opens the store; the chunks stay."""
         self._metadata["shape"][0] = length
-        with appearing_whole(self._path / "zarr.json") as temporary:
+        with appearing_whole(self._path / _METADATA) as temporary:
             temporary.write_text(json.dumps(self._metadata, indent=2))
         self.length = length
 

@@ -13,7 +13,7 @@ PIXELS = "0"  # the array of frames within the store, as OME-NGFF names the fine
 BEFORE = -1  # in the place of a frame's index: the frame before the first
 
 
-def results_of(calibration: int) -> str:
+def results_of(calibration: int | str) -> str:
     """The group within the store that holds what came of the frames of one calibration."""
     return f"results/{calibration}"
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from app.calibration import Calibration
 from app.config import Bench, parse_bench
 from app.errors import InputError
-from app.recording.frame_array import FrameArray
+from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_line import FrameLine
 from app.recording.kept_calibration import read_calibration
 from app.recording.layout import (
@@ -165,7 +165,7 @@ class Recording:
     def _array(self, name: str) -> FrameArray | None:
         if self._arrays.get(name) is None:  # or it was not there when it was looked for last
             path = self.folder / STORE / name
-            self._arrays[name] = FrameArray(path) if path.exists() else None
+            self._arrays[name] = FrameArray(path) if is_array(path) else None
         return self._arrays[name]
 
 

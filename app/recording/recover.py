@@ -9,8 +9,8 @@ from pathlib import Path
 
 from app.errors import InputError, RunError
 from app.files import appearing_whole
-from app.recording.frame_array import FrameArray
-from app.recording.layout import FRAMES, PIXELS, RUN, STORE
+from app.recording.frame_array import FrameArray, is_array
+from app.recording.layout import FRAMES, PIXELS, RUN, STORE, results_of
 from app.recording.lock import lock
 from app.recording.reader import Recording
 from app.run_facts import now, write_record
@@ -53,9 +53,9 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
             return found
         counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
         _write(lambda: _cut(recording, found.frames))
-        for path in sorted((folder / STORE).rglob("zarr.json")):
-            if path.parent.name in {PIXELS, "displacement", "coefficients"}:
-                FrameArray(path.parent).set_length(found.frames)
+        for path in (folder / STORE / PIXELS, *sorted((folder / STORE).glob(results_of("*") + "/*"))):
+            if is_array(path):
+                FrameArray(path).set_length(found.frames)
         why = recording.ended_early or _WHY
         ended = {"complete": True, "ended": now(), "ended_early": why, "frames": counts}
         write_record(folder / RUN, {**recording.run, **ended})
