@@ -66,11 +66,12 @@ class SimulatedLightStorm(LightStorm):
         return Lamp()
 
     def open(self) -> LightSource:
-        self.device.light = SimulatedLight(self.device.bench, limit_a=LIMIT_A)
-        return self.device.light
+        light = SimulatedLight(self.device.bench, limit_a=LIMIT_A)
+        self.device.light = light
+        return light
 
     def true_current_a(self) -> float:
-        return self.device.bench.condition.current_a
+        return float(self.device.bench.condition.current_a)
 
     def true_maximum_a(self) -> float:
         return LIMIT_A
@@ -83,7 +84,7 @@ class SimulatedLightStorm(LightStorm):
 
     def is_calm(self) -> bool:
         light = self.device.light
-        return not (light._is_unplugged or light._refuses_next or light._fails_next)
+        return not any([light._is_unplugged, light._refuses_next, light._fails_next])
 
     def recover(self) -> None:
         """Nothing to do: every light has a plug of its own."""
