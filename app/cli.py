@@ -144,6 +144,51 @@ def recover(
 
 
 @cli.command()
+def calibrate(
+    reference: Annotated[Path, typer.Argument(help="A frame without the sample: TIFF or NPY.")],
+    *,
+    bench: BenchOption,
+    out: Annotated[Path | None, typer.Option(help="Bench TOML to write, with the lattice in it.")] = None,
+    dark: Annotated[Path | None, typer.Option(help="A frame with the light off.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Picture of the frame with its lenslets to write: PNG, PDF or SVG.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file of --out.")] = False,
+    setting: SetOption = None,
+) -> None:
+    """Find the lattice of lenslets in a reference: pitch, rotation, centre, what is lit. Without --out it only tells.
+
+    Look at the picture of --plot before you trust it: every lit image should lie in the middle of its cell.
+    """
+    import json
+
+    from app.calibrate import as_numbers, check_out, differences, findings, write_calibrated
+    from app.calibrate import calibrate as run
+
+    if out is not None:
+        check_out(out, overwrite=overwrite)
+    if plot is not None:
+        from app.plot import check_plot_path
+
+        check_plot_path(plot)
+    loaded = load(bench, setting)
+    found = run(reference, dark=dark, bench=loaded)
+    if plot is not None:
+        from app.lattice_plot import plot_lattice
+
+        plot_lattice(found.reference, found.survey, plot)
+    if out is not None:
+        write_calibrated(found, bench, out)
+    if as_json:
+        typer.echo(json.dumps(as_numbers(found)))
+        return
+    typer.echo("\n".join(findings(found)))
+    for said in differences(found):
+        typer.echo(f"note: {said}", err=True)
+
+
+@cli.command()
 def simulate(
     *,
     bench: BenchOption,

@@ -57,7 +57,7 @@ def reconstruct_files(
             registration=bench.registration,
             reconstruction=bench.reconstruction,
             dark=dark_image,
-            full_scale=min(_full_scale(image, bench.camera.bits) for image in (reference_image, frame_image)),
+            full_scale=min(full_scale(image, bench.camera.bits) for image in (reference_image, frame_image)),
         )
         displacement = reconstructor.register(frame_image)
         wavefront = reconstructor.solve(displacement)
@@ -74,7 +74,7 @@ def reconstruct_files(
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
 
 
-def _full_scale(image: NDArray[Any], bits: int) -> float:
+def full_scale(image: NDArray[Any], bits: int) -> float:
     """The count at which a camera of so many bits saturates, or at which the file's integers do."""
     return min(2.0**bits, np.iinfo(image.dtype).max + 1.0 if image.dtype.kind in "ui" else np.inf) - 1
 

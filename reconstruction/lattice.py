@@ -42,6 +42,7 @@ class Survey:
     illuminated: Mask  # which of the sensor's lenslets are lit, (lenslet_row, lenslet_column)
     displacement_px: Floats  # of their light from the lattice, NaN where not lit, (lenslet_row, lenslet_column, xy)
     brightness: Floats  # of each lenslet over the typical one's, (lenslet_row, lenslet_column)
+    typical: Floats  # light of a lit lenslet over its cell, mean 0, (sample_row, sample_column)
     likeness: float  # median correlation of a lit lenslet's image with the typical one, 1 when they are all the same
 
     @property
@@ -171,6 +172,7 @@ def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
         illuminated=lit[block],
         displacement_px=beside[block],
         brightness=brightness[block],
+        typical=fit.comparison.typical,
         likeness=float(np.median(fit.comparison.likeness[fit.comparison.is_lit])),
     )
 
