@@ -11,7 +11,7 @@ import sys
 from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -39,6 +39,10 @@ BenchOption = Annotated[
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench: registration.warp=affine"),
+]
+
+FramesOption = Annotated[
+    str | None, typer.Option(metavar="FIRST:END", help="Some of the frames, counted from 0, END not among them.")
 ]
 
 
@@ -141,6 +145,69 @@ def recover(
     with progress_bar() as report:
         found = run(recording, lambda fraction: report("looking at the frames", fraction))
     print_recovered(found, recording)
+
+
+@cli.command()
+def replay(
+    recording: Annotated[Path, typer.Argument(help="The folder of a recording.")],
+    *,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Fail unless every frame is made again to the last bit.")
+    ] = False,
+    bench: Annotated[
+        str | None,
+        typer.Option("--bench", "-b", metavar="TOML", help="Another bench, to compare with the recorded one."),
+    ] = None,
+    setting: SetOption = None,
+    frames: FramesOption = None,
+    out: Annotated[Path | None, typer.Option(help="NetCDF file to write the results to.")] = None,
+) -> None:
+    """Reconstruct the frames of a recording once more, by the dark, reference, lattice and refinement that they had.
+
+    The same software makes the same of them, to the last bit, and says so. With --bench, or --set for a change of the
+    recorded bench, both are made and compared view by view: svwfs replay RECORDING --set reconstruction.method=zonal
+    """
+    from app.replay.run import replay as run
+    from app.report import print_replay, progress_bar
+
+    with progress_bar() as report:
+        made = run(
+            recording,
+            bench=bench,
+            settings=tuple(setting or ()),
+            frames=frames,
+            out=out,
+            verify=verify,
+            report=report,
+        )
+    print_replay(made)
+
+
+@cli.command()
+def export(
+    recording: Annotated[Path, typer.Argument(help="The folder of a recording.")],
+    *,
+    to: Annotated[
+        Literal["tiff", "csv", "netcdf", "psf"],
+        typer.Option(
+            help="tiff: the frames; csv: RMS and coefficients; netcdf: all results; psf: what a point becomes."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="The file to write.")],
+    frames: FramesOption = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it is there.")] = False,
+) -> None:
+    """Write a recording as other programs read it; docs/export.md says what is in the files.
+
+    tiff is one BigTIFF for ImageJ, with times and settings; csv one row a frame, for pandas or a spreadsheet; netcdf
+    what svwfs measure writes; psf one point-spread function a view, the mean of the frames, its sum 1, to sharpen with.
+    """
+    from app.export.run import export as run
+    from app.report import progress_bar
+
+    with progress_bar() as report:
+        count = run(recording, to, out, frames=frames, overwrite=overwrite, report=report)
+    typer.echo(f"{count} frames of {recording} are in {out}")
 
 
 @cli.command()

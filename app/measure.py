@@ -17,6 +17,7 @@ from app.recording.layout import RUN
 from app.recording.reader import Recording
 from app.recording.run_writer import check_free
 from app.start_up import start_up
+from app.streams.publisher import stream_sinks
 from drivers.interface import DeviceError
 
 _POLL_S = 0.05
@@ -29,17 +30,18 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Measured:
     fails is a `RunError`, a bench that cannot be, or a folder that holds a recording, is an `InputError`.
     """
     check_free(out)
-    acquisition = Acquisition(bench, open_devices)
-    acquisition.start()
     is_stopped, fault = False, ""
-    try:
-        _record(acquisition, bench, frames, out, report)
-    except Interrupted:
-        is_stopped = True
-    except DeviceError as error:
-        fault = str(acquisition.error or error)
-    finally:
-        acquisition.close()
+    with stream_sinks(bench) as sinks:
+        acquisition = Acquisition(bench, open_devices, sinks)
+        acquisition.start()
+        try:
+            _record(acquisition, bench, frames, out, report)
+        except Interrupted:
+            is_stopped = True
+        except DeviceError as error:
+            fault = str(acquisition.error or error)
+        finally:
+            acquisition.close()
     if isinstance(acquisition.error, InputError):
         raise acquisition.error
     state = acquisition.recording

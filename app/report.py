@@ -14,6 +14,7 @@ from rich.table import Table
 
 from app.measured import Measured
 from app.recording.recover import Recovered
+from app.replay.run import Replay
 from app.selftest import Check
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
@@ -60,6 +61,28 @@ def print_recovered(found: Recovered, folder: Path) -> None:
     typer.echo(f"{folder}: {'was complete' if found.was_complete else 'is complete now'}: {found.summary}")
     if found.left_out:
         typer.echo(f"{folder}: {found.left_out}")
+
+
+def print_replay(made: Replay) -> None:
+    """Print whether the frames came out as recorded, or how far another bench's wavefronts are from theirs."""
+    console, compared = Console(), made.comparison
+    if compared is not None and compared.field is not None:
+        field = compared.field
+        table = _view_table(field, f"RMS (rad) as recorded > with this bench, mean of {compared.frames} frames")
+        rows = zip(compared.recorded_rms_rad, compared.rms_rad, compared.difference_rms_rad, strict=True)
+        for y_m, row in zip(field.view_y_m, rows, strict=True):
+            cells = (
+                f"{then:.3f} > {now:.3f}\n{difference:.3f} apart" for then, now, difference in zip(*row, strict=True)
+            )
+            table.add_row(f"{y_m * 1e3:+.2f}", *cells)
+        console.print(table)
+    elif compared is not None and made.reconstructed:
+        console.print("this bench has other views or lenslets than the recorded one: there is nothing to compare")
+    if made.verification is not None:
+        console.print(made.verification.sentence, highlight=False, soft_wrap=True)
+    failed = made.frames - made.reconstructed
+    why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
+    console.print(f"{made.frames} frames{why}", highlight=False, soft_wrap=True)
 
 
 def print_checks(checks: Iterable[Check]) -> bool:

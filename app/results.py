@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from app.config import Bench, write_bench
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.files import appearing_whole
 from app.read_outs import Variable, about, point_spread, structure, transfer
 from reconstruction.geometry import Floats
@@ -94,6 +94,8 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
             piece.assign_attrs(title="Space-variant wavefront", **origin).to_netcdf(
                 temporary, engine="h5netcdf", unlimited_dims=[_FRAME] if _FRAME in piece.dims else []
             )
+        if not temporary.exists():
+            raise RunError(f"{path}: there is nothing to write: no frame has a wavefront")
 
 
 def _append(path: Path, piece: xr.Dataset) -> None:
@@ -102,7 +104,7 @@ def _append(path: Path, piece: xr.Dataset) -> None:
         first = file.dimensions[_FRAME].size
         sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != _FRAME}
         if sizes != {name: size for name, size in piece.sizes.items() if name != _FRAME}:
-            raise InputError("the frames were measured with settings of different shapes: choose some of the frames")
+            raise InputError("the settings changed between the frames: choose some that go together")
         file.resize_dimension(_FRAME, first + piece.sizes[_FRAME])
         for name, variable in piece.variables.items():
             if _FRAME in variable.dims:
@@ -114,16 +116,11 @@ def stack_frames(
     datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
 ) -> xr.Dataset:
     """Put the results of several frames after one another, along a new first dimension `frame`."""
-    age = about("s", "age of the bias that refined the frame; NaN: not refined")
-    return along_frames(datasets, frame_index, time_s).assign_coords(bias_age=(_FRAME, list(bias_age_s), age))
-
-
-def along_frames(datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float]) -> xr.Dataset:
-    """The same for frames of which it is not known how old their bias was."""
     stacked = xr.concat(datasets, _FRAME, join="exact", combine_attrs="override", coords="minimal", compat="override")
     return stacked.assign_coords(
         frame_index=(_FRAME, list(frame_index), about("1", "the camera's count since start")),
         time=(_FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
+        bias_age=(_FRAME, list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
     )
 
 

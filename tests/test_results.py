@@ -11,7 +11,7 @@ from optics import SmallBench
 
 from app.config import load_bench, parse_bench
 from app.errors import InputError
-from app.results import along_frames, result_dataset, stack_frames, write_pieces, write_results
+from app.results import result_dataset, stack_frames, write_pieces, write_results
 
 BENCH = load_bench(
     Path(__file__).parent / "foreign_frames" / "bench.toml",
@@ -93,7 +93,7 @@ def test_pieces_make_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: P
     frames = [
         dataset.assign(rms=dataset["rms"] * factor, valid=dataset["valid"] ^ bool(factor % 2)) for factor in range(5)
     ]
-    whole = along_frames(frames, [0, 1, 3, 4, 9], [0.0, 0.1, 0.3, 0.4, 0.9])
+    whole = stack_frames(frames, [0, 1, 3, 4, 9], [0.0, 0.1, 0.3, 0.4, 0.9], [0.0] * 5)
     write_results(tmp_path / "whole.nc", whole, bench=BENCH, inputs={"recording": "r"})
     pieces = (whole.isel(frame=part) for part in (slice(0, 2), slice(2, 3), slice(3, 5)))
     write_pieces(tmp_path / "pieces.nc", pieces, bench=BENCH, inputs={"recording": "r"})
@@ -105,9 +105,9 @@ def test_pieces_make_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: P
 
 
 def test_pieces_of_another_shape_are_refused_and_leave_nothing(dataset: xr.Dataset, tmp_path: Path) -> None:
-    whole = along_frames([dataset], [0], [0.0])
+    whole = stack_frames([dataset], [0], [0.0], [0.0])
     fewer = whole.isel(pupil_mode=slice(0, 10))
-    with pytest.raises(InputError, match="settings of different shapes"):
+    with pytest.raises(InputError, match="the settings changed"):
         write_pieces(tmp_path / "r.nc", [whole, fewer], bench=BENCH, inputs={})
     assert not list(tmp_path.iterdir())
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from app.calibration import one_blas_thread
+from app.calibration import Calibration, one_blas_thread
+from app.errors import InputError
 from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
 from reconstruction.displacement import Displacement
@@ -16,6 +17,8 @@ from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
+
+Change = Callable[[Calibration], Calibration]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,43 +29,74 @@ class Repeated:
     wavefront: Wavefront | None
     problem: str  # why there is no wavefront; empty when there is one
     registered: Displacement | None  # before the bias
+    calibration: Calibration | None  # as changed, if it was
+    is_refined: bool = False  # whether a bias was taken away
 
 
-def repeated(recording: Recording, frames: range | None = None) -> Iterator[Repeated]:
+def repeated(
+    recording: Recording, frames: Sequence[int] | None = None, change: Change | None = None
+) -> Iterator[Repeated]:
     """Reconstruct frames, all or some in their order, each with its own calibration, start and bias.
 
-    Frames that were passed over are reconstructed, too; those that had no calibration have a problem.
+    Frames that were passed over are reconstructed, too; those that had no calibration have a problem. A `change` of the
+    calibrations makes something else of the frames; if it is the registration that differs, each begins where the frame
+    before it was, and none has a bias, which would be that of another registration.
     """
-    number, reconstructor = None, None
+    in_force: _InForce | None = None
     before: tuple[int, Displacement] | None = None
     with one_blas_thread():
         for index in range(len(recording)) if frames is None else frames:
             line = recording.line(index)
-            if line.calibration != number and line.calibration is not None:
-                number, reconstructor = line.calibration, recording.calibration(line.calibration).reconstructor()
-            if line.calibration is None or reconstructor is None:
-                yield Repeated(line, None, line.problem, None)
+            if line.calibration is None:
+                yield Repeated(line, None, line.problem, None, None)
                 continue
-            if before is not None and before[0] == line.start:
-                start: Displacement | None = before[1]
-            else:
+            if in_force is None or line.calibration != in_force.number:
+                in_force, before = _InForce.of(recording, line.calibration, change), None
+            start = None if before is None else before[1]
+            if in_force.registers_as_recorded and (before is None or before[0] != line.start):
                 recorded = recording.start(index)
                 start = None if recorded is None else _as_start(recorded)
-            made = _reconstruct(recording, reconstructor, line, start)
+            made = in_force.reconstruct(recording, line, start)
             if made.registered is not None:
                 before = index, made.registered
             yield made
 
 
-def _reconstruct(
-    recording: Recording, reconstructor: Reconstructor, line: FrameLine, start: Displacement | None
-) -> Repeated:
-    try:
-        registered = reconstructor.register(recording.pixels(line.index), start=start)
-        bias = None if line.bias is None else recording.bias(line.bias)
-        return Repeated(line, reconstructor.solve(registered, bias=bias), "", registered)
-    except ReconstructionError as error:
-        return Repeated(line, None, str(error), None)
+@dataclass(frozen=True, slots=True, eq=False)
+class _InForce:
+    """One calibration of a recording, perhaps changed, and its reconstructor."""
+
+    number: int
+    calibration: Calibration
+    reconstructor: Reconstructor
+    registers_as_recorded: bool
+
+    @classmethod
+    def of(cls, recording: Recording, number: int, change: Change | None) -> _InForce:
+        recorded = recording.calibration(number)
+        try:
+            calibration = recorded if change is None else change(recorded)
+            same = _of_registration(calibration) == _of_registration(recorded)
+            return cls(number, calibration, calibration.reconstructor(), same)
+        except ReconstructionError as error:
+            raise InputError(
+                f"{recording.folder}: calibration {number} does not go with this bench: {error}"
+            ) from error
+
+    def reconstruct(self, recording: Recording, line: FrameLine, start: Displacement | None) -> Repeated:
+        try:
+            registered = self.reconstructor.register(recording.pixels(line.index), start=start)
+            bias = recording.bias(line.bias) if self.registers_as_recorded and line.bias is not None else None
+            wavefront = self.reconstructor.solve(registered, bias=bias)
+        except ReconstructionError as error:
+            return Repeated(line, None, str(error), None, self.calibration)
+        return Repeated(line, wavefront, "", registered, self.calibration, is_refined=bias is not None)
+
+
+def _of_registration(calibration: Calibration) -> object:
+    """All that decides, with dark and reference, how frames are registered."""
+    bench = calibration.bench
+    return bench.sensor, calibration.lattice, bench.field, bench.registration
 
 
 def _as_start(coefficients: Floats) -> Displacement:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.acquisition import Measurement
 from app.config import Bench
+from app.measurement import Measurement
 from reconstruction.geometry import Sensor
 from reconstruction.modal import ModalSolution
 from reconstruction.wavefront import Wavefront

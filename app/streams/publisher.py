@@ -9,9 +9,9 @@ from contextlib import closing, contextmanager
 
 import zmq
 
-from app.acquisition import Measurement
 from app.config import Bench
 from app.errors import RunError
+from app.measurement import Measurement
 from app.streams.messages import TOPICS, message
 
 _WAITING = 4  # measurements between worker and publisher; beyond, the oldest is dropped
