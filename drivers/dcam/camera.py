@@ -1,0 +1,312 @@
+"""A camera behind the DCAM-API: Hamamatsu's C9100-23B, and others as far as they offer the same properties.
+
+Whatever can be asked is asked, and asked again after each change of mode: nothing of a camera is tabulated here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from ctypes import byref
+
+from drivers.camera import Camera, CameraCapabilities, Frame, Range, Region
+from drivers.dcam import property_ids as ids
+from drivers.dcam import session
+from drivers.dcam.capture import Capture
+from drivers.dcam.library import DcamLibrary, load_library
+from drivers.dcam.properties import Properties
+from drivers.dcam.property_ids import Id
+from drivers.dcam.search import STRINGS, FoundCamera, choose, string
+from drivers.dcam.settings import DcamSettings
+from drivers.dcam.structures import DeviceOpen, sized
+from drivers.dcam.trust import reasons_for_mistrust
+from drivers.device import Property
+from drivers.errors import DeviceError, Unsupported, WrongState
+
+_AMPLIFIERS = {ids.CCDMODE_NORMAL: "normal", ids.CCDMODE_EM: "em"}
+_TRIGGERS = {number: name for name, number in ids.TRIGGER_SOURCES.items()}
+
+
+class DcamCamera(Camera):
+    """One camera, open. The clock is that of the frames' host time and of all waiting."""
+
+    def __init__(
+        self,
+        settings: DcamSettings,
+        library: DcamLibrary | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        super().__init__()
+        self._settings = settings
+        self._library = library or load_library(settings.library)
+        self._clock = clock
+        self._capture: Capture | None = None
+        with ExitStack() as undo:
+            cameras = session.begin(self._library)
+            undo.callback(self._leave, session.end, self._library)
+            found = choose(self._library, cameras, settings.device)
+            self._name = found.name
+            self._handle = _opened(self._library, found)
+            undo.callback(self._leave, self._library.call, "dcamdev_close", self._handle)
+            self._values = Properties(self._library, self._handle)
+            self._set_up(settings)
+            self._undo = undo.pop_all()
+
+    @property
+    def name(self) -> str:
+        """Maker, model and serial number, as a person would say them."""
+        return self._name
+
+    def properties(self) -> dict[str, Property]:
+        """All settings, every property that the camera has by Hamamatsu's own name, and what to beware of."""
+        common = super().properties()
+        with self._talking():
+            strings: dict[str, Property] = {
+                name: string(self._library, self._handle, number) for name, number in STRINGS.items()
+            }
+            return common | strings | self._values.readable() | {"warnings": "; ".join(self.warnings())}
+
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about settings and states in which the pixels are not what a photon count should be."""
+        with self._talking():
+            return reasons_for_mistrust(self._values, has_em_gain=self._has_em_gain())
+
+    def fire_trigger(self) -> None:
+        """Let one exposure begin, with the software trigger and while running."""
+        if not self.is_running or self.trigger != "software":
+            raise WrongState('an exposure can be triggered while the camera runs with trigger = "software"')
+        with self._talking():
+            self._library.call("dcamcap_firetrigger", self._handle, 0)
+
+    def _set_up(self, settings: DcamSettings) -> None:
+        if self._values.get_or(Id.IMAGE_PIXELTYPE, ids.PIXELTYPE_MONO16) != ids.PIXELTYPE_MONO16:
+            raise Unsupported("only cameras that give one 16-bit number per pixel can be used")
+        if settings.amplifier is not None:
+            self.set_amplifier(settings.amplifier)
+        else:
+            self._prepare_em_gain()
+        if settings.readout_speed is not None:
+            self.set_readout_speed(settings.readout_speed)
+        self.set_binning(settings.binning)
+        region = settings.region or self.capabilities.sensor
+        if region is not None:
+            self.set_region(region)
+        self.set_trigger(settings.trigger)
+        if settings.exposure_s is not None:
+            self.set_exposure(settings.exposure_s)
+        if settings.em_gain is not None:
+            self.set_em_gain(settings.em_gain)
+        wanted: dict[Id, float | None] = {
+            Id.TRIGGERACTIVE: ids.TRIGGER_ACTIVE.get(settings.trigger_active or ""),
+            Id.TRIGGERPOLARITY: ids.POLARITIES.get(settings.trigger_polarity or ""),
+            Id.TRIGGERDELAY: settings.trigger_delay_s,
+            Id.OUTPUTTRIGGER_KIND: ids.OUTPUTS.get(settings.output or ""),
+            Id.OUTPUTTRIGGER_POLARITY: ids.POLARITIES.get(settings.output_polarity or ""),
+            Id.SENSORCOOLER: ids.COOLER.get(settings.cooler or ""),
+            Id.EMGAINPROTECT_AFTERFRAMES: settings.em_gain_protection_frames,
+            Id.EMGAINWARNING_LEVEL: settings.em_gain_warning_level,
+        }
+        with self._talking():
+            for identifier, value in wanted.items():
+                if value is not None:
+                    self._values.set(identifier, value)
+
+    def _close(self) -> None:
+        capture = self._capture
+        if capture is not None:
+            capture.abort()
+        with self._turn:  # a reader in another thread has left
+            self._capture = None
+            if capture is not None:
+                self._leave(capture.end)
+            self._undo.close()
+
+    @staticmethod
+    def _leave(step: Callable[..., None], *arguments: object) -> None:
+        """Take one step of letting go; there is nothing to be done where it fails, and the next is to be taken."""
+        with suppress(DeviceError):
+            step(*arguments)
+
+    def _read_capabilities(self) -> CameraCapabilities:
+        values = self._values
+        speeds = values.limits(Id.READOUTSPEED).range if values.has(Id.READOUTSPEED) else Range(1, 1)
+        exposure = values.limits(Id.EXPOSURETIME).range
+        sensor, step_px = self._sensor()
+        return CameraCapabilities(
+            rows=round(values.get(Id.IMAGE_HEIGHT)),
+            columns=round(values.get(Id.IMAGE_WIDTH)),
+            pixel_pitch_m=self._pixel_pitch_m() * self._read_binning(),
+            full_scale=2 ** round(values.get(Id.BITSPERCHANNEL)) - 1,
+            exposure_range_s=exposure,
+            em_gain_range=values.limits(Id.SENSITIVITY).range if self._has_em_gain() else Range(1.0, 1.0),
+            amplifiers=tuple(
+                _AMPLIFIERS[mode] for mode in self._modes(Id.CCDMODE, ids.CCDMODE_NORMAL) if mode in _AMPLIFIERS
+            ),
+            readout_speeds=tuple(range(round(speeds.minimum), round(speeds.maximum) + 1)),
+            binnings=tuple(mode for mode in self._modes(Id.BINNING, 1) if mode < 100),  # above, 102 is 1 x 2
+            triggers=tuple(_TRIGGERS[mode] for mode in self._modes(Id.TRIGGERSOURCE, 1) if mode in _TRIGGERS),
+            sensor=sensor,
+            region_step_px=step_px,
+        )
+
+    def _modes(self, identifier: Id, only: int) -> tuple[int, ...]:
+        return self._values.values(identifier) if self._values.has(identifier) else (only,)
+
+    def _pixel_pitch_m(self) -> float:
+        pitch_m = self._settings.pixel_pitch_m or 1e-6 * self._values.get_or(Id.IMAGEDETECTOR_PIXELWIDTH, 0.0)
+        if not pitch_m:
+            raise Unsupported("this camera does not tell its pixel pitch: set camera.pixel_pitch_m")
+        return pitch_m
+
+    def _sensor(self) -> tuple[Region | None, int]:
+        if not self._values.has(Id.SUBARRAYMODE):
+            return None, 1
+        rows, columns, top, left = (
+            self._values.limits(identifier)
+            for identifier in (Id.SUBARRAYVSIZE, Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS, Id.SUBARRAYHPOS)
+        )
+        step_px = round(max(1, rows.step, columns.step, top.step, left.step))
+        return Region(0, 0, round(rows.range.maximum), round(columns.range.maximum)), step_px
+
+    def _has_em_gain(self) -> bool:
+        return self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL) == ids.CCDMODE_EM
+
+    def _prepare_em_gain(self) -> None:
+        """Let the EM gain be what it says, where the camera knows it, and protect the register."""
+        if not self._has_em_gain():
+            return
+        if self._values.has(Id.DIRECTEMGAIN_MODE) and self._values.get(Id.DIRECTEMGAIN_MODE) != ids.ON:
+            self._values.set(Id.DIRECTEMGAIN_MODE, ids.ON)
+        if self._values.has(Id.EMGAINPROTECT_MODE):
+            self._values.set(Id.EMGAINPROTECT_MODE, ids.ON if self._settings.em_gain_protection else ids.OFF)
+
+    def _read_exposure(self) -> float:
+        return self._values.get(Id.EXPOSURETIME)
+
+    def _set_exposure(self, exposure_s: float) -> float:
+        taken_s = self._values.set(Id.EXPOSURETIME, exposure_s)
+        if self._capture is not None:
+            self._capture.change(taken_s, self._read_em_gain())
+        return taken_s
+
+    def _read_em_gain(self) -> float:
+        return self._values.get(Id.SENSITIVITY) if self._has_em_gain() else 1.0
+
+    def _set_em_gain(self, em_gain: float) -> float:
+        if not self._has_em_gain():
+            return 1.0
+        taken = self._values.set(Id.SENSITIVITY, em_gain)
+        if self._capture is not None:
+            self._capture.change(self._read_exposure(), taken)
+        return taken
+
+    def _read_amplifier(self) -> str:
+        return _AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
+
+    def _set_amplifier(self, amplifier: str) -> None:
+        if self._values.has(Id.CCDMODE):
+            self._values.set(Id.CCDMODE, ids.CCDMODE_EM if amplifier == "em" else ids.CCDMODE_NORMAL)
+            self._prepare_em_gain()
+
+    def _read_readout_speed(self) -> int:
+        return round(self._values.get_or(Id.READOUTSPEED, 1))
+
+    def _set_readout_speed(self, readout_speed: int) -> None:
+        if self._values.has(Id.READOUTSPEED):
+            self._values.set(Id.READOUTSPEED, readout_speed)
+
+    def _read_binning(self) -> int:
+        return round(self._values.get_or(Id.BINNING, 1))
+
+    def _set_binning(self, binning: int) -> None:
+        if self._values.has(Id.BINNING):
+            self._values.set(Id.BINNING, binning)
+
+    def _read_trigger(self) -> str:
+        return _TRIGGERS.get(round(self._values.get_or(Id.TRIGGERSOURCE, 1)), "internal")
+
+    def _set_trigger(self, trigger: str) -> None:
+        if self._values.has(Id.TRIGGERSOURCE):
+            self._values.set(Id.TRIGGERSOURCE, ids.TRIGGER_SOURCES[trigger])
+
+    def _read_region(self) -> Region:
+        sensor, _ = self._sensor()
+        if sensor is None:
+            return super()._read_region()
+        if self._values.get(Id.SUBARRAYMODE) != ids.ON:
+            return sensor
+        top, left, rows, columns = (
+            round(self._values.get(identifier))
+            for identifier in (Id.SUBARRAYVPOS, Id.SUBARRAYHPOS, Id.SUBARRAYVSIZE, Id.SUBARRAYHSIZE)
+        )
+        return Region(top, left, rows, columns)
+
+    def _set_region(self, region: Region) -> Region:
+        before = self._read_region()
+        try:
+            self._write_region(region)
+        except DeviceError:
+            self._leave(self._write_region, before)
+            raise
+        return self._read_region()
+
+    def _write_region(self, region: Region) -> None:
+        """At every step the region lies on the sensor: from its corner, first the size, then the position."""
+        set_value = self._values.set
+        set_value(Id.SUBARRAYMODE, ids.OFF)
+        if region == self._sensor()[0]:
+            return
+        for position, size, start_px, length_px in (
+            (Id.SUBARRAYHPOS, Id.SUBARRAYHSIZE, region.left, region.columns),
+            (Id.SUBARRAYVPOS, Id.SUBARRAYVSIZE, region.top, region.rows),
+        ):
+            set_value(position, 0)
+            set_value(size, length_px)
+            set_value(position, start_px)
+        set_value(Id.SUBARRAYMODE, ids.ON)
+
+    def _is_running(self) -> bool:
+        return self._capture is not None
+
+    def _start(self) -> None:
+        allowed = self.capabilities
+        self._capture = Capture(
+            self._library,
+            self._handle,
+            (allowed.rows, allowed.columns),
+            self._settings.ring_frames,
+            (self._read_exposure(), self._read_em_gain()),
+            self._clock,
+        )
+
+    def _stop(self) -> None:
+        capture, self._capture = self._capture, None
+        if capture is not None:
+            capture.end()
+
+    def _read(self, timeout_s: float) -> Frame:
+        if self._capture is None:
+            raise WrongState("the camera must be started before a frame can be read")
+        try:
+            frame = self._capture.read(timeout_s)
+        except WrongState:
+            self._leave(self._stop)
+            raise
+        if not frame.pixels[0].any() and not frame.pixels.any() and self._is_protected():
+            raise DeviceError(
+                "the camera protects its EM register from too much light and sends black frames:"
+                " lower the light or the EM gain, then stop and start it"
+            )
+        return frame
+
+    def _is_protected(self) -> bool:
+        """Whether the black frame is the camera's own doing."""
+        return self._has_em_gain() and self._values.get_or(Id.EMGAINWARNING_STATUS, 0) == ids.EMGAINWARNING_PROTECTED
+
+
+def _opened(library: DcamLibrary, found: FoundCamera) -> int:
+    asked = sized(DeviceOpen, index=found.index)
+    library.call("dcamdev_open", byref(asked))
+    handle: int = asked.hdcam
+    return handle

@@ -1,0 +1,211 @@
+"""Frames on their way out of the DCAM-API's ring, from the start of a capture to its end."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from ctypes import byref, c_int32
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.camera import Frame
+from drivers.dcam.library import DcamLibrary
+from drivers.dcam.properties import Properties
+from drivers.dcam.property_ids import ALIVE_ONLINE, PRODUCER_NONE, Id
+from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
+from drivers.errors import DeviceTimeout, Disconnected, FrameLost, WrongState
+
+_SLICE_S = (
+    0.1  # the longest wait in the library, and how long silence lasts before the camera is asked whether it lives
+)
+_SEQUENCE = -1
+_FRAMEREADY, _STOPPED = 0x2, 0x10
+_BUSY = 1
+_STAMPS = 2**16  # some interfaces carry no more bits of the camera's own count
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """Exposure and gain of all frames from this index on."""
+
+    first_index: int
+    exposure_s: float
+    em_gain: float
+
+
+class Capture:
+    """A capture under way: made, read from, ended.
+
+    The number of a frame is the library's count of transferred frames, and those lost before their transfer, which
+    the camera's own count of its frames tells.
+    """
+
+    def __init__(
+        self,
+        library: DcamLibrary,
+        handle: int,
+        shape: tuple[int, int],
+        ring_frames: int,
+        in_force: tuple[float, float],
+        clock: Callable[[], float],
+    ) -> None:
+        self._library = library
+        self._handle = handle
+        self._properties = Properties(library, handle)
+        self._shape = shape
+        self._ring_frames = ring_frames
+        self._clock = clock
+        self._in_force = deque([InForce(0, *in_force)])
+        self._next = 0  # in the library's count
+        self._lost = 0  # before their transfer
+        self._last: tuple[int, int] | None = None  # the library's and the camera's count of the last frame
+        self._is_loss_told = False
+        self._is_aborted = False
+        self._has_stamps = self._properties.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
+        self._seen_alive_s = clock()
+        with ExitStack() as undo:
+            opened = sized(WaitOpen, hdcam=handle)
+            library.call("dcamwait_open", byref(opened))
+            self._wait_handle: int = opened.hwait
+            undo.callback(library.call, "dcamwait_close", self._wait_handle)
+            library.call("dcambuf_alloc", handle, ring_frames)
+            undo.callback(library.call, "dcambuf_release", handle, 0)
+            library.call("dcamcap_start", handle, _SEQUENCE)
+            undo.callback(self._stop)
+            self._undo = undo.pop_all()
+
+    def end(self) -> None:
+        """Stop and give the ring back, each step even if another fails."""
+        self._undo.close()
+
+    def abort(self) -> None:
+        """Let `read` in another thread come back at once with `WrongState`; the capture can only be ended then."""
+        self._is_aborted = True
+        with suppress(Disconnected):
+            self._library.call("dcamwait_abort", self._wait_handle)
+
+    def change(self, exposure_s: float, em_gain: float) -> None:
+        """Note settings that were changed just now: they hold from the frame after the one that is being exposed."""
+        first = self._transferred().nFrameCount + self._lost + 1
+        if self._in_force[-1].first_index == first:
+            self._in_force.pop()
+        self._in_force.append(InForce(first, exposure_s, em_gain))
+
+    def read(self, timeout_s: float) -> Frame:
+        """Return the oldest frame not yet read, or wait for it.
+
+        Raises `WrongState` when the capture has ended by itself or was aborted: it is to be ended then.
+        """
+        deadline_s = self._clock() + timeout_s
+        while not self._is_aborted:
+            frame = self._oldest()
+            if frame is not None:
+                return frame
+            remaining_s = deadline_s - self._clock()
+            if remaining_s <= 0:
+                self._check_alive()
+                raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
+            self._wait(min(remaining_s, _SLICE_S))
+        raise WrongState("the camera is being closed")
+
+    def _wait(self, duration_s: float) -> None:
+        """Wait for the next event, at most so long."""
+        asked = sized(WaitStart, eventmask=_FRAMEREADY | _STOPPED, timeout=math.ceil(1e3 * duration_s))
+        try:
+            self._library.call("dcamwait_start", self._wait_handle, byref(asked))
+        except DeviceTimeout:
+            self._check_alive()
+        except FrameLost:
+            self._is_loss_told = True
+        else:
+            if asked.eventhappened & _STOPPED:
+                self._seen_alive_s = -math.inf
+                self._check_alive()
+
+    def _check_alive(self) -> None:
+        """Ask a camera that has been silent whether it is there and capturing."""
+        now_s = self._clock()
+        if now_s - self._seen_alive_s < 0.9 * _SLICE_S:
+            return
+        if self._properties.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
+            raise Disconnected("the camera is gone: check its power and cable, then connect again")
+        status = c_int32()
+        self._library.call("dcamcap_status", self._handle, byref(status))
+        if status.value != _BUSY:
+            raise WrongState("the camera has stopped taking frames by itself; start it again")
+        self._seen_alive_s = now_s
+
+    def _oldest(self) -> Frame | None:
+        """The oldest frame that is whole in the ring; what was overwritten is skipped, and shows as a gap."""
+        while True:
+            told = self._transferred()
+            waiting = told.nFrameCount - self._next
+            if waiting <= 0:
+                return None
+            if waiting >= self._ring_frames:  # half of the ring is given up, so that the next are not overwritten, too
+                self._next = told.nFrameCount - self._ring_frames // 2
+            number = self._next
+            self._next += 1  # also when its copying fails
+            slot = (told.nNewestFrameIndex - (told.nFrameCount - 1 - number)) % self._ring_frames
+            pixels, copied = self._copy(slot)
+            host_time_s = self._clock()
+            if self._transferred().nFrameCount - number < self._ring_frames:
+                return self._frame(number, pixels, copied, host_time_s)
+
+    def _copy(self, slot: int) -> tuple[NDArray[np.uint16], BufferFrame]:
+        """Copy a frame out of the ring into an array of its own."""
+        rows, columns = self._shape
+        pixels = np.empty(self._shape, np.uint16)
+        copied = sized(
+            BufferFrame,
+            iFrame=slot,
+            buf=pixels.ctypes.data,
+            rowbytes=pixels.strides[0],
+            width=columns,
+            height=rows,
+        )
+        self._library.call("dcambuf_copyframe", self._handle, byref(copied))
+        pixels.setflags(write=False)
+        return pixels, copied
+
+    def _frame(self, number: int, pixels: NDArray[np.uint16], copied: BufferFrame, host_time_s: float) -> Frame:
+        self._seen_alive_s = host_time_s
+        self._count_lost(number, copied.framestamp)
+        index = number + self._lost
+        while len(self._in_force) > 1 and self._in_force[1].first_index <= index:
+            self._in_force.popleft()
+        in_force = self._in_force[0]
+        camera_time_s = copied.timestamp.sec + 1e-6 * copied.timestamp.microsec
+        return Frame(
+            pixels,
+            index,
+            camera_time_s or host_time_s,  # 0 where nobody stamps the frames
+            host_time_s,
+            in_force.exposure_s,
+            in_force.em_gain,
+        )
+
+    def _count_lost(self, number: int, stamp: int) -> None:
+        """Count the frames that the camera has taken but the library has never seen."""
+        if self._has_stamps and self._last is not None:
+            last_number, last_stamp = self._last
+            missing = (stamp - last_stamp - (number - last_number)) % _STAMPS
+            if missing < _STAMPS // 2:  # else the stamps began anew
+                self._lost += missing
+        elif not self._has_stamps and self._is_loss_told:  # at least one
+            self._lost += 1
+        self._is_loss_told = False
+        self._last = number, stamp
+
+    def _transferred(self) -> TransferInfo:
+        told = sized(TransferInfo)
+        self._library.call("dcamcap_transferinfo", self._handle, byref(told))
+        return told
+
+    def _stop(self) -> None:
+        with suppress(WrongState):  # it has stopped by itself
+            self._library.call("dcamcap_stop", self._handle)
