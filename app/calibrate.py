@@ -39,7 +39,7 @@ def calibrate(reference: Path, *, dark: Path | None, bench: Bench) -> Found:
     image = read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     try:
-        found = survey(image, bench.sensor, dark=dark_image, full_scale=full_scale(image, bench.camera.bits))
+        found = survey(image, bench.sensor, dark=dark_image, full_scale=full_scale(image, bench.camera_model.bits))
         return Found(image, bench, dataclasses.replace(bench, lattice=_rounded(found.lattice)), found)
     except ReconstructionError as error:
         raise InputError(f"{dark if error.image == 'dark' else reference}: {error}") from error

@@ -10,7 +10,7 @@ import math
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 import cattrs
 import tomli_w
@@ -18,12 +18,17 @@ import tomli_w
 from app.errors import InputError
 from app.presets import PRESETS
 from app.stream_settings import StreamSettings
+from drivers.genicam_settings import GenicamSettings
+from drivers.thorlabs_dc4100 import DC4100Settings
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.registration import RegistrationSettings
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
 T = TypeVar("T")
+
+CameraSettings: TypeAlias = SimulatedCameraSettings | GenicamSettings
+LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings
 
 AUTOMATIC = "automatic"  # the word for what is left out
 _CHOSEN_IF_LEFT_OUT = (("registration", "warp"), ("reconstruction", "pupil_modes"))
@@ -39,18 +44,45 @@ class Bench:
     lattice: Lattice | None = None  # found from the reference
     registration: RegistrationSettings = RegistrationSettings()
     reconstruction: ReconstructionSettings = ReconstructionSettings()
-    camera: SimulatedCameraSettings = SimulatedCameraSettings()
-    light: SimulatedLightSettings = SimulatedLightSettings()
+    camera: CameraSettings = SimulatedCameraSettings()
+    light: LightSettings = SimulatedLightSettings()
     simulation: Simulation = Simulation()
     streams: StreamSettings = StreamSettings()
 
     def __post_init__(self) -> None:
+        if self.is_simulated and not isinstance(self.light, SimulatedLightSettings):
+            raise ValueError(
+                f'light.driver = "{self.light.driver}" is of no use: a simulated camera sees no real light'
+            )
+        if isinstance(self.light, SimulatedLightSettings) and not self.is_simulated:
+            known = ", ".join(f'"{driver}"' for driver in drivers_of(LightSettings) if driver != "simulated")
+            raise ValueError(f'light.driver is missing: camera.driver = "{self.camera.driver}" needs one of {known}')
         designed_px = self.sensor.lenslet_pitch_px
         if self.lattice is not None and not 0.9 < self.lattice.pitch_px / designed_px < 1.1:
             raise ValueError(
                 f"lattice.pitch_px = {self.lattice.pitch_px:g} is far from"
                 f" sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
             )
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the simulated bench serves it, with camera, light and stage."""
+        return isinstance(self.camera, SimulatedCameraSettings)
+
+    @property
+    def camera_model(self) -> SimulatedCameraSettings:
+        """The camera as physics, for what is computed instead of seen; for a real one, a typical EMCCD."""
+        return self.camera if isinstance(self.camera, SimulatedCameraSettings) else SimulatedCameraSettings()
+
+    @property
+    def light_model(self) -> SimulatedLightSettings:
+        """The light as physics, likewise."""
+        return self.light if isinstance(self.light, SimulatedLightSettings) else SimulatedLightSettings()
+
+
+def drivers_of(kind: Any) -> dict[str, type]:
+    """Return the settings' classes of a union by the name of their driver."""
+    return {get_args(get_type_hints(each)["driver"])[0]: each for each in get_args(kind)}
 
 
 def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
@@ -124,7 +156,20 @@ def _converter() -> cattrs.Converter:
     converter.register_structure_hook(bool, _exactly(bool, "true or false"))
     converter.register_structure_hook(str, _exactly(str, "text in quotes"))
     converter.register_structure_hook(float, lambda value, _: _number(value))
+    converter.register_structure_hook_func(
+        lambda kind: kind in (CameraSettings, LightSettings), lambda value, kind: _by_driver(converter, value, kind)
+    )
     return converter
+
+
+def _by_driver(converter: cattrs.Converter, value: Any, kind: Any) -> Any:
+    """Read a section into the class of the driver that it names; the simulated one where it names none."""
+    if not isinstance(value, dict):
+        raise ValueError("must be a section")  # noqa: TRY004 - told as it is
+    known, driver = drivers_of(kind), value.get("driver", "simulated")
+    if driver not in known:
+        raise ValueError(f"driver = {driver!r} is not known; known are " + ", ".join(f'"{name}"' for name in known))
+    return converter.structure(value, known[driver])
 
 
 def _exactly(kind: type[T], what: str) -> Callable[[Any, Any], T]:

@@ -15,9 +15,12 @@ from typing import Self
 
 import platformdirs
 
-from app.config import Bench
+from app.config import Bench, CameraSettings, LightSettings
 from app.errors import InputError
+from drivers.genicam_settings import GenicamSettings
 from drivers.interface import Camera, LightSource, Stage
+from drivers.manual_stage import ManualStage
+from drivers.thorlabs_dc4100 import DC4100Settings
 from reconstruction.geometry import nominal_lattice
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
@@ -49,24 +52,54 @@ class Devices:
 def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
     """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
     with ExitStack() as stack:
+        if not bench.is_simulated:
+            camera = stack.enter_context(open_camera(bench.camera))
+            progress(0.5)
+            stage = stack.enter_context(ManualStage(bench.simulation.source.mask))
+            light = stack.enter_context(open_light(bench.light))
+            progress(1.0)
+            return Devices(camera, light, stage, stack.pop_all())
         simulated = simulated_bench(bench, progress)
         stack.callback(simulated.close)
-        camera = stack.enter_context(SimulatedCamera(simulated))
-        stage = stack.enter_context(SimulatedStage(simulated))
-        light = stack.enter_context(SimulatedLight(simulated))
-        return Devices(camera, light, stage, stack.pop_all())
+        return Devices(
+            stack.enter_context(SimulatedCamera(simulated)),
+            stage=stack.enter_context(SimulatedStage(simulated)),
+            light=stack.enter_context(SimulatedLight(simulated)),
+            _closing=stack.pop_all(),
+        )
+
+
+def open_camera(settings: CameraSettings) -> Camera:
+    """Open a real camera."""
+    match settings:
+        case GenicamSettings():
+            from drivers.genicam_camera import GenicamCamera
+
+            return GenicamCamera(settings)
+    raise InputError(f"camera.driver = {settings.driver!r} has no device of its own")
+
+
+def open_light(settings: LightSettings) -> LightSource:
+    """Open a real light; it is off then."""
+    match settings:
+        case DC4100Settings():
+            from drivers.thorlabs_dc4100 import ThorlabsDC4100
+
+            return ThorlabsDC4100(settings)
+    raise InputError(f"light.driver = {settings.driver!r} has no device of its own")
 
 
 def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:
-    """Build the bench as physics; its devices are told the time by `clock`."""
+    """Build the bench as physics, with typical devices in place of real ones; they are told the time by `clock`."""
+    camera, light = bench.camera_model, bench.light_model
     try:
         return SimulatedBench(
             bench.sensor,
-            bench.lattice or nominal_lattice(bench.sensor, bench.camera.rows, bench.camera.columns),
+            bench.lattice or nominal_lattice(bench.sensor, camera.rows, camera.columns),
             bench.field,
             bench.simulation,
-            bench.camera,
-            bench.light,
+            camera,
+            light,
             cache_folder=cache_folder() / "irradiance",
             clock=clock,
             progress=progress,

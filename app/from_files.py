@@ -57,7 +57,7 @@ def reconstruct_files(
             registration=bench.registration,
             reconstruction=bench.reconstruction,
             dark=dark_image,
-            full_scale=min(full_scale(image, bench.camera.bits) for image in (reference_image, frame_image)),
+            full_scale=min(full_scale(image, bench.camera_model.bits) for image in (reference_image, frame_image)),
         )
         displacement = reconstructor.register(frame_image)
         wavefront = reconstructor.solve(displacement)

@@ -31,7 +31,7 @@ class BenchModel:
     def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = 2) -> None:
         sensor, field, lattice = reconstructor.sensor, reconstructor.field, reconstructor.lattice
         reference, (rows, columns) = reconstructor.subimages, reconstructor.frame_shape
-        fill_factor = bench.camera.pixel_fill_factor
+        fill_factor = bench.camera_model.pixel_fill_factor
         samples = 2 * math.ceil(_SAMPLES_PER_BLUR * lattice.pitch_px / reference.blur_px / 2)
         self._model = ForwardModel(
             sensor,

@@ -32,17 +32,18 @@ class NoiseFreeFrames:
     """The frames of one bench, each rendered when it is first asked for."""
 
     def __init__(self, bench: Bench) -> None:
+        camera = bench.camera_model
         self._scene = Scene(
             sensor=bench.sensor,
-            lattice=bench.lattice or nominal_lattice(bench.sensor, bench.camera.rows, bench.camera.columns),
+            lattice=bench.lattice or nominal_lattice(bench.sensor, camera.rows, camera.columns),
             field=bench.field,
             simulation=bench.simulation,
-            rows=bench.camera.rows,
-            columns=bench.camera.columns,
-            pixel_fill_factor=bench.camera.pixel_fill_factor,
+            rows=camera.rows,
+            columns=camera.columns,
+            pixel_fill_factor=camera.pixel_fill_factor,
         )
         self._renderer = Renderer(self._scene)
-        self._light = np.float32(PHOTONS_PER_S_M2_A * bench.light.current_a)
+        self._light = np.float32(PHOTONS_PER_S_M2_A * bench.light_model.current_a)
 
     def reference(self, mask: str) -> Image:
         """Mean photons in a second on each pixel without the sample, (row, column)."""

@@ -49,6 +49,10 @@ class Stage(Device):
         with self._talking():
             self._set_sample_in(sample_in=sample_in)
 
+    def note_sample(self, sample_in: bool) -> None:
+        """Take note that the sample is to be, or by hand was, moved; where there is a motor, it moves it."""
+        self.set_sample_in(sample_in)
+
     @abstractmethod
     def _read_masks(self) -> tuple[str, ...]: ...
 

@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from drivers.camera import Range
 from drivers.device import Property
@@ -29,6 +30,7 @@ _MULTI_SELECTION, _CONSTANT_CURRENT = "0", "0"
 class DC4100Settings:
     """What a bench says of it: where it is, and what it feeds."""
 
+    driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
     port: str = ""  # such as /dev/ttyUSB0 or COM3; or else
     serial_number: str = ""  # of its USB adapter
     channel: int = 0  # 0 ... 3 are LED1 ... LED4

@@ -9,6 +9,7 @@ import pytest
 from app.config import load_bench, parse_bench, write_bench
 from app.errors import InputError
 from app.presets import PRESETS
+from drivers.genicam_settings import GenicamSettings
 
 MINIMAL = (Path(__file__).parent / "foreign_frames" / "bench.toml").read_text()
 
@@ -67,8 +68,40 @@ def test_a_fault_is_one_line_that_names_the_key(name: str) -> None:
 
 
 def test_an_unknown_driver_says_what_there_is() -> None:
-    with pytest.raises(InputError, match=r'camera\.driver: must be one of "simulated"'):
-        parse_bench(MINIMAL + '\n[camera]\ndriver = "dcam"\n', "b")
+    with pytest.raises(InputError, match=r"b: camera: driver = 'no such' is not known; known are \"simulated\", "):
+        parse_bench(MINIMAL + '\n[camera]\ndriver = "no such"\n', "b")
+
+
+GENICAM = '\n[camera]\ndriver = "genicam"\nexposure_s = 0.01\n'
+DC4100 = '\n[light]\ndriver = "thorlabs_dc4100"\nport = "/dev/ttyUSB0"\nlimit_a = 0.35\n'
+BAD_DEVICES = {
+    "a key of another driver": (
+        GENICAM + "em_gain = 4.0\n" + DC4100,
+        "camera: unknown key em_gain; known are driver, de",
+    ),
+    "a value it cannot have": (GENICAM + "binning = 0\n" + DC4100, "camera: binning must be 1"),
+    "a missing port": (GENICAM + DC4100.replace('port = "/dev/ttyUSB0"\n', ""), "light: .*port"),
+    "no light": (GENICAM, 'light.driver is missing: camera.driver = "genicam" needs one of "thorlabs_dc4100"'),
+    "a light that nobody sees": (DC4100, 'light.driver = "thorlabs_dc4100" is of no use: a simulated camera sees no'),
+    "no section": ("", "camera: must be a section"),
+}
+
+
+@pytest.mark.parametrize(("text", "sentence"), BAD_DEVICES.values(), ids=BAD_DEVICES)
+def test_what_is_wrong_with_a_device_is_one_line(text: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence) as refused:
+        parse_bench((MINIMAL if text else "camera = 3\n" + MINIMAL) + text, "b")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_real_bench_survives_writing_and_reading() -> None:
+    bench = parse_bench(MINIMAL + GENICAM + DC4100, "b")
+    assert (bench.camera.driver, bench.light.driver) == ("genicam", "thorlabs_dc4100")
+    assert bench.camera.exposure_s == 0.01
+    assert parse_bench(write_bench(bench), "again") == bench
+    changed = parse_bench(MINIMAL + GENICAM + DC4100, "b", ("camera.binning=2",)).camera
+    assert isinstance(changed, GenicamSettings)
+    assert changed.binning == 2
 
 
 def test_settings_can_be_changed_from_the_command_line() -> None:

@@ -25,9 +25,9 @@ def _scene(bench: Bench) -> Scene:
         lattice=bench.lattice,
         field=bench.field,
         simulation=bench.simulation,
-        rows=bench.camera.rows,
-        columns=bench.camera.columns,
-        pixel_fill_factor=bench.camera.pixel_fill_factor,
+        rows=bench.camera_model.rows,
+        columns=bench.camera_model.columns,
+        pixel_fill_factor=bench.camera_model.pixel_fill_factor,
     )
 
 

@@ -95,7 +95,7 @@ def test_the_instrument_measures_its_noise_with_dark_and_reference(small_toml: P
         reconstructor = instrument._reconstructor
         assert reconstructor is not None
         assert reconstructor.noise is not None
-        settings = bench.camera
+        settings = bench.camera_model
         expected = settings.em_gain / settings.electrons_per_count * (2 - 1 / settings.em_gain)
         assert reconstructor.noise.counts_per_light == pytest.approx(expected, rel=0.1)
         assert reconstructor.subimages.reference_frames == 6

@@ -27,7 +27,7 @@ _Wrong = Callable[[Bench, float], Bench]
 
 def lattice_of(bench: Bench) -> Lattice:
     """The bench's lattice, as designed if it has none."""
-    return bench.lattice or nominal_lattice(bench.sensor, bench.camera.rows, bench.camera.columns)
+    return bench.lattice or nominal_lattice(bench.sensor, bench.camera_model.rows, bench.camera_model.columns)
 
 
 def _outermost_px(bench: Bench) -> float:

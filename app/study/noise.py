@@ -69,7 +69,9 @@ class EmCamera:
 def camera(bench: Bench, speed: int, em_gain: float) -> EmCamera:
     """Return the bench's camera with another read-out speed and gain."""
     exposure_s = 1.0  # allowed at every speed; the light follows from the electrons that are asked for
-    return EmCamera(replace(bench.camera, amplifier="em", readout_speed=speed, em_gain=em_gain, exposure_s=exposure_s))
+    return EmCamera(
+        replace(bench.camera_model, amplifier="em", readout_speed=speed, em_gain=em_gain, exposure_s=exposure_s)
+    )
 
 
 def _photons(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
