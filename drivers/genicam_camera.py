@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from ctypes import byref, c_size_t
 from typing import Final
 
 from drivers.camera import Camera, CameraCapabilities, Frame, Range, Region
 from drivers.device import Property
-from drivers.errors import BadValue, DeviceError, DeviceTimeout, Unsupported
+from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 from drivers.genicam_connection import GenicamConnection
 from drivers.genicam_find import choose
 from drivers.genicam_frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
@@ -36,12 +38,15 @@ class GenicamCamera(Camera):
         super().__init__()
         self._settings = settings = settings or GenicamSettings()
         self._aravis = load_aravis()
-        self._found = choose(settings.device)
-        self._line = GenicamConnection(self._aravis, self._found.device, settings)
+        device = choose(settings.device)
+        self._line = GenicamConnection(self._aravis, device, settings)
         self._count = FrameCount()
         self._exposures = ExposureLog.beginning_with(0.0)
         self._incomplete = 0
+        self._asked_region: Region | None = None  # which may be no multiple of the binning
         try:
+            details = ("vendor_name", "model_name", "device_serial_number")
+            self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
             self._format = PIXEL_FORMATS[self._choose_pixel_format()]
             self._prepare()
         except DeviceError:
@@ -51,7 +56,7 @@ class GenicamCamera(Camera):
     @property
     def name(self) -> str:
         """Maker, model and serial number."""
-        return self._found.name
+        return self._name
 
     def properties(self) -> dict[str, Property]:
         """All settings in force, and what else is worth a record."""
@@ -59,8 +64,7 @@ class GenicamCamera(Camera):
         told: dict[str, Property] = super().properties()  # checks that the camera is there
         with self._talking():
             told |= {
-                "device": self._found.device,
-                "protocol": self._found.protocol,
+                "protocol": "GigE Vision" if line.is_gige else "USB3 Vision",
                 "pixel_format": f"Mono{self._format.bits}",
             }
             if line.call("arv_camera_is_gain_available"):
@@ -95,6 +99,8 @@ class GenicamCamera(Camera):
     def _prepare(self) -> None:
         """Put the camera into a known mode: what the last program left in it counts for nothing."""
         line, settings = self._line, self._settings
+        with suppress(BadValue, Unsupported, WrongState):  # one that is at rest may refuse
+            line.call("arv_camera_execute_command", b"AcquisitionStop")
         for feature, value in (("ExposureAuto", "Off"), ("GainAuto", "Off"), ("AcquisitionMode", "Continuous")):
             if value in line.choices(feature):
                 line.set_text(feature, value)
@@ -179,25 +185,22 @@ class GenicamCamera(Camera):
             left_s = max(0.0, deadline_s - time.perf_counter())
             if buffer := self._line.next_buffer(min(left_s, _SLICE_S)):
                 try:
-                    frame = self._frame(buffer)
+                    return self._frame(buffer)
                 finally:
                     self._line.give_back(buffer)
-                if frame is not None:
-                    return frame
-                continue
             self._line.watch()
             if left_s <= _SLICE_S:
                 raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
 
-    def _frame(self, buffer: int) -> Frame | None:
-        """Copy the frame out of the library's buffer; None if packets of it are missing."""
+    def _frame(self, buffer: int) -> Frame:
+        """Copy the frame out of the library's buffer; `FrameLost` if packets of it are missing."""
         allowed = self.capabilities
         size = c_size_t()
         address = self._aravis.call("arv_buffer_get_data", buffer, byref(size))
         status = self._aravis.call("arv_buffer_get_status", buffer)
         if status != STATUS_SUCCESS or size.value < allowed.rows * allowed.columns * self._format.stored.itemsize:
             self._incomplete += 1
-            return None
+            raise FrameLost(f"a frame came incomplete, the {self._incomplete}. so far: packets are lost on the way")
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
         return Frame(
             pixels=copied_pixels(address, allowed.rows, allowed.columns, self._format),
@@ -224,12 +227,19 @@ class GenicamCamera(Camera):
         return self._line.integer("BinningHorizontal") if available else 1
 
     def _set_binning(self, binning: int) -> None:
-        region = self._read_region()
-        self._line.call("arv_camera_set_binning", binning, binning)
-        step = self._region_step() * binning
-        top, left = (offset - offset % step for offset in (region.top, region.left))
-        rows, columns = (max(step, length - length % step) for length in (region.rows, region.columns))
-        self._set_region(Region(top, left, rows, columns))
+        before, before_region = self._read_binning(), self._read_region()
+        asked = self._asked_region or before_region
+
+        def undo() -> None:
+            self._line.call("arv_camera_set_binning", before, before)
+            self._read_out(before_region)
+
+        with _undone_if_refused(undo):
+            self._line.call("arv_camera_set_binning", binning, binning)
+            step = self._region_step() * binning
+            top, left = (offset - offset % step for offset in (asked.top, asked.left))
+            rows, columns = (max(step, length - length % step) for length in (asked.rows, asked.columns))
+            self._read_out(Region(top, left, rows, columns))
 
     def _read_trigger(self) -> str:
         if self._line.choices("TriggerMode") and self._line.text("TriggerMode") == "On":
@@ -237,6 +247,12 @@ class GenicamCamera(Camera):
         return _INTERNAL
 
     def _set_trigger(self, trigger: str) -> None:
+        before = self._read_trigger()
+        with _undone_if_refused(lambda: self._wait_for(before)):
+            self._wait_for(trigger)
+
+    def _wait_for(self, trigger: str) -> None:
+        """Let exposures begin with this trigger."""
         if trigger != _INTERNAL:
             self._line.call("arv_camera_set_trigger", trigger.encode())
             return
@@ -251,6 +267,14 @@ class GenicamCamera(Camera):
         return Region(top, left, rows, columns)
 
     def _set_region(self, region: Region) -> Region:
+        before = self._read_region()
+        with _undone_if_refused(lambda: self._read_out(before)):
+            self._read_out(region)
+        self._asked_region = region
+        return self._read_region()
+
+    def _read_out(self, region: Region) -> None:
+        """Let the camera send this part of the sensor."""
         binning = self._read_binning()
         rows, columns = region.rows // binning, region.columns // binning
         fewest_rows, _, _ = self._line.integer_bounds("Height")
@@ -260,4 +284,15 @@ class GenicamCamera(Camera):
                 f"{self.name} reads out at least {fewest_rows * binning} rows and {fewest_columns * binning} columns"
             )
         self._line.call("arv_camera_set_region", region.left // binning, region.top // binning, columns, rows)
-        return self._read_region()
+
+
+@contextmanager
+def _undone_if_refused(undo: Callable[[], None]) -> Iterator[None]:
+    """Around several steps: where one is refused, those before it are taken back."""
+    try:
+        yield
+    except Disconnected:
+        raise
+    except DeviceError:
+        undo()
+        raise
