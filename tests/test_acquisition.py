@@ -210,7 +210,7 @@ def test_an_unplugged_camera_ends_the_loop_with_the_light_off(running: Running) 
 
 
 def test_a_camera_that_stalls_is_given_up(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.routines._MARGIN_S", 0.3)
+    monkeypatch.setattr("app.routines.frames._MARGIN_S", 0.3)
     running.begin()
     running.camera.inject(Stall())
     running.wait_until(lambda: not running.acquisition.is_alive)

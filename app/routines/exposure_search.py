@@ -1,0 +1,92 @@
+"""Which light to try next, when some have been tried: bisection as long as nothing was seen, then proportion.
+
+`light` is exposure times current, A s. A frame that is neither black nor saturated says within a few percent which
+light is the right one, over some three orders of magnitude. One that is saturated says only that it was too much, a
+black one that it was too little by more than what the noise hides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from app.routines.brightness import Brightness
+
+SATURATED = 0.95  # of full scale; above it the pixels may be full before the converter is
+_SEEN = 5.0  # noises above what noise alone makes of the brightest pixels
+_BRIGHTEST_NOISE = 4.0  # noises that the brightest of a dark cell's pixels lies above the background
+_CLEAR = 50.0  # noises; above it that hardly matters, and what looks like noise may be the image
+_MOST_BACKGROUND = 0.05  # of full scale; where no pixel is darker, light lies between the subimages, too
+_FAINT = 3.0  # times what can just be seen: enough to go by
+_USUAL_SPAN = 1000.0  # of light between just seen and the goal, as long as no frame has shown the noise
+_MISJUDGED = 1.5  # times, usually, the goal was missed by what a faint frame had let expect
+_APART = 3.0  # in light: two frames further apart than that tell the background better than one does
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A frame that was tried."""
+
+    light: float  # A s
+    brightness: Brightness
+    is_saturated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """What light there can be, A s."""
+
+    lowest: float
+    lowest_by_exposure: float  # at the current that was found: what is tried before the current is lowered
+    highest: float
+
+
+def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) -> float:
+    """Light with which the level is expected to be `goal` counts, or from which more can be learnt.
+
+    It may lie out of reach: that is how much would be needed; 0 where any is too much, infinity where none was seen.
+    """
+    dim = [shot for shot in shots if not shot.is_saturated]
+    too_much = min((shot.light for shot in shots if shot.is_saturated), default=math.inf)
+    background = min([_MOST_BACKGROUND * full_scale, *(shot.brightness.background for shot in dim)])
+    signals = [_signal(shot, dim, background) for shot in dim]
+    seen = [(shot, signal) for shot, signal in zip(dim, signals, strict=True) if signal > _SEEN * shot.brightness.noise]
+    enough = too_much * goal / (SATURATED * full_scale)  # or more than that
+    if not seen:
+        return _where_to_look(dim, goal - background, too_much, enough, reach)
+    best, signal = min(seen, key=lambda each: abs(each[0].brightness.level - goal))
+    wanted = goal - (best.brightness.level - signal)
+    if wanted <= 0:
+        return 0.0
+    light = best.light * wanted / signal
+    if light < _APART * best.light:
+        return light if light < too_much else math.sqrt(best.light * too_much)
+    light /= 1 + 2 * best.brightness.noise / signal  # rather too little than saturated
+    return light if light < enough else max(math.sqrt(best.light * too_much), enough / _MISJUDGED)
+
+
+def _signal(shot: Shot, dim: list[Shot], background: float) -> float:
+    """Counts by which the light raised the level: above a much darker frame's, where there is one."""
+    darkest = min(dim, key=lambda other: other.light)
+    if darkest.light * _APART < shot.light:
+        return (shot.brightness.level - darkest.brightness.level) / (1 - darkest.light / shot.light)
+    signal = shot.brightness.level - background
+    return signal if signal > _CLEAR * shot.brightness.noise else signal - _BRIGHTEST_NOISE * shot.brightness.noise
+
+
+def _where_to_look(black: list[Shot], wanted: float, too_much: float, highest: float, reach: Reach) -> float:
+    """Light that halves what is left, when all frames were black or saturated; infinity when nothing is left above.
+
+    A frame shows any light down to that which is `span` times too weak, so that so many spans are left, counted from
+    the `highest`. The shorter exposure is tried first.
+    """
+    span, too_little = _USUAL_SPAN, 0.0
+    for shot in black:
+        span = max(wanted / (_SEEN * shot.brightness.noise), 2 * _FAINT)
+        too_little = max(too_little, shot.light * span)
+    if too_little >= reach.highest:
+        return math.inf
+    lowest = reach.lowest if too_much <= 1.01 * reach.lowest_by_exposure else reach.lowest_by_exposure
+    left = min(highest, reach.highest) / max(lowest, too_little)
+    spans = max(1, math.ceil(math.log(max(left, 1.0)) / math.log(span / _FAINT) - 1e-9))
+    return max(min(highest, reach.highest) / (span / _FAINT) ** (spans - spans // 2), lowest)
