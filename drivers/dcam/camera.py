@@ -17,7 +17,7 @@ from drivers.dcam.capture import Capture
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
-from drivers.dcam.search import STRINGS, FoundCamera, choose, string
+from drivers.dcam.search import STRINGS, Listed, choose, string
 from drivers.dcam.settings import DcamSettings
 from drivers.dcam.structures import DeviceOpen, sized
 from drivers.dcam.trust import reasons_for_mistrust
@@ -281,9 +281,9 @@ class DcamCamera(Camera):
         )
 
     def _stop(self) -> None:
-        capture, self._capture = self._capture, None
-        if capture is not None:
-            capture.end()
+        if self._capture is not None:
+            self._capture.end()
+            self._capture = None
 
     def _read(self, timeout_s: float) -> Frame:
         if self._capture is None:
@@ -305,7 +305,7 @@ class DcamCamera(Camera):
         return self._has_em_gain() and self._values.get_or(Id.EMGAINWARNING_STATUS, 0) == ids.EMGAINWARNING_PROTECTED
 
 
-def _opened(library: DcamLibrary, found: FoundCamera) -> int:
+def _opened(library: DcamLibrary, found: Listed) -> int:
     asked = sized(DeviceOpen, index=found.index)
     library.call("dcamdev_open", byref(asked))
     handle: int = asked.hdcam

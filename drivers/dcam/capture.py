@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from ctypes import byref, c_int32
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ from drivers.dcam.library import DcamLibrary
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import ALIVE_ONLINE, PRODUCER_NONE, Id
 from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
-from drivers.errors import DeviceTimeout, Disconnected, FrameLost, WrongState
+from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
 
 _SLICE_S = (
     0.1  # the longest wait in the library, and how long silence lasts before the camera is asked whether it lives
@@ -67,20 +67,30 @@ class Capture:
         self._is_aborted = False
         self._has_stamps = self._properties.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
         self._seen_alive_s = clock()
-        with ExitStack() as undo:
-            opened = sized(WaitOpen, hdcam=handle)
-            library.call("dcamwait_open", byref(opened))
-            self._wait_handle: int = opened.hwait
-            undo.callback(library.call, "dcamwait_close", self._wait_handle)
-            library.call("dcambuf_alloc", handle, ring_frames)
-            undo.callback(library.call, "dcambuf_release", handle, 0)
-            library.call("dcamcap_start", handle, _SEQUENCE)
-            undo.callback(self._stop)
-            self._undo = undo.pop_all()
+        self._to_undo: list[Callable[[], None]] = []
+        try:
+            self._begin()
+        except DeviceError:
+            with suppress(DeviceError):
+                self.end()
+            raise
+
+    def _begin(self) -> None:
+        call = self._library.call
+        opened = sized(WaitOpen, hdcam=self._handle)
+        call("dcamwait_open", byref(opened))
+        self._wait_handle: int = opened.hwait
+        self._to_undo.append(lambda: call("dcamwait_close", self._wait_handle))
+        call("dcambuf_alloc", self._handle, self._ring_frames)
+        self._to_undo.append(lambda: call("dcambuf_release", self._handle, 0))
+        call("dcamcap_start", self._handle, _SEQUENCE)
+        self._to_undo.append(self._stop)
 
     def end(self) -> None:
-        """Stop and give the ring back, each step even if another fails."""
-        self._undo.close()
+        """Stop and give the ring back; when a step fails, it can be tried again from there."""
+        while self._to_undo:
+            self._to_undo[-1]()
+            self._to_undo.pop()
 
     def abort(self) -> None:
         """Let `read` in another thread come back at once with `WrongState`; the capture can only be ended then."""

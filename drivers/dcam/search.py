@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from drivers.dcam import session
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.dcam.structures import DeviceString, sized
+from drivers.discovery import Found
 from drivers.errors import BadValue, Disconnected
 
 STRINGS = {
@@ -24,7 +25,7 @@ _TEXT_BYTES = 256
 
 
 @dataclass(frozen=True, slots=True)
-class FoundCamera:
+class Listed:
     """A camera that could be opened, unless another program holds it."""
 
     index: int
@@ -38,22 +39,26 @@ class FoundCamera:
         return f"{self.vendor} {self.model}, serial {self.serial_number}"
 
 
-def find(library: DcamLibrary | None = None) -> tuple[FoundCamera, ...]:
+def find(library: DcamLibrary | None = None) -> tuple[Found, ...]:
     """Return the cameras that are there, perhaps none; raise `Unsupported` where Hamamatsu's library is missing."""
     library = library or load_library()
     try:
         count = session.begin(library)
-    except Disconnected:
+    except Disconnected:  # that there is none is an error to the DCAM-API
         return ()
     try:
-        return tuple(_found(library, index) for index in range(count))
+        listed = [_listed(library, index) for index in range(count)]
     finally:
         session.end(library)
+    return tuple(
+        Found(kind="camera", driver="dcam", description=camera.name, settings={"device": camera.serial_number})
+        for camera in listed
+    )
 
 
-def choose(library: DcamLibrary, count: int, wanted: str) -> FoundCamera:
+def choose(library: DcamLibrary, count: int, wanted: str) -> Listed:
     """Return the camera of this serial number or index among `count`; "" asks for the only one. In a session."""
-    found = [_found(library, index) for index in range(count)]
+    found = [_listed(library, index) for index in range(count)]
     chosen = [camera for camera in found if wanted in {"", camera.serial_number, str(camera.index)}]
     if len(chosen) == 1:
         return chosen[0]
@@ -72,6 +77,6 @@ def string(library: DcamLibrary, camera: int, identifier: int) -> str:
     return text.value.decode(errors="replace").strip()
 
 
-def _found(library: DcamLibrary, index: int) -> FoundCamera:
+def _listed(library: DcamLibrary, index: int) -> Listed:
     vendor, model, serial = (string(library, index, STRINGS[name]) for name in ("vendor", "model", "serial number"))
-    return FoundCamera(index, vendor, model, serial.removeprefix("S/N:").strip())
+    return Listed(index, vendor, model, serial.removeprefix("S/N:").strip())

@@ -50,7 +50,7 @@ typedef struct {
     pthread_cond_t changed;
     double speed, offset_s, origin_s; /* of the cameras' clock against the machine's; at speed 0 it jumps */
     int32_t sessions, present;
-    bool is_held, is_stalled, is_overexposed, has_cooler_trouble;
+    bool is_held, is_stalled, is_overexposed, has_cooler_trouble, rounds;
     Plug plug, plug_then;
     double unplug_at_s;
     int32_t to_lose;

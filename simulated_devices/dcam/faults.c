@@ -97,6 +97,7 @@ DCAM_EXPORT void stand_in_reset(double speed) {
     world.sessions = 0;
     world.present = 1;
     world.is_held = world.is_stalled = world.is_overexposed = world.has_cooler_trouble = false;
+    world.rounds = true;
     world.plug = PLUGGED;
     world.unplug_at_s = INFINITY;
     world.to_lose = 0;
@@ -226,6 +227,13 @@ DCAM_EXPORT void stand_in_refuse(int32_t id, int32_t code) {
 DCAM_EXPORT void stand_in_overexpose(int32_t is_overexposed) {
     lock();
     world.is_overexposed = is_overexposed;
+    unlock();
+}
+
+/* Whether a value between two steps is rounded, or refused. */
+DCAM_EXPORT void stand_in_rounds(int32_t rounds) {
+    lock();
+    world.rounds = rounds;
     unlock();
 }
 

@@ -141,8 +141,10 @@ static int32_t take(const struct Camera *camera, const Property *property, doubl
     Limits allowed = limits(camera, property);
     if (!(*value >= allowed.minimum && *value <= allowed.maximum)) return OUTOFRANGE;
     if (allowed.step > 0) {
-        double steps = round((*value - allowed.minimum) / allowed.step);
-        *value = fmin(allowed.maximum, allowed.minimum + steps * allowed.step);
+        double rounded = allowed.minimum + round((*value - allowed.minimum) / allowed.step) * allowed.step;
+        if (allowed.step < 1) rounded = round(*value * round(1 / allowed.step)) / round(1 / allowed.step); /* as typed */
+        if (!world.rounds && fabs(rounded - *value) > 1e-6 * allowed.step) return INVALIDVALUE;
+        *value = rounded;
     }
     return SUCCESS;
 }
@@ -181,7 +183,7 @@ int32_t dcamprop_getattr(HDCAM h, DCAMPROP_ATTR *param) {
     uint32_t attribute = (uint32_t)property->type | ATTR_HASDEFAULT | ATTR_EFFECTIVE;
     if (property->choices) attribute |= ATTR_HASVALUETEXT;
     if (property->access & R) attribute |= ATTR_READABLE;
-    if (property->access & W) attribute |= ATTR_WRITABLE | ATTR_AUTOROUNDING;
+    if (property->access & W) attribute |= ATTR_WRITABLE | (world.rounds ? ATTR_AUTOROUNDING : 0);
     else attribute |= ATTR_VOLATILE;
     if (property->access & WR) attribute |= ATTR_ACCESSREADY;
     if (property->access & WB) attribute |= ATTR_ACCESSBUSY;

@@ -46,6 +46,7 @@ class StandIn:
         self._refuse = _function(loaded, "refuse", None, ctypes.c_int32, ctypes.c_int32)
         self._overexpose = _function(loaded, "overexpose", None, ctypes.c_int32)
         self._cooler_trouble = _function(loaded, "cooler_trouble", None, ctypes.c_int32)
+        self._rounds = _function(loaded, "rounds", None, ctypes.c_int32)
         self._trigger = _function(loaded, "trigger", None)
         self.reset()
 
@@ -119,6 +120,10 @@ class StandIn:
     def break_cooler(self, *, is_broken: bool = True) -> None:
         """Let the sensor become warm."""
         self._cooler_trouble(is_broken)
+
+    def set_rounding(self, *, is_automatic: bool) -> None:
+        """Let a value between two steps be rounded, or refused."""
+        self._rounds(is_automatic)
 
     def trigger(self) -> None:
         """Let an external trigger arrive."""
