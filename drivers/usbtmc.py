@@ -1,0 +1,284 @@
+"""USB Test and Measurement Class (USBTMC 1.0, USB-IF 2003): messages of text to and from an instrument, over pyusb.
+
+Every transfer has a header of 12 bytes: what it is, a tag that the answer repeats, how long it is, whether the message
+ends with it. When an answer does not come in time the transfer is aborted and the instrument's buffers are cleared,
+as the class demands; otherwise the late answer would be taken for that of the next question, or none would ever come.
+"""
+
+from __future__ import annotations
+
+import errno
+import struct
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+import usb.core
+import usb.util
+from usb.backend import IBackend
+
+from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
+
+_CLASS, _SUBCLASS = 0xFE, 0x03
+_OUT, _REQUEST_IN, _IN = 1, 2, 2  # what a transfer is: a message, a request for one, and the answer to that
+_END_OF_MESSAGE = 1
+_HEADER = struct.Struct("<BBBxLB3x")
+_ABORT_OUT, _CHECK_ABORT_OUT, _ABORT_IN, _CHECK_ABORT_IN = 1, 2, 3, 4
+_CLEAR, _CHECK_CLEAR, _CAPABILITIES = 5, 6, 7
+_INTERFACE, _ENDPOINT = 0xA1, 0xA2  # class requests to the host, and to which part
+_SUCCESS, _PENDING = 0x01, 0x02
+_GONE = {errno.ENODEV, errno.ENXIO, errno.ENOENT, errno.EIO, errno.EPROTO, errno.ESHUTDOWN}
+_CONTROL_MS, _EMPTY_MS = 500, 50
+_POLLS, _POLL_S = 20, 0.02  # how often, and after what pause, a pending abort or clear is asked for
+_LARGEST = 4096 - _HEADER.size  # bytes of data in a transfer
+_LONGEST_ANSWER = 1 << 20
+UDEV_FILE = "/etc/udev/rules.d/70-svwfs.rules"
+UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="1313", TAG+="uaccess"'  # of Thorlabs
+
+
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """An instrument on the bus, as `find` saw it."""
+
+    serial_number: str
+    device: usb.core.Device
+    trouble: str = ""  # why it could not even be asked who it is
+
+
+def find(vendor_id: int, product_id: int, backend: IBackend | None = None) -> list[Instrument]:
+    """Return the instruments of that maker and kind; nothing is sent to them but the question of who they are."""
+    try:
+        with _faults("the USB bus"):
+            devices = usb.core.find(find_all=True, idVendor=vendor_id, idProduct=product_id, backend=backend)
+            return [_identify(device) for device in devices]
+    except usb.core.NoBackendError as error:
+        raise Unsupported(
+            "USB instruments need the library libusb 1.0; install it (Debian, Ubuntu: apt install libusb-1.0-0;"
+            " macOS: brew install libusb; Windows: put libusb-1.0.dll beside python.exe)"
+        ) from error
+
+
+def _identify(device: usb.core.Device) -> Instrument:
+    """A device that may not be opened keeps its serial number to itself."""
+    try:
+        with _faults(f"the USB device {device.idVendor:04x}:{device.idProduct:04x}"):
+            usb.util.get_string(device, device.iSerialNumber, 0x0409)  # in English; this one tells why it fails
+            return Instrument(device.serial_number or "", device)
+    except DeviceError as error:
+        return Instrument("", device, str(error))
+
+
+class Usbtmc:
+    """A conversation with one instrument; every fault leaves it as a `DeviceError`."""
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        *,
+        what: str,
+        timeout_s: float = 3.0,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """`what` it is called in errors; `sleep` waits before a request that it is not ready for is repeated."""
+        self._device, self._what, self._timeout_ms = instrument.device, what, round(1000 * timeout_s)
+        self._sleep = sleep
+        self._tag = 0
+        try:
+            with _faults(what):
+                self._claim()
+            self._require(_CAPABILITIES, 24, "tell its capabilities")
+            self.clear()
+        except DeviceError:
+            self.close()
+            raise
+
+    def write(self, message: str) -> None:
+        """Send one message."""
+        data = message.encode("ascii")
+        try:
+            for start in range(0, len(data), _LARGEST):
+                part = data[start : start + _LARGEST]
+                attributes = _END_OF_MESSAGE if start + _LARGEST >= len(data) else 0
+                self._send(_OUT, len(part), attributes, part)
+        except Disconnected:
+            raise
+        except DeviceError:
+            self._recover(self._abort_out)
+            raise
+
+    def read(self) -> str:
+        """Return one message, which may come in many transfers."""
+        try:
+            message = self._read_message()
+        except Disconnected:
+            raise
+        except DeviceError:
+            self._recover(self._abort_in)
+            raise
+        return message.decode("ascii", "backslashreplace").strip()
+
+    def query(self, message: str) -> str:
+        """Ask, and return the answer."""
+        self.write(message)
+        return self.read()
+
+    def clear(self) -> None:
+        """Empty the instrument's buffers: what it has not yet read, and what it has not yet answered."""
+        self._require(_CLEAR, 1, "clear its buffers")
+        for _ in range(_POLLS):
+            status, has_more = self._control(_CHECK_CLEAR, 0, 2)[:2]
+            if status == _SUCCESS:
+                with _faults(self._what):
+                    self._device.clear_halt(self._out)
+                return
+            if has_more & 1:
+                self._drain()
+            else:
+                self._sleep(_POLL_S)
+        raise DeviceTimeout(f"{self._what} does not come to an end with clearing its buffers; switch it off and on")
+
+    def close(self) -> None:
+        """Let go of it, in whatever state it is."""
+        with suppress(OSError, ValueError, NotImplementedError):
+            usb.util.dispose_resources(self._device)
+
+    def _claim(self) -> None:
+        """Take the interface of the class from whoever has it, and find its endpoints."""
+        try:
+            configuration = self._device.get_active_configuration()
+        except usb.core.USBError as error:
+            if error.errno in {errno.EACCES, *_GONE}:
+                raise
+            self._device.set_configuration()
+            configuration = self._device.get_active_configuration()
+        interface = usb.util.find_descriptor(configuration, bInterfaceClass=_CLASS, bInterfaceSubClass=_SUBCLASS)
+        if interface is None:
+            raise Unsupported(f"{self._what} has no USB measurement interface; is it in its firmware update mode?")
+        self._interface = interface.bInterfaceNumber
+        with suppress(NotImplementedError):  # only Linux has kernel drivers that must be sent away
+            if self._device.is_kernel_driver_active(self._interface):
+                self._device.detach_kernel_driver(self._interface)
+        usb.util.claim_interface(self._device, self._interface)
+        bulk = [end for end in interface if usb.util.endpoint_type(end.bmAttributes) == usb.util.ENDPOINT_TYPE_BULK]
+        ways = {usb.util.endpoint_direction(end.bEndpointAddress): end for end in bulk}
+        self._out = ways[usb.util.ENDPOINT_OUT].bEndpointAddress
+        self._in = ways[usb.util.ENDPOINT_IN].bEndpointAddress
+        self._packet_size = ways[usb.util.ENDPOINT_IN].wMaxPacketSize & 0x7FF
+
+    def _send(self, kind: int, length: int, attributes: int, data: bytes = b"") -> None:
+        self._tag = self._tag % 255 + 1
+        transfer = _HEADER.pack(kind, self._tag, ~self._tag & 0xFF, length, attributes) + data
+        with _faults(self._what):
+            self._device.write(self._out, transfer + bytes(-len(transfer) % 4), self._timeout_ms)
+
+    def _read_message(self) -> bytes:
+        message, is_complete = b"", False
+        while not is_complete:
+            data, is_complete = self._read_transfer()
+            message += data
+            if len(message) > _LONGEST_ANSWER:
+                raise DeviceError(f"{self._what} sends an answer without an end")
+        return message
+
+    def _read_transfer(self) -> tuple[bytes, bool]:
+        """Return the data of one transfer, and whether the message ends with it."""
+        self._send(_REQUEST_IN, _LARGEST, 0)
+        packet = transfer = self._packet(self._timeout_ms)
+        if len(transfer) < _HEADER.size:
+            raise DeviceError(f"{self._what} answered with half a header")
+        kind, tag, inverse, length, attributes = _HEADER.unpack_from(transfer)
+        if (kind, tag, inverse) != (_IN, self._tag, ~self._tag & 0xFF) or length > _LARGEST:
+            raise DeviceError(f"{self._what} answered another question than the last")
+        while len(packet) == self._packet_size and len(transfer) < _HEADER.size + length:
+            packet = self._packet(self._timeout_ms)
+            transfer += packet
+        if len(packet) == self._packet_size:  # then an empty one follows; not every instrument sends it
+            with suppress(DeviceTimeout):
+                self._packet(_EMPTY_MS)
+        if len(transfer) < _HEADER.size + length:
+            raise DeviceError(f"{self._what} sent half an answer")
+        return transfer[_HEADER.size : _HEADER.size + length], bool(attributes & _END_OF_MESSAGE)
+
+    def _packet(self, timeout_ms: int) -> bytes:
+        with _faults(self._what):
+            return bytes(self._device.read(self._in, self._packet_size, timeout_ms))
+
+    def _recover(self, abort: Callable[[], None]) -> None:
+        """Abort the transfer and clear all buffers, so that the next question works; a loss found here is told."""
+        try:
+            with suppress(DeviceTimeout):  # the clear empties all that an abort would
+                abort()
+            self.clear()
+        except Disconnected:
+            raise
+        except DeviceError:
+            return  # the error that led here says more
+
+    def _abort_out(self) -> None:
+        if self._abort(_ABORT_OUT, self._out)[0] == _SUCCESS:
+            self._poll(_CHECK_ABORT_OUT, self._out)
+        with _faults(self._what):
+            self._device.clear_halt(self._out)
+
+    def _abort_in(self) -> None:
+        if self._abort(_ABORT_IN, self._in)[0] == _SUCCESS:
+            self._drain()
+            self._poll(_CHECK_ABORT_IN, self._in)
+
+    def _abort(self, request: int, endpoint: int) -> bytes:
+        return self._control(request, self._tag, 2, endpoint)
+
+    def _poll(self, request: int, endpoint: int) -> None:
+        for _ in range(_POLLS):
+            answer = self._control(request, 0, 8, endpoint)
+            if answer[0] != _PENDING:
+                return
+            if request == _CHECK_ABORT_IN and answer[1] & 1:
+                self._drain()
+            else:
+                self._sleep(_POLL_S)
+
+    def _drain(self) -> None:
+        """Read until a short packet: the end of what the instrument had to send."""
+        with suppress(DeviceTimeout):
+            while len(self._packet(_CONTROL_MS)) == self._packet_size:
+                pass
+
+    def _require(self, request: int, length: int, what: str) -> None:
+        if self._control(request, 0, length)[0] != _SUCCESS:
+            raise DeviceError(f"{self._what} does not {what}; switch it off and on")
+
+    def _control(self, request: int, value: int, length: int, endpoint: int | None = None) -> bytes:
+        kind, index = (_INTERFACE, self._interface) if endpoint is None else (_ENDPOINT, endpoint)
+        with _faults(self._what):
+            answer = bytes(self._device.ctrl_transfer(kind, request, value, index, length, _CONTROL_MS))
+        if len(answer) < length:
+            raise DeviceError(f"{self._what} answered a request of the USB class with {len(answer)} of {length} bytes")
+        return answer
+
+
+@contextmanager
+def _faults(what: str) -> Iterator[None]:
+    try:
+        yield
+    except usb.core.NoBackendError:
+        raise
+    except usb.core.USBTimeoutError as error:
+        raise DeviceTimeout(f"{what} did not answer in time; is it busy, or hung?") from error
+    except (OSError, ValueError, NotImplementedError) as error:  # USBError is an OSError
+        raise _translate(what, error) from error
+
+
+def _translate(what: str, error: Exception) -> DeviceError:
+    number = error.errno if isinstance(error, OSError) else None
+    if number in _GONE:
+        return Disconnected(f"{what} is gone; is it plugged in and switched on?")
+    if number == errno.EBUSY:
+        return Busy(f"another program holds {what}; close it")
+    if number in {errno.EACCES, errno.EPERM}:
+        return DeviceError(
+            f"you may not use {what}: as root, write the line “{UDEV_RULE}” to {UDEV_FILE}, run"
+            " “udevadm control --reload” and plug it in again (on Windows, give it the driver WinUSB)"
+        )
+    return DeviceError(f"the conversation with {what} failed: {error}")
