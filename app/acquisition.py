@@ -72,6 +72,11 @@ class Acquisition:
         self.activity = Activity("opening the devices")
         self.error: Exception | None = None  # why the worker has ended, when it was not asked to
 
+    @property
+    def bench(self) -> Bench:
+        """What it was made for; settings that were changed since are the instrument's."""
+        return self._bench
+
     def start(self) -> None:
         """Open the devices and begin to execute commands."""
         self._thread.start()

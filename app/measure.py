@@ -12,11 +12,12 @@ from app.config import Bench
 from app.devices import open_devices
 from app.errors import InputError, Interrupted, RunError
 from app.measured import Measured, write_measured
+from app.person import ask
 from app.progress import Report
 from app.recording.layout import RUN
 from app.recording.reader import Recording
 from app.recording.run_writer import check_free
-from app.start_up import start_up
+from app.start_up import calibrate, start_up, watch_sample
 from app.streams.publisher import stream_sinks
 from drivers.interface import DeviceError
 
@@ -64,7 +65,13 @@ def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, repo
     def begin() -> Future[None]:
         return acquisition.start_recording(out, command="measure", frames=frames)
 
-    steps = start_up(acquisition)
+    if bench.is_simulated:
+        steps = start_up(acquisition)
+    else:
+        ask("take the sample out of the beam")
+        _wait(calibrate(acquisition), acquisition, report)
+        ask("put the sample into the beam")
+        steps = (watch_sample(acquisition),)
     _wait((*steps, *([] if bench.reconstruction.refine else [begin()])), acquisition, report)
     if bench.reconstruction.refine:
         while acquisition.is_alive and not _is_refined(acquisition):

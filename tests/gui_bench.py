@@ -50,7 +50,8 @@ class FakeCamera(Camera):
 
     def __init__(self, *, rows: int = 300, columns: int = 430, lattice: Lattice = LATTICE) -> None:
         super().__init__()
-        self.light, self.stage = FakeLight(), FakeStage()
+        self.light = FakeLight()
+        self.stage: Stage = FakeStage()
         self.fault: Exception | None = None
         self.period_s = 0.02
         self._capabilities = CameraCapabilities(

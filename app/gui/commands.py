@@ -49,8 +49,8 @@ def set_current(instrument: Instrument, current_a: float) -> None:
 
 
 def set_sample(instrument: Instrument, sample_in: bool) -> None:
-    """Move the sample into or out of the beam."""
-    instrument.devices.stage.set_sample_in(sample_in)
+    """Move the sample into or out of the beam, or take note that a person has."""
+    instrument.devices.stage.note_sample(sample_in)
 
 
 def set_mask(instrument: Instrument, mask: str) -> None:
