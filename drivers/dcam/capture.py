@@ -150,21 +150,21 @@ class Capture:
         self._seen_alive_s = now_s
 
     def _oldest(self) -> Frame | None:
-        """The oldest frame that is whole in the ring; what was overwritten is skipped, and shows as a gap."""
-        while True:
-            told = self._transferred()
-            waiting = told.nFrameCount - self._next
-            if waiting <= 0:
-                return None
-            if waiting >= self._ring_frames:  # half of the ring is given up, so that the next are not overwritten, too
-                self._next = told.nFrameCount - self._ring_frames // 2
-            number = self._next
-            self._next += 1  # also when its copying fails
-            slot = (told.nNewestFrameIndex - (told.nFrameCount - 1 - number)) % self._ring_frames
-            pixels, copied = self._copy(slot)
-            host_time_s = self._clock()
-            if self._transferred().nFrameCount - number < self._ring_frames:
-                return self._frame(number, pixels, copied, host_time_s)
+        """The oldest frame that is whole in the ring, if any; what was overwritten is skipped, and shows as a gap."""
+        told = self._transferred()
+        waiting = told.nFrameCount - self._next
+        if waiting <= 0:
+            return None
+        if waiting >= self._ring_frames:  # half of the ring is given up, so that the next are not overwritten, too
+            self._next = told.nFrameCount - self._ring_frames // 2
+        number = self._next
+        self._next += 1  # also when its copying fails
+        slot = (told.nNewestFrameIndex - (told.nFrameCount - 1 - number)) % self._ring_frames
+        pixels, copied = self._copy(slot)
+        host_time_s = self._clock()
+        if self._transferred().nFrameCount - number >= self._ring_frames:  # overwritten meanwhile
+            return None
+        return self._frame(number, pixels, copied, host_time_s)
 
     def _copy(self, slot: int) -> tuple[NDArray[np.uint16], BufferFrame]:
         """Copy a frame out of the ring into an array of its own."""
