@@ -75,7 +75,7 @@ def survey(reference: Counts, sensor: Sensor, *, dark: Counts | None = None, ful
     pitch_px = sensor.lenslet_pitch_px
     fit, why = _fitted(light, sensor, pitch_px)
     if fit is None:
-        others = (_fitted(light, sensor, pitch_px * factor)[0] for factor in (2.0, 0.5))
+        others = (_fitted(light, sensor, pitch_px * factor)[0] for factor in (0.5, 2.0))
         fit = next((other for other in others if other is not None), None)
     if fit is not None and abs(fit.lattice.pitch_px / pitch_px - 1) < REACH:
         return _of_the_sensor(fit, sensor, light.shape)
@@ -149,7 +149,7 @@ def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
     fits: Mask = np.zeros((0, 0), np.bool_)
     if wanted[0] <= rows and wanted[1] <= columns:
         fits = np.asarray(sliding_window_view(whole, wanted).all(axis=(2, 3)))
-    if not fits.any():
+    if not fits.any() or any(_is_cut(*line) for line in zip(extent, whole.shape, wanted, strict=True)):
         raise ReconstructionError(
             f"of the lattice of {fit.lattice.pitch_px:.1f} px only {found[0]} x {found[1]} lenslets lie whole on the"
             f" frame, not the sensor's {wanted[0]} x {wanted[1]}: move the camera, or change sensor.lenslet_rows and"
@@ -183,6 +183,11 @@ def _extent(lit: Mask) -> tuple[slice, slice]:
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
     rows, columns = ndimage.find_objects(patches)[int(np.argmax(sizes))]
     return rows, columns
+
+
+def _is_cut(lit: slice, whole: int, wanted: int) -> bool:
+    """Whether lit rows (or columns) end at one edge of the frame, too few, while there is room beside them."""
+    return bool(lit.stop - lit.start < wanted < whole and (lit.start == 0) != (lit.stop == whole))
 
 
 def _occupied(lit: Mask, axis: int, wanted: int) -> Floats:

@@ -18,7 +18,7 @@ _OUTSTANDING = 4.0  # of a peak of the spectrum, over what is usual
 _ONE_SIDED = 8.0  # of one of the two peaks over the other
 _AGREEMENT = 0.5  # of the cells' harmonics, 1 when all point the same way; noise gives about 1 / sqrt(cells)
 _ALIKE = 0.5  # correlation of the mean cells of two halves of the frame; noise gives about 0
-_REPEATED = 0.95  # correlation of the typical cell with itself, moved by half a pitch
+_REPEATED = 0.98  # of the power of the typical cell; where it repeats itself all is in every second harmonic, say
 _SCATTER = 0.1  # RMS distance of the cells' light from the lattice, in pitches
 _FEWEST = 3  # lit lenslets
 
@@ -67,9 +67,11 @@ def _halves_alike(cells: Cells) -> float:
 
 
 def _repeats_inside(typical: Floats) -> bool:
-    """Whether the typical cell (S, S) looks the same half a pitch further along x or y."""
-    half = len(typical) // 2
-    return any(_correlation(typical, np.roll(typical, half, axis=axis)) > _REPEATED for axis in (0, 1))
+    """Whether the typical cell (S, S) holds the same image two, three or five times along x or y."""
+    power = np.abs(np.fft.fft2(typical)) ** 2
+    order = np.abs(np.fft.fftfreq(len(typical), 1 / len(typical)))
+    lines = power.sum(axis=0), power.sum(axis=1)
+    return any(line[order % times == 0].sum() > _REPEATED * line.sum() for line in lines for times in (2, 3, 5))
 
 
 def _correlation(one: Floats, other: Floats) -> float:
