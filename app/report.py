@@ -77,7 +77,11 @@ def print_replay(made: Replay) -> None:
             table.add_row(f"{y_m * 1e3:+.2f}", *cells)
         console.print(table)
     elif compared is not None and made.reconstructed:
-        console.print("this bench has other views or lenslets than the recorded one: there is nothing to compare")
+        console.print(
+            "this bench has other views or lenslets than the recorded one: nothing to compare", soft_wrap=True
+        )
+    if made.unrefined:
+        console.print(f"{made.unrefined} frames were refined when they were recorded; with this bench they are not")
     if made.verification is not None:
         console.print(made.verification.sentence, highlight=False, soft_wrap=True)
     failed = made.frames - made.reconstructed
@@ -102,7 +106,8 @@ def print_checks(checks: Iterable[Check]) -> bool:
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """A progress bar on standard error that hears what is being done and how much of it, 0 ... 1."""
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=1.0)
         yield lambda text, fraction: progress.update(task, description=text or "waiting", completed=fraction)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -103,8 +103,7 @@ def _append(path: Path, piece: xr.Dataset) -> None:
     with h5netcdf.File(path, "r+") as file:
         first = file.dimensions[_FRAME].size
         sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != _FRAME}
-        if sizes != {name: size for name, size in piece.sizes.items() if name != _FRAME}:
-            raise InputError("the settings changed between the frames: choose some that go together")
+        _require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != _FRAME})
         file.resize_dimension(_FRAME, first + piece.sizes[_FRAME])
         for name, variable in piece.variables.items():
             if _FRAME in variable.dims:
@@ -115,13 +114,23 @@ def _append(path: Path, piece: xr.Dataset) -> None:
 def stack_frames(
     datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
 ) -> xr.Dataset:
-    """Put the results of several frames after one another, along a new first dimension `frame`."""
+    """Put the results of several frames after one another, along a new first dimension `frame`.
+
+    `InputError` when they have different shapes.
+    """
+    for dataset in datasets:
+        _require_alike(datasets[0].sizes, dataset.sizes)
     stacked = xr.concat(datasets, _FRAME, join="exact", combine_attrs="override", coords="minimal", compat="override")
     return stacked.assign_coords(
         frame_index=(_FRAME, list(frame_index), about("1", "the camera's count since start")),
         time=(_FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
         bias_age=(_FRAME, list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
     )
+
+
+def _require_alike(sizes: Mapping[Hashable, int], others: Mapping[Hashable, int]) -> None:
+    if dict(sizes) != dict(others):
+        raise InputError("the settings changed between the frames: choose some that go together")
 
 
 def _wavefront_variables(views: Floats, bench: Bench) -> dict[str, Variable]:

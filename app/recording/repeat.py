@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def repeated(
     before it was, and none has a bias, which would be that of another registration.
     """
     in_force: _InForce | None = None
-    before: tuple[int, Displacement] | None = None
+    before: Displacement | None = None
     with one_blas_thread():
         for index in range(len(recording)) if frames is None else frames:
             line = recording.line(index)
@@ -52,13 +52,9 @@ def repeated(
                 continue
             if in_force is None or line.calibration != in_force.number:
                 in_force, before = _InForce.of(recording, line.calibration, change), None
-            start = None if before is None else before[1]
-            if in_force.registers_as_recorded and (before is None or before[0] != line.start):
-                recorded = recording.start(index)
-                start = None if recorded is None else _as_start(recorded)
+            start = _as_start(recording.start(index)) if in_force.registers_as_recorded else before
             made = in_force.reconstruct(recording, line, start)
-            if made.registered is not None:
-                before = index, made.registered
+            before = made.registered or before
             yield made
 
 
@@ -94,13 +90,15 @@ class _InForce:
 
 
 def _of_registration(calibration: Calibration) -> object:
-    """All that decides, with dark and reference, how frames are registered."""
+    """All that decides, with dark and reference, how frames are registered: not how many threads share the work."""
     bench = calibration.bench
-    return bench.sensor, calibration.lattice, bench.field, bench.registration
+    return bench.sensor, calibration.lattice, bench.field, replace(bench.registration, threads=1)
 
 
-def _as_start(coefficients: Floats) -> Displacement:
+def _as_start(coefficients: Floats | None) -> Displacement | None:
     """A displacement that is only to start from: of that, nothing but the coefficients counts."""
+    if coefficients is None:
+        return None
     shape = coefficients.shape
     unknown = np.full(shape[:2], np.nan)
     return Displacement(

@@ -29,12 +29,14 @@ class Replay:
     comparison: Comparison | None
     frames: int = 0
     reconstructed: int = 0
+    unrefined: int = 0  # frames that were refined when they were recorded, and are not by this bench
     problem: str = ""  # of the first frame that could not be reconstructed
 
     def take(self, frame: Repeated) -> None:
         """Count one frame."""
         self.frames += 1
         self.reconstructed += frame.wavefront is not None
+        self.unrefined += frame.wavefront is not None and frame.line.bias is not None and not frame.is_refined
         self.problem = self.problem or frame.problem
 
 

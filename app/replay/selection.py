@@ -16,5 +16,5 @@ def chosen_frames(recording: Recording, text: str | None) -> range:
     except ValueError as error:
         raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100") from error
     if not frames:
-        raise InputError(f"--frames {text}: means no frame; {recording.folder} has {len(recording)}")
+        raise InputError(f'--frames "{text}" means no frame; {recording.folder} has {len(recording)}')
     return frames
