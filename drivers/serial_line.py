@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import serial
-from serial.tools import list_ports
 
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected
+from drivers.serial_ports import connected, no_permission
 
 try:
     from termios import error as TerminalError  # noqa: N812 - a class, whatever its module calls it
@@ -108,10 +108,14 @@ class SerialLine:
 
         Raise `DeviceTimeout` when nothing came in time, `DeviceError` when only other lines came.
         """
+        return self.query_lines(text, pattern, 1)[0]
+
+    def query_lines(self, text: str, pattern: str, count: int) -> list[re.Match[str]]:
+        """Ask, and return the first lines that match."""
         self._come_into_step()
         self._send(text)
         try:
-            return self._await(re.compile(pattern), f"“{text}”")
+            return [self._await(re.compile(pattern), f"“{text}”") for _ in range(count)]
         except DeviceError:
             self._is_in_step = False
             raise
@@ -208,29 +212,6 @@ class SerialLine:
             raise Disconnected(f"{self.where} is gone; is it plugged in and switched on?") from error
 
 
-def check_address(port: str, serial_number: str) -> None:
-    """Raise `ValueError` unless a bench says, in one way, which port it is."""
-    if bool(port) == bool(serial_number):
-        raise ValueError("port must be given, or serial_number of the USB adapter, and not both")
-
-
-def find_port(serial_number: str) -> str:
-    """Return the name of the port whose USB adapter has that serial number."""
-    ports = list_ports.comports()
-    names = [port.device for port in ports if port.serial_number == serial_number]
-    if not names:
-        raise Disconnected(f"no serial port has the USB serial number {serial_number!r}; {_connected()}")
-    return str(names[0])
-
-
-def _connected() -> str:
-    names = ", ".join(
-        f"{port.device} ({port.description}, {port.serial_number or 'no serial number'})"
-        for port in list_ports.comports()
-    )
-    return f"connected are {names}" if names else "none is connected"
-
-
 def _open(port: str, dialect: Dialect, wire: Wire) -> Port:
     try:
         return wire.open_port(port, baudrate=dialect.baudrate, timeout=_SLICE_S, write_timeout=_WRITE_S, exclusive=True)
@@ -244,10 +225,7 @@ def _opening_error(port: str, device: str, error: BaseException) -> DeviceError:
     if number in {errno.EBUSY, errno.EAGAIN} or "PermissionError" in text:
         return Busy(f"another program holds {port}; close it to use the {device}")
     if number in {errno.EACCES, errno.EPERM}:
-        return DeviceError(
-            f"you may not open {port}: run “sudo usermod -aG dialout $USER” (the group dialout owns serial ports)"
-            " and log in again"
-        )
+        return DeviceError(no_permission(port))
     if number in {errno.ENOENT, errno.ENXIO, errno.ENODEV, errno.EIO} or "FileNotFoundError" in text:
-        return Disconnected(f"there is no {port}, so no {device}; {_connected()}")
+        return Disconnected(f"there is no {port}, so no {device}; {connected()}")
     return DeviceError(f"{port} cannot be opened as a serial port for the {device}: {text}")

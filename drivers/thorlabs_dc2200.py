@@ -19,11 +19,12 @@ from usb.backend import IBackend
 from drivers import usbtmc
 from drivers.camera import Range
 from drivers.device import Property
+from drivers.discovery import Found
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
 from drivers.light_source import LightSource
 from drivers.usbtmc import Instrument, Usbtmc
 
-VENDOR_ID, PRODUCT_ID = 0x1313, 0x80C8
+_VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one where a firmware update is allowed
 _STEP_A = 1e-4  # currents are sent with so many digits
 _ERROR = re.compile(r'([+-]?\d+),\s*"?([^"]*)"?')
 _MOST_ERRORS = 32  # more than its queue holds
@@ -52,9 +53,22 @@ class DC2200Settings:
             raise ValueError("limit_a must be positive, and at most 10")
 
 
-def find(backend: IBackend | None = None) -> list[Instrument]:
-    """Return the DC2200 that are connected, without a word to them."""
-    return usbtmc.find(VENDOR_ID, PRODUCT_ID, backend)
+def find(backend: IBackend | None = None) -> tuple[Found, ...]:
+    """Return those that are connected, without a word to them; raise `Unsupported` where libusb is missing."""
+    return tuple(
+        Found(
+            kind="light",
+            driver="thorlabs_dc2200",
+            description=f"Thorlabs DC2200 {instrument.serial_number}".rstrip(),
+            settings={"serial_number": instrument.serial_number} if instrument.serial_number else {},
+            missing=instrument.trouble,
+        )
+        for instrument in _instruments(backend)
+    )
+
+
+def _instruments(backend: IBackend | None) -> list[Instrument]:
+    return usbtmc.find(_VENDOR_ID, _PRODUCT_IDS, backend)
 
 
 class ThorlabsDC2200(LightSource):
@@ -72,7 +86,7 @@ class ThorlabsDC2200(LightSource):
         self._terminal, self._gate = settings.terminal, settings.gate
         self._mode, self._source = ("CC", "SOUR:CCUR") if settings.gate == "internal" else ("TTL", "SOUR:TTL")
         self._is_wanted_lit = False
-        instrument = _choose(find(backend), settings.serial_number)
+        instrument = _choose(_instruments(backend), settings.serial_number)
         self._what = f"the DC2200 {instrument.serial_number}"
         self._usb = Usbtmc(instrument, what=self._what, timeout_s=timeout_s, sleep=sleep)
         try:

@@ -13,11 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from drivers import serial_ports
 from drivers.camera import Range
 from drivers.device import Property
+from drivers.discovery import Found
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, WrongState
 from drivers.light_source import LightSource
-from drivers.serial_line import Dialect, SerialLine, Wire, check_address, find_port
+from drivers.serial_line import Dialect, SerialLine, Wire
+from drivers.serial_ports import check_address, find_port
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
 _MODEL = r".*\b(DC4100|DC4104)\b.*"
@@ -42,6 +45,11 @@ class DC4100Settings:
             raise ValueError("channel must be 0 ... 3, for LED1 ... LED4")
         if self.limit_a is not None and not 0 < self.limit_a <= 10:
             raise ValueError("limit_a must be positive, and at most 10")
+
+
+def find() -> tuple[Found, ...]:
+    """Return the serial ports where one may be; nothing is sent to it."""
+    return serial_ports.find("thorlabs_dc4100", "DC4100 or DC4104", ("dc4100", "dc4104", "thorlabs"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
@@ -46,12 +46,12 @@ class Instrument:
     trouble: str = ""  # why it could not even be asked who it is
 
 
-def find(vendor_id: int, product_id: int, backend: IBackend | None = None) -> list[Instrument]:
-    """Return the instruments of that maker and kind; nothing is sent to them but the question of who they are."""
+def find(vendor_id: int, product_ids: Collection[int], backend: IBackend | None = None) -> list[Instrument]:
+    """Return the instruments of that maker and those kinds; they are asked nothing but who they are."""
     try:
         with _faults("the USB bus"):
-            devices = usb.core.find(find_all=True, idVendor=vendor_id, idProduct=product_id, backend=backend)
-            return [_identify(device) for device in devices]
+            devices = usb.core.find(find_all=True, idVendor=vendor_id, backend=backend)
+            return [_identify(device) for device in devices if device.idProduct in product_ids]
     except usb.core.NoBackendError as error:
         raise Unsupported(
             "USB instruments need the library libusb 1.0; install it (Debian, Ubuntu: apt install libusb-1.0-0;"

@@ -275,7 +275,10 @@ def test_unplugged_in_the_middle_of_a_command(device: DC2200Wire, light: Thorlab
 def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
     other = DC2200Wire("M00990000")
     bus = Bus(Plug(device, "M00331234"), Plug(other, "M00990000"), clock=clock)
-    assert [one.serial_number for one in find(bus)] == ["M00331234", "M00990000"]
+    assert [(one.description, one.settings) for one in find(bus)] == [
+        ("Thorlabs DC2200 M00331234", {"serial_number": "M00331234"}),
+        ("Thorlabs DC2200 M00990000", {"serial_number": "M00990000"}),
+    ]
     with ThorlabsDC2200(DC2200Settings(serial_number="M00990000"), backend=bus, sleep=clock.sleep) as light:
         assert "M00990000" in light.name
     assert not device.received
@@ -290,6 +293,9 @@ def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
 def test_one_that_may_not_be_used(device: DC2200Wire, clock: ManualClock) -> None:
     plug = Plug(device, "M1")
     plug.is_allowed = False
+    (found,) = find(Bus(plug, clock=clock))
+    assert found.name == "thorlabs_dc2200"
+    assert "udevadm control --reload" in found.missing
     with pytest.raises(DeviceError, match=r"you may not use the USB device 1313:80c8: .*70-svwfs.rules"):
         ThorlabsDC2200(DC2200Settings(), backend=Bus(plug, clock=clock))
     plug.is_allowed, plug.is_taken = True, True

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +20,7 @@ from light_storm import STORM
 from serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
-from drivers.serial_line import Wire, find_port
+from drivers.serial_line import Wire
 from drivers.thorlabs_dc4100 import DC4100Settings, Status, ThorlabsDC4100
 from simulated_devices.clock import ManualClock
 from simulated_devices.dc4100_wire import DC4100Wire
@@ -412,17 +411,6 @@ def test_why_a_port_cannot_be_opened(error: Exception, kind: type[DeviceError], 
 
     with pytest.raises(kind, match=words):
         ThorlabsDC4100(DC4100Settings(port="COM7"), wire=Wire(open_port=open_port))
-
-
-def test_the_port_is_found_by_the_serial_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    ports = [
-        SimpleNamespace(device="COM3", serial_number="A1", description="FT232R"),
-        SimpleNamespace(device="COM4", serial_number=None, description="n/a"),
-    ]
-    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
-    assert find_port("A1") == "COM3"
-    with pytest.raises(Disconnected, match=r"'B2'; connected are COM3 \(FT232R, A1\), COM4 \(n/a, no serial number\)"):
-        find_port("B2")
 
 
 @pytest.mark.parametrize(
