@@ -28,7 +28,7 @@ from app.measurement import PASSED_OVER, Counts, LightState, Measurement
 from app.recording.background import RecordingState
 from app.recording.recorder import Recorder
 from app.routines import WAIT_SLICE_S, Cancelled, next_frame
-from app.timing import Timings
+from app.timing import Timings, short_turns
 from drivers.interface import BadValue, DeviceError, DeviceTimeout, Frame, FrameLost, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
 
@@ -193,6 +193,7 @@ class Acquisition:
         try:
             with (
                 one_blas_thread(),
+                short_turns(),
                 self._open_devices(self._bench, self._prepare) as devices,
                 closing(Instrument(devices, self._bench, self.timings)) as instrument,
             ):

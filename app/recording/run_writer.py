@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from app.calibration import Calibration
 from app.errors import InputError, RunError
 from app.files import make_folder
-from app.recording.frame_array import FrameArray
+from app.recording.frame_array import FrameArray, Separator
 from app.recording.frame_line import FrameLine
 from app.recording.kept_calibration import write_array, write_calibration
 from app.recording.layout import (
@@ -136,7 +136,8 @@ class RunWriter:
         if name not in self._arrays:
             if not self._arrays:
                 _make_store(self._folder / STORE)
-            self._arrays[name] = FrameArray.create(self._folder / STORE, name, values, dimensions)
+            separator: Separator = "/" if name == PIXELS else "."
+            self._arrays[name] = FrameArray.create(self._folder / STORE, name, values, dimensions, separator)
         try:
             return self._arrays[name].write(index, values)
         except RunError as error:
