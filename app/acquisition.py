@@ -27,7 +27,7 @@ from app.instrument import Instrument, Reconstruction, Status
 from app.measurement import PASSED_OVER, Counts, LightState, Measurement
 from app.recording.background import RecordingState
 from app.recording.recorder import Recorder
-from app.routines import WAIT_SLICE_S, Cancelled, next_frame
+from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled, RoutineError, next_frame
 from app.timing import Timings, short_turns
 from drivers.interface import BadValue, DeviceError, DeviceTimeout, Frame, FrameLost, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
@@ -130,12 +130,25 @@ class Acquisition:
 
     def take_dark(self, frames: int) -> Future[None]:
         """Have a dark taken, with its progress shown as activity."""
-        return self._routine(f"taking the dark, {frames} frames", lambda instrument: instrument.take_dark, frames)
+        return self._routine(
+            f"taking the dark, {frames} frames", lambda instrument, **how: instrument.take_dark(frames, **how)
+        )
 
     def take_reference(self, frames: int) -> Future[None]:
         """Have a reference taken, with its progress shown as activity."""
         return self._routine(
-            f"taking the reference, {frames} frames", lambda instrument: instrument.take_reference, frames
+            f"taking the reference, {frames} frames", lambda instrument, **how: instrument.take_reference(frames, **how)
+        )
+
+    def auto_expose(self) -> Future[AutoExposure]:
+        """Have exposure and current found and used; `RoutineError` says why there are none."""
+        return self._routine("finding the exposure", lambda instrument, **how: instrument.auto_expose(**how))
+
+    def check_background(self, frames: int = 8) -> Future[BackgroundCheck]:
+        """Have the background compared with the dark; the result's `verdict` is for the person at the bench."""
+        return self._routine(
+            f"checking the background, {frames} frames",
+            lambda instrument, **how: instrument.check_background(frames, **how),
         )
 
     def start_recording(self, folder: Path, *, command: str = "live", frames: int | None = None) -> Future[None]:
@@ -168,13 +181,13 @@ class Acquisition:
         """End the routine that is under way, if any; it leaves the devices as it found them."""
         self._cancelling.set()
 
-    def _routine(self, text: str, routine: Callable[[Instrument], Callable[..., None]], frames: int) -> Future[None]:
-        def command(instrument: Instrument) -> None:
+    def _routine(self, text: str, routine: Callable[..., T]) -> Future[T]:
+        def command(instrument: Instrument) -> T:
             self._cancelling.clear()
             self.activity = Activity(text)
             try:
-                routine(instrument)(
-                    frames,
+                return routine(
+                    instrument,
                     progress=lambda frame, fraction: self._show_progress(frame, text, fraction),
                     should_stop=lambda: self._stopping.is_set() or self._cancelling.is_set(),
                 )
@@ -184,7 +197,7 @@ class Acquisition:
         return self.submit(command)
 
     def _show_progress(self, frame: Frame, text: str, fraction: float) -> None:
-        """Let a frame that a routine averages be seen; it is neither measured nor counted."""
+        """Let a frame that a routine takes be seen; it is neither measured nor counted."""
         self.activity = Activity(text, fraction)
         self._set_clock(frame)
         self.newest = self._measurement(frame, Reconstruction(None, text))
@@ -312,6 +325,7 @@ class Acquisition:
 _OLD_S = 0.1  # a frame that is older, and there are newer ones, is not reconstructed
 _HARMLESS = (
     Cancelled,
+    RoutineError,
     ReconstructionError,
     InputError,
     BadValue,

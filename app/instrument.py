@@ -9,13 +9,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from app.calibration import Calibration
 from app.config import Bench
 from app.devices import Devices
 from app.live_refinement import LiveRefinement, RefinementState
-from app.routines import Average, Progress, ShouldStop, take_dark, take_reference
+from app.routines import (
+    AutoExposure,
+    Average,
+    BackgroundCheck,
+    Circumstances,
+    Progress,
+    RoutineError,
+    ShouldStop,
+    auto_expose,
+    check_background,
+    take_dark,
+    take_reference,
+)
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Device, Frame, Property, Range
 from reconstruction.displacement import Displacement
@@ -72,7 +82,8 @@ class Instrument:
         self._bench = bench
         self._dark: Average | None = None
         self._reference: Average | None = None
-        self._reference_mask = ""
+        self._dark_taken: Circumstances | None = None
+        self._reference_taken: Circumstances | None = None
         self._lattice = bench.lattice
         self._calibration: Calibration | None = None
         self._reconstructor: Reconstructor | None = None
@@ -112,6 +123,9 @@ class Instrument:
     def status(self) -> Status:
         """Ask the devices how they stand."""
         camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
+        now = Circumstances.of(self.devices)
+        problem = self._problem if self._reconstructor is None else ""
+        of_dark, of_reference = self._doubt_of_dark(now), self._doubt_of_reference(now)
         return Status(
             bench=self._bench,
             camera_name=camera.name,
@@ -127,22 +141,37 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
-            dark=self._standing("dark", self._dark),
-            reference=self._standing("reference", self._reference),
+            dark=_standing(self._dark, of_dark),
+            reference=_standing(self._reference, problem or of_reference),
             lattice=self._lattice,
-            warning=self._warning(),
+            warning=problem or of_dark or of_reference,
         )
 
     def take_dark(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
         """Take a dark and use it from now on."""
         self._dark = take_dark(self.devices, frames, progress=progress, should_stop=should_stop)
+        self._dark_taken = Circumstances.of(self.devices)
         self._prepare()
 
     def take_reference(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
         """Take a reference, find the lattice in it if the bench does not say where it is, and use it from now on."""
         self._reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
-        self._reference_mask = self.devices.stage.mask
+        self._reference_taken = Circumstances.of(self.devices)
         self._prepare()
+
+    def auto_expose(self, *, progress: Progress, should_stop: ShouldStop) -> AutoExposure:
+        """Find exposure and current for what is in the beam, and use them from now on."""
+        sensor, lattice = self._bench.sensor, self._lattice
+        nominal_px = sensor.lenslet_pitch_m / self.devices.camera.capabilities.pixel_pitch_m
+        pitch_px = nominal_px if lattice is None else lattice.pitch_px
+        return auto_expose(self.devices, pitch_px, progress=progress, should_stop=should_stop)
+
+    def check_background(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> BackgroundCheck:
+        """Compare the background of now with the dark; `RoutineError` where there is none that it compares with."""
+        doubt = self._doubt_of_dark(Circumstances.of(self.devices))
+        if self._dark is None or doubt:
+            raise RoutineError(doubt)
+        return check_background(self.devices, self._dark, frames, progress=progress, should_stop=should_stop)
 
     def change_settings(self, change: Callable[[Bench], Bench]) -> None:
         """Replace the settings of registration and reconstruction by what `change` makes of the bench."""
@@ -201,26 +230,23 @@ class Instrument:
         if was_running:
             camera.start()
 
-    def _warning(self) -> str:
-        if self._reconstructor is None:
-            return self._problem
-        return self._doubt("dark", self._dark) or self._doubt("reference", self._reference)
+    def _doubt_of_dark(self, now: Circumstances) -> str:
+        """Why the dark does not go with the frames of now; empty when it does."""
+        return _doubt("dark", self._dark_taken, now, is_lit=False)
 
-    def _doubt(self, what: str, average: Average | None) -> str:
-        """Why the dark or the reference does not go with the frames of now; empty when it does."""
-        camera = self.devices.camera
-        if average is None:
-            return f"no {what} yet: the background is a guess"
-        if (average.amplifier, average.em_gain) != (camera.amplifier, camera.em_gain):
-            return f"the {what} was taken with another amplifier or gain: take it again"
-        if not np.isclose(average.exposure_s, camera.exposure_s, rtol=1e-3):
-            return f"the {what} was taken at {average.exposure_s * 1e3:.1f} ms: take it again"
-        if what == "reference" and self._reference_mask != self.devices.stage.mask:
-            return f"the reference was taken with the mask {self._reference_mask}: take it again"
-        return ""
+    def _doubt_of_reference(self, now: Circumstances) -> str:
+        """Why the reference does not go with the frames of now; empty when it does."""
+        return _doubt("reference", self._reference_taken, now, is_lit=True)
 
-    def _standing(self, what: str, average: Average | None) -> Standing:
-        if average is None:
-            return "missing"
-        is_refused = what == "reference" and self._reconstructor is None
-        return "doubtful" if is_refused or self._doubt(what, average) else "good"
+
+def _doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit: bool) -> str:
+    if taken is None:
+        return f"no {what} yet: the background is a guess"
+    changed = taken.differs(now, is_lit=is_lit)
+    return f"the {what} was taken {changed}: take it again" if changed else ""
+
+
+def _standing(average: Average | None, doubt: str) -> Standing:
+    if average is None:
+        return "missing"
+    return "doubtful" if doubt else "good"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from app.routines.auto_exposure import AutoExposure, auto_expose
 from app.routines.averages import Average, average, take_dark, take_reference
 from app.routines.background import BackgroundCheck, check_background
+from app.routines.circumstances import Circumstances
 from app.routines.frames import WAIT_SLICE_S, Cancelled, Progress, RoutineError, ShouldStop, next_frame
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Average",
     "BackgroundCheck",
     "Cancelled",
+    "Circumstances",
     "Progress",
     "RoutineError",
     "ShouldStop",

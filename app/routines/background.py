@@ -8,14 +8,13 @@ import numpy as np
 
 from app.devices import Devices
 from app.routines.averages import Average, take_dark
-from app.routines.frames import Progress, RoutineError, ShouldStop
+from app.routines.frames import Progress, ShouldStop
 from drivers.interface import Frame
 
 _SIGNIFICANT = 5.0  # standard errors
 _RELEVANT = 0.1  # of a dark pixel's noise in one frame; less is lost in it
 _HOT_NOISES = 5.0  # likewise; a pixel that has changed by more shows in every frame
 _HOT_ERRORS = 7.0  # standard errors of a pixel: of a million pixels, none by chance
-_SAME_EXPOSURE = 1e-3  # relative
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,21 +52,7 @@ class BackgroundCheck:
 def check_background(
     devices: Devices, dark: Average, frames: int, *, progress: Progress, should_stop: ShouldStop
 ) -> BackgroundCheck:
-    """Compare `frames` frames without light with the dark; raise `RoutineError` where they cannot be compared.
-
-    The dark must be of the exposure, amplifier and gain that are in force, else it is another background anyway.
-    """
-    camera = devices.camera
-    rows, columns = camera.capabilities.rows, camera.capabilities.columns
-    if dark.mean.shape != (rows, columns):
-        raise RoutineError(f"the dark has not the {rows} x {columns} pixels of the frames: take the dark again")
-    if (dark.amplifier, dark.em_gain) != (camera.amplifier, camera.em_gain):
-        raise RoutineError("the dark was taken with another amplifier or gain: take the dark again")
-    if not np.isclose(dark.exposure_s, camera.exposure_s, rtol=_SAME_EXPOSURE):
-        raise RoutineError(
-            f"the dark was taken at {dark.exposure_s * 1e3:.1f} ms, not at {camera.exposure_s * 1e3:.1f} ms:"
-            " take the dark again"
-        )
+    """Compare `frames` frames without light with the dark, which must be of the same exposure and mode."""
     levels: list[float] = []
 
     def note(frame: Frame, fraction: float) -> None:
