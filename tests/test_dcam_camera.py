@@ -485,13 +485,44 @@ def test_a_step_of_closing_that_fails_does_not_keep_the_others(stand_in: StandIn
 
 def test_a_stop_that_fails_can_be_tried_again(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.start()
-    stand_in.fail("dcambuf_release", 0x80000106)
+    stand_in.fail("dcamcap_stop", 0x80000106)
     with pytest.raises(DeviceTimeout):
         camera.stop()
+    assert camera.is_running
+    assert camera.read(1.0).index == 0
     camera.stop()
+    assert camera.state == "stopped"
+
+
+def test_a_ring_that_is_not_given_back_is_given_back_later(stand_in: StandIn, camera: DcamCamera) -> None:
+    camera.start()
+    stand_in.fail("dcambuf_release", 0x80000106, times=2)
+    camera.stop()
+    assert camera.state == "stopped"
+    with pytest.raises(DeviceTimeout):
+        camera.set_binning(2)
     camera.set_binning(2)
     camera.start()
     assert camera.read(1.0).index == 0
+
+
+def test_an_amplifier_whose_gain_cannot_be_prepared_is_not_taken(stand_in: StandIn) -> None:
+    with open_camera(stand_in, amplifier="normal") as camera:
+        stand_in.refuse(Id.DIRECTEMGAIN_MODE, OUTOFRANGE)
+        with pytest.raises(BadValue):
+            camera.set_amplifier("em")
+        assert camera.amplifier == "normal"
+
+
+@pytest.mark.parametrize("running", [False, True])
+def test_an_amplifier_that_is_in_use_keeps_its_settings(camera: DcamCamera, *, running: bool) -> None:
+    camera.set_readout_speed(1)
+    camera.set_exposure(3.8)
+    if running:
+        camera.start()
+        camera.stop()
+    camera.set_amplifier("em")
+    assert (camera.readout_speed, camera.exposure_s) == (1, 3.8)
 
 
 @pytest.mark.parametrize("function", ["dcamwait_open", "dcambuf_alloc", "dcamcap_start"])

@@ -6,8 +6,8 @@ Whatever can be asked is asked, and asked again after each change of mode: nothi
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
 
 from drivers.camera import Camera, CameraCapabilities, Frame, Range, Region
@@ -22,7 +22,7 @@ from drivers.dcam.settings import DcamSettings
 from drivers.dcam.structures import DeviceOpen, sized
 from drivers.dcam.trust import reasons_for_mistrust
 from drivers.device import Property
-from drivers.errors import DeviceError, Unsupported, WrongState
+from drivers.errors import DeviceError, Disconnected, Unsupported, WrongState
 
 _AMPLIFIERS = {ids.CCDMODE_NORMAL: "normal", ids.CCDMODE_EM: "em"}
 _TRIGGERS = {number: name for name, number in ids.TRIGGER_SOURCES.items()}
@@ -41,7 +41,8 @@ class DcamCamera(Camera):
         self._settings = settings
         self._library = library or load_library(settings.library)
         self._clock = clock
-        self._capture: Capture | None = None
+        self._capture: Capture | None = None  # while it runs
+        self._remains: Capture | None = None  # what a failed start or stop has left to be given back
         with ExitStack() as undo:
             cameras = session.begin(self._library)
             undo.callback(self._leave, session.end, self._library)
@@ -84,8 +85,9 @@ class DcamCamera(Camera):
             raise Unsupported("only cameras that give one 16-bit number per pixel can be used")
         if settings.amplifier is not None:
             self.set_amplifier(settings.amplifier)
-        else:
-            self._prepare_em_gain()
+        with self._talking():
+            if self._has_em_gain():
+                self._prepare_em_gain()
         if settings.readout_speed is not None:
             self.set_readout_speed(settings.readout_speed)
         self.set_binning(settings.binning)
@@ -117,13 +119,12 @@ class DcamCamera(Camera):
         if capture is not None:
             capture.abort()
         with self._turn:  # a reader in another thread has left
-            self._capture = None
-            if capture is not None:
-                self._leave(capture.end)
+            self._leave(self._stop)
+            self._leave(self._give_back)
             self._undo.close()
 
     @staticmethod
-    def _leave(step: Callable[..., None], *arguments: object) -> None:
+    def _leave(step: Callable[..., object], *arguments: object) -> None:
         """Take one step of letting go; there is nothing to be done where it fails, and the next is to be taken."""
         with suppress(DeviceError):
             step(*arguments)
@@ -174,20 +175,36 @@ class DcamCamera(Camera):
 
     def _prepare_em_gain(self) -> None:
         """Let the EM gain be what it says, where the camera knows it, and protect the register."""
-        if not self._has_em_gain():
-            return
         if self._values.has(Id.DIRECTEMGAIN_MODE) and self._values.get(Id.DIRECTEMGAIN_MODE) != ids.ON:
             self._values.set(Id.DIRECTEMGAIN_MODE, ids.ON)
         if self._values.has(Id.EMGAINPROTECT_MODE):
             self._values.set(Id.EMGAINPROTECT_MODE, ids.ON if self._settings.em_gain_protection else ids.OFF)
 
+    @contextmanager
+    def _changing_mode(self) -> Iterator[None]:
+        """Modes can be changed only where there is no ring."""
+        with super()._changing_mode():
+            self._give_back()
+            yield
+
+    @contextmanager
+    def _restored_on_failure(self, identifier: Id) -> Iterator[None]:
+        """A refusal, at whichever step, leaves the value that was there before."""
+        before = self._values.get(identifier)
+        try:
+            yield
+        except DeviceError:
+            self._leave(self._values.set, identifier, before)
+            raise
+
     def _read_exposure(self) -> float:
         return self._values.get(Id.EXPOSURETIME)
 
     def _set_exposure(self, exposure_s: float) -> float:
-        taken_s = self._values.set(Id.EXPOSURETIME, exposure_s)
-        if self._capture is not None:
-            self._capture.change(taken_s, self._read_em_gain())
+        with self._restored_on_failure(Id.EXPOSURETIME):
+            taken_s = self._values.set(Id.EXPOSURETIME, exposure_s)
+            if self._capture is not None:
+                self._capture.change(taken_s, self._read_em_gain())
         return taken_s
 
     def _read_em_gain(self) -> float:
@@ -196,18 +213,22 @@ class DcamCamera(Camera):
     def _set_em_gain(self, em_gain: float) -> float:
         if not self._has_em_gain():
             return 1.0
-        taken = self._values.set(Id.SENSITIVITY, em_gain)
-        if self._capture is not None:
-            self._capture.change(self._read_exposure(), taken)
+        with self._restored_on_failure(Id.SENSITIVITY):
+            taken = self._values.set(Id.SENSITIVITY, em_gain)
+            if self._capture is not None:
+                self._capture.change(self._read_exposure(), taken)
         return taken
 
     def _read_amplifier(self) -> str:
         return _AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
 
     def _set_amplifier(self, amplifier: str) -> None:
-        if self._values.has(Id.CCDMODE):
+        if amplifier == self._read_amplifier():  # else the camera would begin with its defaults
+            return
+        with self._restored_on_failure(Id.CCDMODE):
             self._values.set(Id.CCDMODE, ids.CCDMODE_EM if amplifier == "em" else ids.CCDMODE_NORMAL)
-            self._prepare_em_gain()
+            if amplifier == "em":
+                self._prepare_em_gain()
 
     def _read_readout_speed(self) -> int:
         return round(self._values.get_or(Id.READOUTSPEED, 1))
@@ -246,10 +267,10 @@ class DcamCamera(Camera):
         before = self._read_region()
         try:
             self._write_region(region)
+            return self._read_region()
         except DeviceError:
             self._leave(self._write_region, before)
             raise
-        return self._read_region()
 
     def _write_region(self, region: Region) -> None:
         """At every step the region lies on the sensor: from its corner, first the size, then the position."""
@@ -270,8 +291,9 @@ class DcamCamera(Camera):
         return self._capture is not None
 
     def _start(self) -> None:
+        self._give_back()
         allowed = self.capabilities
-        self._capture = Capture(
+        capture = Capture(
             self._library,
             self._handle,
             (allowed.rows, allowed.columns),
@@ -279,11 +301,30 @@ class DcamCamera(Camera):
             (self._read_exposure(), self._read_em_gain()),
             self._clock,
         )
+        try:
+            capture.begin()
+        except DeviceError:
+            self._remains = capture
+            self._leave(self._give_back)
+            raise
+        self._capture = capture
 
     def _stop(self) -> None:
-        if self._capture is not None:
-            self._capture.end()
-            self._capture = None
+        if self._capture is None:
+            return
+        self._capture.stop()
+        self._capture, self._remains = None, self._capture
+        try:
+            self._give_back()
+        except Disconnected:
+            raise
+        except DeviceError:  # it takes no more frames; the rest is tried again before it is needed
+            pass
+
+    def _give_back(self) -> None:
+        if self._remains is not None:
+            self._remains.end()
+            self._remains = None
 
     def _read(self, timeout_s: float) -> Frame:
         if self._capture is None:

@@ -17,7 +17,7 @@ from drivers.dcam.library import DcamLibrary
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import ALIVE_ONLINE, PRODUCER_NONE, Id
 from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
-from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
+from drivers.errors import DeviceTimeout, Disconnected, FrameLost, WrongState
 
 _SLICE_S = (
     0.1  # the longest wait in the library, and how long silence lasts before the camera is asked whether it lives
@@ -38,7 +38,7 @@ class InForce:
 
 
 class Capture:
-    """A capture under way: made, read from, ended.
+    """A capture: begun, read from, stopped, ended.
 
     The number of a frame is the library's count of transferred frames, and those lost before their transfer, which
     the camera's own count of its frames tells.
@@ -67,27 +67,27 @@ class Capture:
         self._is_aborted = False
         self._has_stamps = self._properties.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
         self._seen_alive_s = clock()
+        self._wait_handle = 0
         self._to_undo: list[Callable[[], None]] = []
-        try:
-            self._begin()
-        except DeviceError:
-            with suppress(DeviceError):
-                self.end()
-            raise
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
+        """Have frames taken; when a step fails, it is to be ended."""
         call = self._library.call
         opened = sized(WaitOpen, hdcam=self._handle)
         call("dcamwait_open", byref(opened))
-        self._wait_handle: int = opened.hwait
+        self._wait_handle = opened.hwait
         self._to_undo.append(lambda: call("dcamwait_close", self._wait_handle))
         call("dcambuf_alloc", self._handle, self._ring_frames)
         self._to_undo.append(lambda: call("dcambuf_release", self._handle, 0))
         call("dcamcap_start", self._handle, _SEQUENCE)
-        self._to_undo.append(self._stop)
+
+    def stop(self) -> None:
+        """Take no more frames; what is left is to be ended."""
+        with suppress(WrongState):  # it has stopped by itself
+            self._library.call("dcamcap_stop", self._handle)
 
     def end(self) -> None:
-        """Stop and give the ring back; when a step fails, it can be tried again from there."""
+        """Give the ring back; when a step fails, it can be tried again from there."""
         while self._to_undo:
             self._to_undo[-1]()
             self._to_undo.pop()
@@ -215,7 +215,3 @@ class Capture:
         told = sized(TransferInfo)
         self._library.call("dcamcap_transferinfo", self._handle, byref(told))
         return told
-
-    def _stop(self) -> None:
-        with suppress(WrongState):  # it has stopped by itself
-            self._library.call("dcamcap_stop", self._handle)

@@ -1,0 +1,56 @@
+"""Commands and faults in any order through the DCAM driver; `SVWFS_SEQUENCES=10000` runs as many of them."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from camera_storm import CameraStorm
+from dcam_tools import dcam_stand_in, open_camera
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import run_state_machine_as_test
+
+from drivers.dcam.camera import DcamCamera
+from drivers.dcam.errors import ERRORS
+from drivers.dcam.library import PROTOTYPES
+from drivers.interface import Region, WrongState
+from simulated_devices.dcam.stand_in import Plug, StandIn
+
+FEW = 40
+STORM = settings(deadline=None, stateful_step_count=40, suppress_health_check=list(HealthCheck))
+# One that says it is in another state than it is, is none of these faults: then the driver believes it.
+CODES = [code for code, (_, kind, _) in ERRORS.items() if kind is not WrongState]
+
+
+def test_no_sequence_of_commands_and_faults_leaves_the_family() -> None:
+    with dcam_stand_in() as stand_in:
+
+        class Storm(CameraStorm):
+            def make(self) -> StandIn:
+                stand_in.reset()
+                return stand_in
+
+            def open(self) -> DcamCamera:
+                return open_camera(stand_in, ring_frames=8, region=Region(0, 0, 32, 32))
+
+            def faults(self) -> st.SearchStrategy[tuple[Any, ...]]:
+                function, times, after = st.sampled_from(sorted(PROTOTYPES)), st.integers(1, 3), st.integers(0, 6)
+                return st.one_of(
+                    st.tuples(st.just("fail"), function, st.sampled_from(CODES), times, after),
+                    st.tuples(st.just("slow"), function, st.sampled_from([0, 5, 300])),
+                    st.tuples(st.just("unplug"), st.sampled_from(Plug), st.floats(0.0, 0.1)),
+                    st.tuples(st.just("plug_in")),
+                    st.tuples(st.just("lose"), st.integers(1, 20)),
+                    st.tuples(st.just("advance"), st.floats(0.0, 1.0)),
+                    st.tuples(st.just("stall")),
+                )
+
+            def happen(self, fault: tuple[Any, ...]) -> None:
+                getattr(stand_in, fault[0])(*fault[1:])
+
+            def recover(self) -> None:
+                stand_in.reset()
+
+        sequences = int(os.environ.get("SVWFS_SEQUENCES", FEW))
+        run_state_machine_as_test(Storm, settings=settings(STORM, max_examples=sequences))
