@@ -19,7 +19,7 @@ from reconstruction.image_quality import psf, psf_angles_rad, psf_reach_rad
 class PsfGrid:
     """What a point at each view looks like, exposed over a number of frames, tilt included."""
 
-    values: Floats  # (view_row, view_column, angle_row, angle_column), each view's sum is 1; NaN where nothing is known
+    psf: Floats  # (view_row, view_column, angle_row, angle_column), each view's sum is 1; NaN where nothing is known
     angle_rad: Floats  # along x and along y, (angle,)
     light: Floats  # part of the view's light that falls on this square of angles, (view_row, view_column)
 
@@ -40,9 +40,7 @@ def psf_grid(views: Iterable[Floats], sensor: Sensor, reach_rad: float) -> PsfGr
     """
     angle_rad = psf_angles_rad(sensor, reach_rad)
     solid_angle = (angle_rad[1] - angle_rad[0]) ** 2
-    total: Any = 0.0
-    light: Any = 0.0
-    frames: Any = 0
+    total, frames = np.zeros(()), np.zeros(())
     for phase in views:
         lenslets = np.isfinite(phase).sum(axis=(-2, -1))
         area_m2 = lenslets * sensor.lenslet_pitch_m**2
@@ -75,7 +73,7 @@ def write_psf_grid(path: Path, grid: PsfGrid, field: Field, about: dict[str, Any
     information = {"pixel_rad": step_rad, "pixel_m": pixel_m, "views": places, **about}
     write_stack(
         path,
-        (grid.values[view].astype(np.float32) for view in known),
+        (grid.psf[view].astype(np.float32) for view in known),
         labels=[f"x = {place['x_m'] * 1e3:+.3f} mm, y = {place['y_m'] * 1e3:+.3f} mm" for place in places],
         information=json.dumps(information, indent=1),
         pixel_um=pixel_m * 1e6,
