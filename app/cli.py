@@ -276,6 +276,30 @@ def simulate(
 
 
 @cli.command()
+def devices(
+    *,
+    check: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Try everything that a device must be able to do on this one, by its name in the list, and print a"
+            " report. A light shines for it, with at most a twentieth of its range.",
+        ),
+    ] = None,
+) -> None:
+    """Say which cameras and lights are connected, how a bench names them, and what is missing to use them.
+
+    Looking switches nothing on. docs/hardware.md says how to connect each.
+    """
+    from app.device_report import check_and_print, print_devices
+
+    if check is None:
+        print_devices()
+    else:
+        check_and_print(check)
+
+
+@cli.command()
 def selftest() -> None:
     """Prove signs, axes and units on phases that are known in closed form."""
     from app.report import print_checks

@@ -18,7 +18,10 @@ import tomli_w
 from app.errors import InputError
 from app.presets import PRESETS
 from app.stream_settings import StreamSettings
+from drivers.coolled import CoolLEDSettings
+from drivers.dcam.settings import DcamSettings
 from drivers.genicam_settings import GenicamSettings
+from drivers.thorlabs_dc2200 import DC2200Settings
 from drivers.thorlabs_dc4100 import DC4100Settings
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.pipeline import ReconstructionSettings
@@ -27,8 +30,8 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 
 T = TypeVar("T")
 
-CameraSettings: TypeAlias = SimulatedCameraSettings | GenicamSettings
-LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings
+CameraSettings: TypeAlias = SimulatedCameraSettings | DcamSettings | GenicamSettings
+LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings
 
 AUTOMATIC = "automatic"  # the word for what is left out
 _CHOSEN_IF_LEFT_OUT = (("registration", "warp"), ("reconstruction", "pupil_modes"))

@@ -17,9 +17,12 @@ import platformdirs
 
 from app.config import Bench, CameraSettings, LightSettings
 from app.errors import InputError
+from drivers.coolled import CoolLEDSettings
+from drivers.dcam.settings import DcamSettings
 from drivers.genicam_settings import GenicamSettings
 from drivers.interface import Camera, LightSource, Stage
 from drivers.manual_stage import ManualStage
+from drivers.thorlabs_dc2200 import DC2200Settings
 from drivers.thorlabs_dc4100 import DC4100Settings
 from reconstruction.geometry import nominal_lattice
 from simulated_devices.bench import SimulatedBench
@@ -72,6 +75,10 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
 def open_camera(settings: CameraSettings) -> Camera:
     """Open a real camera."""
     match settings:
+        case DcamSettings():
+            from drivers.dcam.camera import DcamCamera
+
+            return DcamCamera(settings)
         case GenicamSettings():
             from drivers.genicam_camera import GenicamCamera
 
@@ -86,6 +93,14 @@ def open_light(settings: LightSettings) -> LightSource:
             from drivers.thorlabs_dc4100 import ThorlabsDC4100
 
             return ThorlabsDC4100(settings)
+        case DC2200Settings():
+            from drivers.thorlabs_dc2200 import ThorlabsDC2200
+
+            return ThorlabsDC2200(settings)
+        case CoolLEDSettings():
+            from drivers.coolled import CoolLED
+
+            return CoolLED(settings)
     raise InputError(f"light.driver = {settings.driver!r} has no device of its own")
 
 

@@ -13,6 +13,7 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 from drivers import serial_ports
 from drivers.camera import Range
@@ -34,6 +35,7 @@ _ORDERS, _LOADINGS, _PAUSE_S = 5, 20, 0.05  # how often, and after what pause, i
 class CoolLEDSettings:
     """What a bench says of it: where it is, and what it feeds."""
 
+    driver: Literal["coolled"] = "coolled"
     port: str = ""  # such as /dev/ttyACM0 or COM3; or else
     serial_number: str = ""  # of its USB adapter
     channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000
