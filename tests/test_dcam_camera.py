@@ -29,7 +29,7 @@ from simulated_devices.dcam.stand_in import Plug, StandIn, pattern
 
 SENSOR = Region(0, 0, 512, 512)
 EM_PROPERTIES = (0x00400310, 0x00200220, 0x00200250, 0x00200260, 0x00200270, 0x00200290, 0x002002A0, 0x002002B0)
-INVALIDVALUE, OUTOFRANGE, FAILWRITECAMERA = 0x80000821, 0x80000822, 0x83001003
+INVALIDVALUE, OUTOFRANGE = 0x80000821, 0x80000822
 
 
 @pytest.fixture
@@ -473,11 +473,13 @@ def test_closing_lets_go_of_everything_and_it_opens_anew(stand_in: StandIn) -> N
         assert stand_in.calls(begin) == stand_in.calls(end) == 3
 
 
-@pytest.mark.parametrize("function", ["dcamcap_stop", "dcambuf_release", "dcamwait_close", "dcamdev_close"])
+@pytest.mark.parametrize(
+    "function", ["dcamwait_abort", "dcamcap_stop", "dcambuf_release", "dcamwait_close", "dcamdev_close"]
+)
 def test_a_step_of_closing_that_fails_does_not_keep_the_others(stand_in: StandIn, function: str) -> None:
     camera = open_camera(stand_in)
     camera.start()
-    stand_in.fail(function, FAILWRITECAMERA)
+    stand_in.fail(function, 0x80000203)
     camera.close()
     assert stand_in.calls("dcamapi_uninit") == 1
     open_camera(stand_in).close()

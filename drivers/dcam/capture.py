@@ -17,7 +17,7 @@ from drivers.dcam.library import DcamLibrary
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import ALIVE_ONLINE, PRODUCER_NONE, Id
 from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
-from drivers.errors import DeviceTimeout, Disconnected, FrameLost, WrongState
+from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
 
 _SLICE_S = (
     0.1  # the longest wait in the library, and how long silence lasts before the camera is asked whether it lives
@@ -95,7 +95,7 @@ class Capture:
     def abort(self) -> None:
         """Let `read` in another thread come back at once with `WrongState`; the capture can only be ended then."""
         self._is_aborted = True
-        with suppress(Disconnected):
+        with suppress(DeviceError):  # then it waits for the rest of its slice
             self._library.call("dcamwait_abort", self._wait_handle)
 
     def change(self, exposure_s: float, em_gain: float) -> None:
