@@ -227,7 +227,8 @@ def test_one_that_was_never_opened_says_nothing_to_what_hangs_there() -> None:
 
 
 PROGRAM = """
-    import sys, threading, time
+    import os, signal, sys, threading, time
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests were started with
     sys.path.insert(0, {tests!r})
     from test_light_safety import Bulb, BulbLight
 
@@ -242,7 +243,7 @@ ENDS = {
     "the end": ("", 0),
     "an error": ("raise ZeroDivisionError", 1),
     "sys.exit": ("sys.exit(3)", 3),
-    "Ctrl-C": ("import os, signal; os.kill(os.getpid(), signal.SIGINT); time.sleep(10)", -2),
+    "Ctrl-C": ("os.kill(os.getpid(), signal.SIGINT); time.sleep(10)", -2),
     "a thread that hangs in it": (
         (
             "light._sleep = lambda _: time.sleep(60); hang = lambda: light.set_current(1.0);"
