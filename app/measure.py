@@ -49,7 +49,14 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Measured:
     fault = fault or acquisition.failure or ("" if state is None else state.problem)
     if not (out / RUN).exists():
         raise Interrupted("stopped before the first frame") if is_stopped else RunError(fault)
-    measured = write_measured(Recording(out), bench, report)
+    recording = Recording(out)
+    try:
+        measured = write_measured(recording, bench, report)
+    except Interrupted as error:
+        raise Interrupted(
+            f"stopped before the results were written: {len(recording)} frames are in {out}, and"
+            f" svwfs replay {out} --out makes results of them"
+        ) from error
     if is_stopped:
         raise Interrupted(f"stopped: {measured.reconstructed} of {frames} frames are in {out}")
     if fault:

@@ -21,6 +21,7 @@ from app import start_up
 from app.cli import main
 from app.config import Bench
 from app.devices import Devices, open_devices
+from app.errors import Interrupted
 from drivers.interface import Frame
 from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera, Unplug
@@ -110,6 +111,31 @@ def test_measure(
     assert 0 < record["timings"]["register"]["p50_s"] <= record["timings"]["to_result"]["max_s"]
     assert record["timings"]["draw"] == {"count": 0, "p50_s": None, "p99_s": None, "max_s": None}
     assert {"python", "numpy", "numba"} <= set(record["versions"])
+
+
+def test_measure_leaves_a_recording_that_is_not_written_over(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
+    assert run(monkeypatch, *command) == 0
+    assert run(monkeypatch, "recover", tmp_path / "m") == 0
+    assert "was complete: 3 frames, 3 of them reconstructed live; no gaps" in capsys.readouterr().out
+    assert run(monkeypatch, *command) == 2
+    assert "holds a recording already" in capsys.readouterr().err
+    assert run(monkeypatch, "recover", tmp_path) == 2
+    assert "holds no recording" in capsys.readouterr().err
+
+
+def test_measure_says_where_the_frames_are_when_its_results_are_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise Interrupted("interrupted")
+
+    monkeypatch.setattr("app.measured.write_pieces", interrupt)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 130
+    assert "3 frames are in" in capsys.readouterr().err.replace("\n", " ")
+    assert not (tmp_path / "m" / "results.nc").exists()
 
 
 def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path) -> None:
