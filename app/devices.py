@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import shutil
 import tempfile
@@ -20,7 +21,7 @@ from app.errors import InputError
 from drivers.coolled import CoolLEDSettings
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam_settings import GenicamSettings
-from drivers.interface import Camera, LightSource, Stage
+from drivers.interface import BadValue, Camera, DeviceError, LightSource, Stage
 from drivers.manual_stage import ManualStage
 from drivers.thorlabs_dc2200 import DC2200Settings
 from drivers.thorlabs_dc4100 import DC4100Settings
@@ -30,6 +31,8 @@ from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock
 from simulated_devices.light import SimulatedLight
 from simulated_devices.stage import SimulatedStage
+
+_PITCH_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +59,7 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
     """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
     with ExitStack() as stack:
         if not bench.is_simulated:
-            camera = stack.enter_context(open_camera(bench.camera))
-            progress(0.5)
-            stage = stack.enter_context(ManualStage(bench.simulation.source.mask))
-            light = stack.enter_context(open_light(bench.light))
-            progress(1.0)
-            return Devices(camera, light, stage, stack.pop_all())
+            return _open_real(bench, progress, stack)
         simulated = simulated_bench(bench, progress)
         stack.callback(simulated.close)
         return Devices(
@@ -70,6 +68,26 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
             light=stack.enter_context(SimulatedLight(simulated)),
             _closing=stack.pop_all(),
         )
+
+
+def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack) -> Devices:
+    """Open the devices of a real bench; what they refuse of its settings is the bench's fault."""
+    section = "camera"
+    try:
+        camera = stack.enter_context(open_camera(bench.camera))
+        pitch_m = camera.capabilities.pixel_pitch_m
+        if not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
+            raise InputError(
+                f"sensor.pixel_pitch_m = {bench.sensor.pixel_pitch_m:g}, but that of {camera.name} is {pitch_m:g}"
+            )
+        progress(0.5)
+        stage = stack.enter_context(ManualStage(bench.simulation.source.mask))
+        section = "light"
+        light = stack.enter_context(open_light(bench.light))
+        progress(1.0)
+    except BadValue as error:
+        raise InputError(f"{section}: {error}") from error
+    return Devices(camera, light, stage, stack.pop_all())
 
 
 def open_camera(settings: CameraSettings) -> Camera:
@@ -87,7 +105,18 @@ def open_camera(settings: CameraSettings) -> Camera:
 
 
 def open_light(settings: LightSettings) -> LightSource:
-    """Open a real light; it is off then."""
+    """Open a real light; it is off then, and set to the current that is asked for."""
+    light = _light(settings)
+    if settings.current_a is not None:
+        try:
+            light.set_current(settings.current_a)
+        except DeviceError:
+            light.close()
+            raise
+    return light
+
+
+def _light(settings: LightSettings) -> LightSource:
     match settings:
         case DC4100Settings():
             from drivers.thorlabs_dc4100 import ThorlabsDC4100

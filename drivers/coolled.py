@@ -41,7 +41,8 @@ class CoolLEDSettings:
     channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000
     full_current_a: float = 1.0  # the nominal current that stands for 100 %
     wavelength_nm: int | None = None  # to be loaded into the channel; of a pE-4000 alone
-    limit_a: float | None = None
+    current_a: float | None = None  # to begin with; as it was left
+    limit_a: float | None = None  # never more, though its head allows it
 
     def __post_init__(self) -> None:
         check_address(self.port, self.serial_number)

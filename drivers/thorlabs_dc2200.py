@@ -42,7 +42,8 @@ class DC2200Settings:
     serial_number: str = ""  # needed where there is more than one
     terminal: int = 1  # 1 has 12 pins and up to 10 A, 2 has 4 pins and up to 2 A
     gate: Literal["internal", "ttl"] = "internal"
-    limit_a: float | None = None
+    current_a: float | None = None  # to begin with; as it was left
+    limit_a: float | None = None  # never more, though its head allows it
 
     def __post_init__(self) -> None:
         if self.terminal not in {1, 2}:

@@ -37,7 +37,8 @@ class DC4100Settings:
     port: str = ""  # such as /dev/ttyUSB0 or COM3; or else
     serial_number: str = ""  # of its USB adapter
     channel: int = 0  # 0 ... 3 are LED1 ... LED4
-    limit_a: float | None = None
+    current_a: float | None = None  # to begin with; as it was left
+    limit_a: float | None = None  # never more, though its head allows it
 
     def __post_init__(self) -> None:
         check_address(self.port, self.serial_number)

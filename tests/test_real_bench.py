@@ -1,0 +1,148 @@
+"""A whole real bench, by its TOML: a DCAM camera and a DC4100, each driver over its stand-in on the wire."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from dcam_tools import built, dcam_stand_in
+
+from app.acquisition import Acquisition
+from app.config import Bench, parse_bench, write_bench
+from app.devices import open_devices
+from app.errors import InputError
+from app.recording.reader import Recording
+from app.start_up import start_up
+from drivers.errors import DeviceError, Disconnected
+from simulated_devices.dc4100_wire import DC4100Wire
+from simulated_devices.dcam.stand_in import StandIn
+from simulated_devices.pty_wire import PtyServer
+
+FOREIGN = (Path(__file__).parent / "foreign_frames" / "bench.toml").read_text()
+WITHIN_S = 2.0
+REAL_TIME = 1.0
+
+
+@pytest.fixture
+def camera() -> Iterator[StandIn]:
+    with dcam_stand_in(REAL_TIME) as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def lamp() -> DC4100Wire:
+    return DC4100Wire()
+
+
+@pytest.fixture
+def port(lamp: DC4100Wire) -> Iterator[PtyServer]:
+    with PtyServer(lamp) as server:
+        yield server
+
+
+@pytest.fixture
+def bench(camera: StandIn, port: PtyServer) -> Bench:
+    assert camera.library == built()
+    text = f"""
+[camera]
+driver = "dcam"
+library = "{built()}"
+exposure_s = 0.02
+
+[light]
+driver = "thorlabs_dc4100"
+port = "{port.port}"
+current_a = 0.1
+limit_a = 0.15
+"""
+    return parse_bench(FOREIGN + text, "real.toml")
+
+
+def wait_until(holds: Callable[[], bool], at_most_s: float = 20.0) -> None:
+    deadline_s = time.monotonic() + at_most_s
+    while not holds():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
+def started(bench: Bench) -> Acquisition:
+    acquisition = Acquisition(bench, open_devices)
+    acquisition.start()
+    for step in start_up(acquisition, frames=3):
+        step.result(30)
+    return acquisition
+
+
+def test_a_bench_file_opens_real_devices(bench: Bench, lamp: DC4100Wire) -> None:
+    with open_devices(bench, lambda _: None) as devices:
+        assert "C9100-23B" in devices.camera.name
+        assert "DC4100" in devices.light.name
+        assert devices.camera.exposure_s == pytest.approx(0.02)
+        assert (devices.light.current_a, devices.light.current_range_a.maximum) == (0.1, 0.15)
+        assert (devices.stage.masks, devices.stage.is_sample_in) == (("square",), False)
+        assert not lamp.is_lit
+        devices.light.set_on(True)
+        assert lamp.is_lit
+    assert not lamp.is_lit
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("sensor.pixel_pitch_m=15.5e-6", r"sensor\.pixel_pitch_m = 1\.55e-05, but that of .* is 1\.6e-05"),
+        ("camera.exposure_s=2.0", r"camera: .*outside 0\.0139"),
+        ("light.current_a=0.2", r"light: current_a = 0\.2 is outside 0 \.\.\. 0\.15"),
+    ],
+)
+def test_settings_that_a_device_refuses_are_the_benchs_fault(
+    bench: Bench, lamp: DC4100Wire, change: str, sentence: str
+) -> None:
+    wrong = parse_bench(write_bench(bench), "real.toml", (change,))
+    with pytest.raises(InputError, match=sentence):
+        open_devices(wrong, lambda _: None)
+    assert not lamp.is_lit
+    open_devices(bench, lambda _: None).close()  # all was let go of
+
+
+def test_a_light_that_is_not_there_lets_go_of_the_camera(bench: Bench, port: PtyServer) -> None:
+    port.close()
+    with pytest.raises(DeviceError, match=port.port):
+        open_devices(bench, lambda _: None)
+
+
+def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path) -> None:
+    acquisition = started(bench)
+    assert lamp.is_lit
+    acquisition.start_recording(tmp_path / "r", command="test").result(20)
+    wait_until(lambda: (acquisition.recording is not None) and acquisition.recording.frames >= 5)
+    camera.unplug()
+    pulled_s = time.monotonic()
+    wait_until(lambda: not acquisition.is_alive)
+    assert time.monotonic() - pulled_s < WITHIN_S + 1  # of which the recording may take a second to be finished
+    assert isinstance(acquisition.error, Disconnected)
+    assert not lamp.is_lit
+    recording = Recording(tmp_path / "r")
+    assert recording.is_complete
+    assert len(recording) >= 5
+    indexes = [recording.line(i).camera_index for i in range(len(recording))]
+    assert indexes == list(range(indexes[0], indexes[0] + len(indexes)))
+
+    camera.plug_in()
+    again = started(bench)
+    wait_until(lambda: again.newest is not None and again.counts.acquired > 0)
+    again.close()
+    assert again.error is None
+    assert not lamp.is_lit
+
+
+def test_a_light_unplugged_while_measuring(bench: Bench, port: PtyServer) -> None:
+    acquisition = started(bench)
+    port.unplug()
+    pulled_s = time.monotonic()
+    wait_until(lambda: not acquisition.is_alive)
+    assert time.monotonic() - pulled_s < WITHIN_S
+    assert isinstance(acquisition.error, Disconnected)
+    assert "is gone" in acquisition.failure
+    assert "may still be on: switch it off by hand" in acquisition.failure
