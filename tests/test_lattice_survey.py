@@ -62,7 +62,8 @@ def test_any_lattice_is_found_on_a_clean_frame(draws: st.DataObject) -> None:
     rows, columns = draws.draw(st.integers(4, 9)), draws.draw(st.integers(4, 9))
     pitch_px, blur_px = draws.draw(st.floats(14.0, 36.0)), draws.draw(st.floats(0.7, 1.4))
     shape: Shape = draws.draw(st.sampled_from(SHAPES))
-    half_width = draws.draw(st.floats(0.15, 0.27 if shape in {"ring", "stars"} else 0.4))
+    widest = min(0.27 if shape in {"ring", "stars"} else 0.4, 0.5 - 2 * blur_px / pitch_px)  # no light in the next cell
+    half_width = draws.draw(st.floats(0.15, widest))
     rotation_rad, designed = draws.draw(st.floats(-0.1, 0.1)), draws.draw(st.floats(0.91, 1.1))
     margin = draws.draw(st.floats(0.2, 0.8))  # pitches
     reach = np.array([rows, columns]) + 2 * margin + 0.11 * max(rows, columns)
@@ -83,7 +84,7 @@ def test_any_lattice_is_found_on_a_clean_frame(draws: st.DataObject) -> None:
         blur_px=blur_px,
     )
     found = survey(light * 1000 + 100, sensor_with(rows, columns, pitch_px * designed))
-    check(found, truth, times=0.3)
+    check(found, truth)
     assert (found.rows, found.columns) == (rows, columns)
     assert found.illuminated.all()
 
