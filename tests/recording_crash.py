@@ -44,7 +44,7 @@ class Left:
 
 
 def kill_one(bench: str, settings: tuple[str, ...], folder: Path, *, after_s: float) -> Left:
-    """Start a program that records into `folder`, kill it so long after its first frame, and look."""
+    """Start a program that records into `folder`, kill it so long after its first line, and look."""
     reading, writing = os.pipe()
     command = [sys.executable, __file__, "--record", str(folder), "--pipe", str(writing), "--bench", bench]
     program = subprocess.Popen([*command, *settings], pass_fds=[writing])  # noqa: S603 - this file
@@ -52,7 +52,8 @@ def kill_one(bench: str, settings: tuple[str, ...], folder: Path, *, after_s: fl
     told = b""
     try:
         deadline_s = time.monotonic() + _WITHIN_S
-        while not (folder / "frames.jsonl").exists():
+        lines = folder / "frames.jsonl"
+        while not (lines.exists() and lines.stat().st_size):
             assert program.poll() is None
             assert time.monotonic() < deadline_s
             told += os.read(reading, 1 << 14)
@@ -76,8 +77,7 @@ def look(folder: Path, told: list[tuple[int, int, float]]) -> Left:
     lines = [recording.line(index) for index in range(len(recording))]
     begins = max(at for at, (index, *_) in enumerate(told) if index == 0)  # the camera's last start
     acquired = {index: (checksum, time_s) for index, checksum, time_s in told[begins:]}
-    first = lines[0].camera_index if lines else 0
-    expected = [index for index in acquired if index >= first]
+    expected = [index for index in acquired if index >= lines[0].camera_index]
     wrong = sum(zlib.crc32(recording.pixels(line.index).data) != acquired[line.camera_index][0] for line in lines)
     seconds = acquired[expected[-1]][1] - acquired[expected[0]][1]
     return Left(len(expected), len(expected) - len(lines), wrong, (len(expected) - 1) / max(seconds, 1e-9))

@@ -25,8 +25,8 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
     acquisition.start()
     try:
         for step in start_up(acquisition, 4):
-            step.result(30)
-        deadline_s = time.monotonic() + 30
+            step.result(90)
+        deadline_s = time.monotonic() + 90
         while not enough(measurements):
             assert time.monotonic() < deadline_s
             time.sleep(0.01)

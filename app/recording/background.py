@@ -126,7 +126,7 @@ class BackgroundRecording:
             finally:
                 writer.close()
         except (OSError, InputError, RunError) as error:
-            self._fail(_said(error))
+            self._fail(self._said(error))
         except Exception as error:
             self._fail(f"{type(error).__name__}: {error}")
             raise
@@ -146,7 +146,7 @@ class BackgroundRecording:
                         synced_s = time.perf_counter()
                 synced.result()
         except (OSError, InputError, RunError) as error:
-            self._fail(_said(error))
+            self._fail(self._said(error))
         writer.finish(self._problem, acquired=self._acquired, facts={"timings": timing_facts(self._timings)})
 
     def _records(self) -> Iterator[Record]:
@@ -177,9 +177,8 @@ class BackgroundRecording:
             self._waiting.clear()
             self._waiting_bytes = 0
 
-
-def _said(error: Exception) -> str:
-    """A fault in words."""
-    if isinstance(error, OSError):
-        return f"{error.filename or 'the recording'}: cannot be written: {error.strerror or error}"
-    return str(error)
+    def _said(self, error: Exception) -> str:
+        """A fault in words."""
+        if isinstance(error, OSError):
+            return f"{error.filename or self._folder}: cannot be written: {error.strerror or error}"
+        return str(error)
