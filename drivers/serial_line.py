@@ -127,20 +127,19 @@ class SerialLine:
 
     def _come_into_step(self) -> None:
         """Throw away all answers to earlier questions, those that have come and those that are under way."""
+        self._throw_away()
         if self._is_in_step:
-            self._take_what_came()
-            self._received.clear()
             return
         fresh = [question for question in self._markers if question not in self._unanswered]
+        are_some_unanswered = bool(self._unanswered)
         if not fresh:
             self._wait_until_quiet(self._dialect.timeout_s)
             fresh = list(self._markers)
-            self._unanswered.clear()
         if fresh:
             self._unanswered.add(fresh[0])
             self._send(fresh[0])
             self._await(self._markers[fresh[0]], f"“{fresh[0]}”")
-        if len(self._unanswered) > 1:
+        if are_some_unanswered:  # they may come now
             self._wait_until_quiet(_QUIET_S)
         self._unanswered.clear()
         self._is_in_step = True
@@ -187,10 +186,12 @@ class SerialLine:
         self._received += came
         return len(came)
 
-    def _take_what_came(self) -> None:
+    def _throw_away(self) -> None:
+        """Forget what has come until now."""
         with self._faults():
-            while waiting := self._port.in_waiting:
-                self._received += self._port.read(waiting)
+            if waiting := self._port.in_waiting:
+                self._port.read(waiting)
+        self._received.clear()
 
     def _send(self, text: str) -> None:
         data = text.encode("ascii") + self._dialect.end

@@ -186,6 +186,7 @@ def test_a_late_answer_is_never_taken_for_a_later_state(device: CoolLEDWire, lig
     for _ in range(4):
         with suppress(DeviceTimeout):
             assert light.current_a == 0.4
+            assert device.received.count("XMODEL") > 1  # what it came into step with
             return
     pytest.fail("never came into step again")
 

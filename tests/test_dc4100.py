@@ -440,7 +440,10 @@ sys.stdin.readline()
 """
 
 
-@pytest.mark.parametrize("ending", ["sys.exit(3)", "raise RuntimeError", "del light", "while True: pass"])
+WITHOUT_DEL = "from drivers.light_source import LightSource; del LightSource.__del__"
+
+
+@pytest.mark.parametrize("ending", ["sys.exit(3)", "raise RuntimeError", "del light", "while True: pass", WITHOUT_DEL])
 def test_off_when_the_interpreter_ends(ending: str) -> None:
     device = DC4100Wire()
     with PtyServer(device) as server:
