@@ -47,9 +47,11 @@ class GenicamCamera(Camera):
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
             self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
+            with suppress(BadValue, Unsupported, WrongState):  # one that is at rest may refuse
+                self._line.call("arv_camera_execute_command", b"AcquisitionStop")
             self._format = PIXEL_FORMATS[self._choose_pixel_format()]
             self._prepare()
-        except DeviceError:
+        except BaseException:
             self._line.close()
             raise
 
@@ -97,10 +99,8 @@ class GenicamCamera(Camera):
         return chosen
 
     def _prepare(self) -> None:
-        """Put the camera into a known mode: what the last program left in it counts for nothing."""
+        """Put the camera into a known mode; what another program left in it counts for nothing."""
         line, settings = self._line, self._settings
-        with suppress(BadValue, Unsupported, WrongState):  # one that is at rest may refuse
-            line.call("arv_camera_execute_command", b"AcquisitionStop")
         for feature, value in (("ExposureAuto", "Off"), ("GainAuto", "Off"), ("AcquisitionMode", "Continuous")):
             if value in line.choices(feature):
                 line.set_text(feature, value)
@@ -122,7 +122,6 @@ class GenicamCamera(Camera):
         line = self._line
         _, _, columns, rows = line.region()
         shortest_us, longest_us = line.bounds("arv_camera_get_exposure_time_bounds")
-        sensor = Region(0, 0, line.integer("SensorHeight"), line.integer("SensorWidth"))
         sources = [source for source in line.choices("TriggerSource") if source != "Software"]
         return CameraCapabilities(
             rows=rows,
@@ -134,9 +133,16 @@ class GenicamCamera(Camera):
             amplifiers=("normal",),
             binnings=self._binnings(),
             triggers=(_INTERNAL, *sources),
-            sensor=sensor,
+            sensor=self._sensor(),
             region_step_px=self._region_step() * self._read_binning(),
         )
+
+    def _sensor(self) -> Region:
+        """All of the sensor."""
+        if self._line.has("SensorWidth") and self._line.has("SensorHeight"):
+            return Region(0, 0, self._line.integer("SensorHeight"), self._line.integer("SensorWidth"))
+        binning = self._read_binning()
+        return Region(0, 0, self._line.integer("HeightMax") * binning, self._line.integer("WidthMax") * binning)
 
     def _pixel_pitch_m(self) -> float:
         if self._settings.pixel_pitch_m is not None:

@@ -16,6 +16,7 @@ PATIENCE_S: Final = 1.1  # three of Aravis's attempts to reach a GigE camera: on
 _OPENING_S: Final = 10.0  # the camera's description of itself is loaded, some 100 kB in pieces of 500 bytes
 _SIGN_INTERVAL_S: Final = 0.3
 _LETTING_GO_S: Final = 0.5
+_SAFE_PACKET_BYTES: Final = 1400  # passes through every network
 
 
 class GenicamConnection:
@@ -35,14 +36,9 @@ class GenicamConnection:
             self._calls.make(lambda: self._open(device), _OPENING_S)
             self._handle = aravis.call("arv_camera_get_device", self._camera)
             self.is_gige = bool(aravis.call("arv_camera_is_gv_device", self._camera))
-            if self.is_gige and not aravis.call("arv_gv_device_is_controller", self._handle):
-                raise Busy(
-                    f"another program has the camera {device}: close that program first"
-                    " (one that was killed holds it for three more seconds)"
-                )
             if self.is_gige:
-                self._prepare_network()
-        except DeviceError:
+                self._prepare_network(device)
+        except BaseException:
             self.close()
             raise
 
@@ -169,14 +165,18 @@ class GenicamConnection:
         if self._camera:
             self._aravis.call("g_object_unref", self._camera)
 
-    def _prepare_network(self) -> None:
-        """Choose how frames come through the network."""
+    def _prepare_network(self, device: str) -> None:
+        """Make sure that the camera obeys us, and choose how frames come through the network."""
+        if not self._aravis.call("arv_gv_device_is_controller", self._handle):
+            raise Busy(
+                f"another program has the camera {device}: close that program first"
+                " (one that was killed holds it for three more seconds)"
+            )
         if not self._settings.packet_socket:
             self._aravis.call("arv_camera_gv_set_stream_options", self._camera, PACKET_SOCKET_DISABLED)
-        if self._settings.packet_size is None:
+        self.call("arv_camera_gv_set_packet_size", self._settings.packet_size or _SAFE_PACKET_BYTES)
+        if self._settings.packet_size is None:  # tries larger ones, with cameras that send packets for a test
             self.call("arv_camera_gv_auto_packet_size", patience_s=_OPENING_S)
-        else:
-            self.call("arv_camera_gv_set_packet_size", self._settings.packet_size)
 
     def _check_control(self) -> None:
         """Raise `Disconnected` if the camera was taken away, or began anew, without our hearing of it otherwise."""

@@ -65,6 +65,14 @@ class Peer:
         else:
             self.send(signal.SIGCONT)
 
+    @staticmethod
+    def leave_running() -> None:
+        """Start the acquisition in nobody's name, as a program leaves it that was killed."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+            asking.settimeout(5)
+            asking.sendto(struct.pack(">HHHHII", 0x4201, 0x0082, 8, 1, _ACQUISITION, 1), _GVCP)
+            assert asking.recv(1024)[:4] == bytes.fromhex("00000083")
+
     def send(self, number: signal.Signals) -> None:
         """Freeze it or let it go on."""
         assert self._process is not None
@@ -93,12 +101,13 @@ class GigeWire:
         self._behind: dict[tuple[str, int], socket.socket] = {}  # to the camera, by who talks
         self._client: dict[socket.socket, tuple[str, int]] = {}
         self._frames_go_to = ("127.0.0.1", 0)
+        self._asked: dict[tuple[tuple[str, int], int], int] = {}  # ports for frames; the camera may ignore who asks
         self._started_s = 0.0
         self._is_over = False
         self._is_cut = False
         self._is_stalled = False
         self._frames_to_lose = 0
-        self._refusals = 0
+        self._writes_until_refusal = 0  # and never again
         self._passing = _ALL  # packets of the present frame
         self._will_be_cut = False
         self._garbled = 0  # replies that will be
@@ -145,7 +154,11 @@ class GigeWire:
 
     def refuse_next(self) -> None:
         """Answer the next write in the camera's place, with a refusal."""
-        self._refusals = 1
+        self.refuse(1)
+
+    def refuse(self, which: int) -> None:
+        """Refuse one of the next writes; 1 is the very next."""
+        self._writes_until_refusal = which
 
     def garble_next(self) -> None:
         """Turn the next reply into garbage."""
@@ -158,7 +171,7 @@ class GigeWire:
     def mend(self) -> None:
         """Undo all that happened; the camera is switched off and on only where the cable was cut."""
         self._is_stalled = False
-        self._frames_to_lose = self._refusals = self._garbled = 0
+        self._frames_to_lose = self._writes_until_refusal = self._garbled = 0
         self._delay_s = 0.0
         if not self.is_whole:
             self.plug_in()
@@ -193,13 +206,13 @@ class GigeWire:
     def _pass_command(self, packet: bytes, sender: tuple[str, int]) -> None:
         command, _, identifier = struct.unpack_from(">HHH", packet, 2)
         if command in _WRITES:
-            if self._refusals:
-                self._refusals -= 1
+            self._writes_until_refusal -= 1
+            if self._writes_until_refusal == 0:
                 self._front.sendto(struct.pack(">HHHHI", _REFUSED, command + 1, 4, identifier, 0), sender)
                 return
             register, value = struct.unpack_from(">II", packet, 8)
             if register == _STREAM_PORT:
-                self._frames_go_to = (sender[0], value & 0xFFFF)
+                self._asked[sender, identifier] = value & 0xFFFF
                 own = value & ~0xFFFF | self._stream.getsockname()[1]
                 packet = packet[:12] + struct.pack(">I", own)
             elif register == _ACQUISITION and value:
@@ -210,6 +223,10 @@ class GigeWire:
         self._behind[sender].sendto(packet, _GVCP)
 
     def _pass_reply(self, packet: bytes, client: tuple[str, int]) -> None:
+        status, _, _, identifier = struct.unpack_from(">HHHH", packet)
+        port = self._asked.pop((client, identifier), None)
+        if port is not None and status == 0:
+            self._frames_go_to = (client[0], port)
         if self._garbled:
             self._garbled -= 1
             packet = bytes(255 - byte for byte in packet)
@@ -220,6 +237,8 @@ class GigeWire:
     def _pass_frame(self, packet: bytes) -> None:
         number, infos = struct.unpack_from(">HI", packet, 2)
         content, index = infos >> 24 & 0x7F, infos & 0xFFFFFF
+        if self._frames_go_to[1] == 0:  # to nobody any more
+            return
         if content == _LEADER:
             self._passing = self._packets_that_pass()
         if index >= self._passing:
