@@ -56,8 +56,7 @@ class LightSource(Device):
     def __del__(self) -> None:
         """Leave no light on that nobody holds any more."""
         with suppress(Exception):  # there is nobody left to tell
-            if self._has_begun:
-                self.close()
+            self.close()
 
     def properties(self) -> dict[str, Property]:
         """All settings in force; a driver adds what else its light can tell."""

@@ -125,8 +125,10 @@ class CameraFaultContract(CameraContract):
         faults.unplug()
         with pytest.raises(Disconnected):
             _read_for(camera, 10.0)
-        camera.close()
         faults.plug_in()
+        with pytest.raises(Disconnected):  # nobody knows what it forgot meanwhile
+            camera.stop()
+        camera.close()
         with reopen() as again:
             again.start()
             assert _whole_frame(again).index == 0
@@ -223,8 +225,10 @@ class LightFaultContract(LightContract):
         light.set_on(True)
         faults.unplug()
         _expect_within(Disconnected, lambda: light.is_on)
-        light.close()
         faults.plug_in()
+        with pytest.raises(Disconnected):  # nobody knows what it forgot meanwhile
+            _ = light.is_on
+        light.close()
         with reopen() as again:
             assert not again.is_on
             assert not faults.shines

@@ -57,7 +57,7 @@ class SimulatedCameraFaults:
         self._camera.unplug()
 
     def plug_in(self) -> None:
-        """Nothing to do: the next camera has a plug of its own."""
+        self._camera._is_unplugged = False
 
     def stall(self) -> None:
         self._camera.inject(Stall())
@@ -83,7 +83,7 @@ class SimulatedLightFaults:
         self._light.unplug()
 
     def plug_in(self) -> None:
-        """Nothing to do: the next light has a plug of its own."""
+        self._light._is_unplugged = False
 
     def refuse_next(self) -> None:
         self._light.refuse_next()

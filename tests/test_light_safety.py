@@ -288,3 +288,15 @@ def test_closing_from_another_thread_waits_for_its_turn() -> None:
     assert bulb.lit_with_a[-1] == 0.8
     assert not bulb.is_lit
     assert bulb.is_closed
+    refused: list[WrongState] = []
+
+    def try_again() -> None:
+        try:
+            light.set_on(True)
+        except WrongState as error:
+            refused.append(error)
+
+    late = threading.Thread(target=try_again, daemon=True)
+    late.start()
+    late.join(5)
+    assert refused
