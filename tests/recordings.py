@@ -1,60 +1,68 @@
-"""Recordings of the small simulated bench, for tests of what is done with them afterwards."""
+"""Recordings of the small simulated bench, for tests of what is done with them afterwards.
+
+They are made in one thread, without an acquisition: on a busy computer that would pass frames over.
+"""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from app.acquisition import Acquisition
-from app.config import load_bench
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from app.calibration import one_blas_thread
+from app.config import load_bench, write_bench
 from app.devices import open_devices
+from app.instrument import Instrument
+from app.measurement import Counts, Measurement
+from app.recording.frame_array import FrameArray
+from app.recording.layout import PIXELS, STORE
 from app.recording.reader import Recording
-from app.start_up import start_up
+from app.recording.record import Record
+from app.recording.run_writer import RunWriter
 
 
-def record(
-    toml: Path,
-    folder: Path,
-    *settings: str,
-    frames: int = 12,
-    before: Callable[[Acquisition], None] = lambda _: None,
-    meanwhile: Callable[[Acquisition], None] = lambda _: None,
-) -> Recording:
-    """Record `frames` frames, `meanwhile` after the first half of them; return the finished recording."""
-    acquisition = Acquisition(load_bench(toml, settings), open_devices)
-    acquisition.start()
-    try:
-        for step in start_up(acquisition, 4):
-            step.result(30)
-        before(acquisition)
-        acquisition.start_recording(folder, frames=frames).result(10)
-        wait_for(acquisition, frames // 2)
-        meanwhile(acquisition)
-        wait_for(acquisition, frames)
-    finally:
-        acquisition.close()
+def record(toml: Path, folder: Path, *settings: str, frames: int = 12) -> Recording:
+    """Record `frames` frames, from the first that is refined on if they are; return the finished recording."""
+    bench = load_bench(toml, settings)
+    with (
+        one_blas_thread(),
+        open_devices(bench, lambda _: None) as devices,
+        closing(Instrument(devices, bench)) as instrument,
+        closing(RunWriter(folder, {"command": "measure", "bench": write_bench(bench)})) as writer,
+    ):
+        devices.light.set_on(True)
+        instrument.take_dark(4, progress=lambda *_: None, should_stop=lambda: False)
+        instrument.take_reference(4, progress=lambda *_: None, should_stop=lambda: False)
+        devices.stage.set_sample_in(True)
+        devices.camera.start()
+        deadline_s = time.monotonic() + 60
+        while writer.frames < frames:
+            assert time.monotonic() < deadline_s
+            frame = devices.camera.read(10)
+            made = instrument.measure(frame)
+            assert not made.problem
+            if not bench.reconstruction.refine or made.refinement.stage == "applied":
+                measurement = Measurement(
+                    frame,
+                    made.wavefront,
+                    made.problem,
+                    Counts(),
+                    exposure_end_s=0.0,
+                    latency_s=0.0,
+                    refinement=made.refinement,
+                    calibration=made.calibration,
+                    start=made.start,
+                    registered=made.registered,
+                )
+                writer.write(Record.of(measurement, 0))
+        writer.finish("", acquired=frames, facts={})
     return Recording(folder)
-
-
-def wait_for(acquisition: Acquisition, frames: int) -> None:
-    """Wait until so many frames have been recorded."""
-    deadline_s = time.monotonic() + 60
-    while acquisition.recording is None or acquisition.recording.frames < frames:
-        assert time.monotonic() < deadline_s
-        assert acquisition.is_alive, acquisition.failure
-        assert acquisition.recording is None or not acquisition.recording.problem
-        time.sleep(0.005)
-
-
-def until_refined(acquisition: Acquisition) -> None:
-    """Wait until frames are corrected by what the refinement has found."""
-    deadline_s = time.monotonic() + 60
-    while acquisition.newest is None or acquisition.newest.refinement.stage != "applied":
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
 
 
 def edit_line(recording: Recording, index: int, **changes: Any) -> None:
@@ -63,3 +71,15 @@ def edit_line(recording: Recording, index: int, **changes: Any) -> None:
     lines = path.read_text().splitlines()
     lines[index] = json.dumps({**json.loads(lines[index]), **changes})
     path.write_text("".join(line + "\n" for line in lines))
+
+
+def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16]) -> None:
+    """Change what the camera has seen."""
+    frames = zarr.open_group(recording.folder / STORE, mode="r+")[PIXELS]
+    assert isinstance(frames, zarr.Array)
+    frames[index] = pixels
+
+
+def remove_coefficients(recording: Recording, index: int) -> None:
+    """Lose a result of the first calibration."""
+    FrameArray(recording.folder / STORE / "results" / "0" / "coefficients").remove(index)

@@ -15,7 +15,7 @@ import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 from optics import FIELD, sensor_of
-from recordings import record
+from recordings import record, replace_pixels
 from scipy.integrate import quad
 from test_cli import run
 
@@ -139,8 +139,8 @@ def test_csv_of_the_zonal_method_has_no_coefficients(zonal: Recording, tmp_path:
 def test_a_frame_without_a_wavefront_has_no_numbers_but_a_row(tmp_path: Path, small_toml: Path) -> None:
     folder = tmp_path / "run"
     dark = record(small_toml, folder, frames=4)
-    path = folder / "frames.zarr" / "0" / "c" / "0" / "0" / "0"
-    np.full(dark.pixels(0).shape, 500, "<u2").tofile(path)
+    too_dark = np.full_like(dark.pixels(0), 500)
+    replace_pixels(dark, 0, too_dark)
     table = read_table(exported(dark, "csv", tmp_path / "run.csv"))
     assert table["frame"].tolist() == [0, 1, 2, 3]
     assert table["valid_lenslets"][0] == 0
@@ -149,7 +149,7 @@ def test_a_frame_without_a_wavefront_has_no_numbers_but_a_row(tmp_path: Path, sm
     with xr.open_dataset(exported(dark, "netcdf", tmp_path / "run.nc")) as dataset:
         assert dataset["recording_index"].to_numpy().tolist() == [1, 2, 3]
     for index in range(1, 4):
-        np.full(dark.pixels(0).shape, 500, "<u2").tofile(folder / "frames.zarr" / "0" / "c" / str(index) / "0" / "0")
+        replace_pixels(dark, index, too_dark)
     formats: tuple[Format, ...] = ("csv", "netcdf", "psf")
     for to in formats:
         with pytest.raises(RunError, match="there is nothing to write: no frame has a wavefront"):
@@ -158,9 +158,9 @@ def test_a_frame_without_a_wavefront_has_no_numbers_but_a_row(tmp_path: Path, sm
 
 
 def test_netcdf_is_what_was_recorded(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "_PIECE", 4)
-    with xr.open_dataset(exported(recording, "netcdf", tmp_path / "run.nc")) as dataset:
-        for index in range(9):
+    monkeypatch.setattr(results, "_PIECE", 2)
+    with xr.open_dataset(exported(recording, "netcdf", tmp_path / "run.nc", frames=":5")) as dataset:
+        for index in range(5):
             np.testing.assert_array_equal(dataset["coefficients"][index], recording.coefficients(index))
             np.testing.assert_array_equal(dataset["displacement"][index], recording.displacement(index))
         assert dataset["valid"].dtype == np.bool_
