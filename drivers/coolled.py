@@ -82,7 +82,7 @@ class CoolLED(LightSource):
         self._line = SerialLine(settings.port or find_port(settings.serial_number), _DIALECT, wire or Wire())
         try:
             self._open(settings.wavelength_nm)
-        except DeviceError:
+        except BaseException:  # Ctrl-C, too
             self._line.close()
             raise
         self._begin()

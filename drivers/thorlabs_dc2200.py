@@ -92,7 +92,7 @@ class ThorlabsDC2200(LightSource):
         self._usb = Usbtmc(instrument, what=self._what, timeout_s=timeout_s, sleep=sleep)
         try:
             self._open()
-        except DeviceError:
+        except BaseException:  # Ctrl-C, too
             self._usb.close()
             raise
         self._begin()

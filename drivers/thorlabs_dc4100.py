@@ -24,8 +24,8 @@ from drivers.serial_ports import check_address, find_port
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
 _MODEL = r".*\b(DC4100|DC4104)\b.*"
-_INTEGER = r"(-?\d+)(?:\s*mA)?"
-_ERROR = r"(?:\S+\s+)?(-?\d+)\s*:\s*(.*)"
+_MILLIAMPERES = r"(\d{1,5})(?:\s*mA)?"
+_ERROR = r"(?:\S+\s+)?(-?\d{1,6})\s*:\s*(.*)"
 _MULTI_SELECTION, _CONSTANT_CURRENT = "0", "0"
 
 
@@ -93,7 +93,7 @@ class ThorlabsDC4100(LightSource):
         self._line = SerialLine(settings.port or find_port(settings.serial_number), _DIALECT, wire or Wire())
         try:
             self._open()
-        except DeviceError:
+        except BaseException:  # Ctrl-C, too
             self._line.close()
             raise
         self._begin()
@@ -192,7 +192,7 @@ class ThorlabsDC4100(LightSource):
             self._set(f"{word} {value}")
 
     def _ask_ma(self, word: str) -> int:
-        return int(self._line.query(f"{word}? {self._channel}", _INTEGER)[1])
+        return int(self._line.query(f"{word}? {self._channel}", _MILLIAMPERES)[1])
 
     def _tell(self, word: str) -> str:
         """What not every head knows of itself; such a question is left unanswered."""
