@@ -171,8 +171,10 @@ def test_a_camera_that_stops_by_itself_can_be_started_again(stand_in: StandIn, c
     stand_in.advance(0.05)
     stand_in.stop()
     assert [camera.read(1.0).index for _ in range(2)] == [1, 2]  # what was there
+    start_s = stand_in.now()
     with pytest.raises(WrongState, match="by itself"):
         camera.read(1.0)
+    assert stand_in.now() == start_s  # it is an event, nobody waits for it in vain
     assert camera.state == "stopped"
     camera.set_binning(2)
     camera.start()
@@ -229,6 +231,8 @@ def test_a_loss_is_not_asked_about_while_frames_come(stand_in: StandIn, camera: 
     before = stand_in.calls("dcamprop_getvalue") + stand_in.calls("dcamcap_status")
     for _ in range(100):
         camera.read(1.0)
+        with pytest.raises(DeviceTimeout):
+            camera.read(0.0)
     assert stand_in.calls("dcamprop_getvalue") + stand_in.calls("dcamcap_status") == before
 
 

@@ -10,22 +10,21 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
 
-from drivers.camera import Camera, CameraCapabilities, Frame, Range, Region
+from drivers.camera import Camera, CameraCapabilities, Frame, Region
 from drivers.dcam import property_ids as ids
 from drivers.dcam import session
+from drivers.dcam.capabilities import AMPLIFIERS, TRIGGERS, has_em_gain, read_capabilities
 from drivers.dcam.capture import Capture
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
+from drivers.dcam.region import read_region, set_region
 from drivers.dcam.search import STRINGS, Listed, choose, string
 from drivers.dcam.settings import DcamSettings
 from drivers.dcam.structures import DeviceOpen, sized
 from drivers.dcam.trust import reasons_for_mistrust
 from drivers.device import Property
 from drivers.errors import DeviceError, Disconnected, Unsupported, WrongState
-
-_AMPLIFIERS = {ids.CCDMODE_NORMAL: "normal", ids.CCDMODE_EM: "em"}
-_TRIGGERS = {number: name for name, number in ids.TRIGGER_SOURCES.items()}
 
 
 class DcamCamera(Camera):
@@ -71,7 +70,7 @@ class DcamCamera(Camera):
     def warnings(self) -> tuple[str, ...]:
         """Sentences about settings and states in which the pixels are not what a photon count should be."""
         with self._talking():
-            return reasons_for_mistrust(self._values, has_em_gain=self._has_em_gain())
+            return reasons_for_mistrust(self._values, has_em_gain=has_em_gain(self._values))
 
     def fire_trigger(self) -> None:
         """Let one exposure begin, with the software trigger and while running."""
@@ -86,7 +85,7 @@ class DcamCamera(Camera):
         if settings.amplifier is not None:
             self.set_amplifier(settings.amplifier)
         with self._talking():
-            if self._has_em_gain():
+            if has_em_gain(self._values):
                 self._prepare_em_gain()
         if settings.readout_speed is not None:
             self.set_readout_speed(settings.readout_speed)
@@ -99,18 +98,8 @@ class DcamCamera(Camera):
             self.set_exposure(settings.exposure_s)
         if settings.em_gain is not None:
             self.set_em_gain(settings.em_gain)
-        wanted: dict[Id, float | None] = {
-            Id.TRIGGERACTIVE: ids.TRIGGER_ACTIVE.get(settings.trigger_active or ""),
-            Id.TRIGGERPOLARITY: ids.POLARITIES.get(settings.trigger_polarity or ""),
-            Id.TRIGGERDELAY: settings.trigger_delay_s,
-            Id.OUTPUTTRIGGER_KIND: ids.OUTPUTS.get(settings.output or ""),
-            Id.OUTPUTTRIGGER_POLARITY: ids.POLARITIES.get(settings.output_polarity or ""),
-            Id.SENSORCOOLER: ids.COOLER.get(settings.cooler or ""),
-            Id.EMGAINPROTECT_AFTERFRAMES: settings.em_gain_protection_frames,
-            Id.EMGAINWARNING_LEVEL: settings.em_gain_warning_level,
-        }
         with self._talking():
-            for identifier, value in wanted.items():
+            for identifier, value in _wishes(settings).items():
                 if value is not None:
                     self._values.set(identifier, value)
 
@@ -130,48 +119,7 @@ class DcamCamera(Camera):
             step(*arguments)
 
     def _read_capabilities(self) -> CameraCapabilities:
-        values = self._values
-        speeds = values.limits(Id.READOUTSPEED).range if values.has(Id.READOUTSPEED) else Range(1, 1)
-        exposure = values.limits(Id.EXPOSURETIME).range
-        sensor, step_px = self._sensor()
-        return CameraCapabilities(
-            rows=round(values.get(Id.IMAGE_HEIGHT)),
-            columns=round(values.get(Id.IMAGE_WIDTH)),
-            pixel_pitch_m=self._pixel_pitch_m() * self._read_binning(),
-            full_scale=2 ** round(values.get(Id.BITSPERCHANNEL)) - 1,
-            exposure_range_s=exposure,
-            em_gain_range=values.limits(Id.SENSITIVITY).range if self._has_em_gain() else Range(1.0, 1.0),
-            amplifiers=tuple(
-                _AMPLIFIERS[mode] for mode in self._modes(Id.CCDMODE, ids.CCDMODE_NORMAL) if mode in _AMPLIFIERS
-            ),
-            readout_speeds=tuple(range(round(speeds.minimum), round(speeds.maximum) + 1)),
-            binnings=tuple(mode for mode in self._modes(Id.BINNING, 1) if mode < 100),  # above, 102 is 1 x 2
-            triggers=tuple(_TRIGGERS[mode] for mode in self._modes(Id.TRIGGERSOURCE, 1) if mode in _TRIGGERS),
-            sensor=sensor,
-            region_step_px=step_px,
-        )
-
-    def _modes(self, identifier: Id, only: int) -> tuple[int, ...]:
-        return self._values.values(identifier) if self._values.has(identifier) else (only,)
-
-    def _pixel_pitch_m(self) -> float:
-        pitch_m = self._settings.pixel_pitch_m or 1e-6 * self._values.get_or(Id.IMAGEDETECTOR_PIXELWIDTH, 0.0)
-        if not pitch_m:
-            raise Unsupported("this camera does not tell its pixel pitch: set camera.pixel_pitch_m")
-        return pitch_m
-
-    def _sensor(self) -> tuple[Region | None, int]:
-        if not self._values.has(Id.SUBARRAYMODE):
-            return None, 1
-        rows, columns, top, left = (
-            self._values.limits(identifier)
-            for identifier in (Id.SUBARRAYVSIZE, Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS, Id.SUBARRAYHPOS)
-        )
-        step_px = round(max(1, rows.step, columns.step, top.step, left.step))
-        return Region(0, 0, round(rows.range.maximum), round(columns.range.maximum)), step_px
-
-    def _has_em_gain(self) -> bool:
-        return self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL) == ids.CCDMODE_EM
+        return read_capabilities(self._values, self._settings.pixel_pitch_m)
 
     def _prepare_em_gain(self) -> None:
         """Let the EM gain be what it says, where the camera knows it, and protect the register."""
@@ -208,10 +156,10 @@ class DcamCamera(Camera):
         return taken_s
 
     def _read_em_gain(self) -> float:
-        return self._values.get(Id.SENSITIVITY) if self._has_em_gain() else 1.0
+        return self._values.get(Id.SENSITIVITY) if has_em_gain(self._values) else 1.0
 
     def _set_em_gain(self, em_gain: float) -> float:
-        if not self._has_em_gain():
+        if not has_em_gain(self._values):
             return 1.0
         with self._restored_on_failure(Id.SENSITIVITY):
             taken = self._values.set(Id.SENSITIVITY, em_gain)
@@ -220,7 +168,7 @@ class DcamCamera(Camera):
         return taken
 
     def _read_amplifier(self) -> str:
-        return _AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
+        return AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
 
     def _set_amplifier(self, amplifier: str) -> None:
         if amplifier == self._read_amplifier():  # else the camera would begin with its defaults
@@ -245,47 +193,19 @@ class DcamCamera(Camera):
             self._values.set(Id.BINNING, binning)
 
     def _read_trigger(self) -> str:
-        return _TRIGGERS.get(round(self._values.get_or(Id.TRIGGERSOURCE, 1)), "internal")
+        return TRIGGERS.get(round(self._values.get_or(Id.TRIGGERSOURCE, 1)), "internal")
 
     def _set_trigger(self, trigger: str) -> None:
         if self._values.has(Id.TRIGGERSOURCE):
             self._values.set(Id.TRIGGERSOURCE, ids.TRIGGER_SOURCES[trigger])
 
     def _read_region(self) -> Region:
-        sensor, _ = self._sensor()
-        if sensor is None:
-            return super()._read_region()
-        if self._values.get(Id.SUBARRAYMODE) != ids.ON:
-            return sensor
-        top, left, rows, columns = (
-            round(self._values.get(identifier))
-            for identifier in (Id.SUBARRAYVPOS, Id.SUBARRAYHPOS, Id.SUBARRAYVSIZE, Id.SUBARRAYHSIZE)
-        )
-        return Region(top, left, rows, columns)
+        whole = self.capabilities.sensor
+        return super()._read_region() if whole is None else read_region(self._values, whole)
 
     def _set_region(self, region: Region) -> Region:
-        before = self._read_region()
-        try:
-            self._write_region(region)
-            return self._read_region()
-        except DeviceError:
-            self._leave(self._write_region, before)
-            raise
-
-    def _write_region(self, region: Region) -> None:
-        """At every step the region lies on the sensor: from its corner, first the size, then the position."""
-        set_value = self._values.set
-        set_value(Id.SUBARRAYMODE, ids.OFF)
-        if region == self._sensor()[0]:
-            return
-        for position, size, start_px, length_px in (
-            (Id.SUBARRAYHPOS, Id.SUBARRAYHSIZE, region.left, region.columns),
-            (Id.SUBARRAYVPOS, Id.SUBARRAYVSIZE, region.top, region.rows),
-        ):
-            set_value(position, 0)
-            set_value(size, length_px)
-            set_value(position, start_px)
-        set_value(Id.SUBARRAYMODE, ids.ON)
+        whole = self.capabilities.sensor
+        return region if whole is None else set_region(self._values, region, whole)
 
     def _is_running(self) -> bool:
         return self._capture is not None
@@ -343,7 +263,9 @@ class DcamCamera(Camera):
 
     def _is_protected(self) -> bool:
         """Whether the black frame is the camera's own doing."""
-        return self._has_em_gain() and self._values.get_or(Id.EMGAINWARNING_STATUS, 0) == ids.EMGAINWARNING_PROTECTED
+        return (
+            has_em_gain(self._values) and self._values.get_or(Id.EMGAINWARNING_STATUS, 0) == ids.EMGAINWARNING_PROTECTED
+        )
 
 
 def _opened(library: DcamLibrary, found: Listed) -> int:
@@ -351,3 +273,17 @@ def _opened(library: DcamLibrary, found: Listed) -> int:
     library.call("dcamdev_open", byref(asked))
     handle: int = asked.hdcam
     return handle
+
+
+def _wishes(settings: DcamSettings) -> dict[Id, float | None]:
+    """Properties that nothing else depends on; what is None is left as it is."""
+    return {
+        Id.TRIGGERACTIVE: ids.TRIGGER_ACTIVE.get(settings.trigger_active or ""),
+        Id.TRIGGERPOLARITY: ids.POLARITIES.get(settings.trigger_polarity or ""),
+        Id.TRIGGERDELAY: settings.trigger_delay_s,
+        Id.OUTPUTTRIGGER_KIND: ids.OUTPUTS.get(settings.output or ""),
+        Id.OUTPUTTRIGGER_POLARITY: ids.POLARITIES.get(settings.output_polarity or ""),
+        Id.SENSORCOOLER: ids.COOLER.get(settings.cooler or ""),
+        Id.EMGAINPROTECT_AFTERFRAMES: settings.em_gain_protection_frames,
+        Id.EMGAINWARNING_LEVEL: settings.em_gain_warning_level,
+    }

@@ -1,0 +1,51 @@
+"""What a camera allows in its present mode: asked, never tabulated."""
+
+from __future__ import annotations
+
+from drivers.camera import CameraCapabilities, Range
+from drivers.dcam import property_ids as ids
+from drivers.dcam.properties import Properties
+from drivers.dcam.property_ids import Id
+from drivers.dcam.region import sensor
+from drivers.errors import Unsupported
+
+AMPLIFIERS = {ids.CCDMODE_NORMAL: "normal", ids.CCDMODE_EM: "em"}
+TRIGGERS = {number: name for name, number in ids.TRIGGER_SOURCES.items()}
+_SQUARE = 100  # binnings above this number are oblong: 102 is 1 x 2
+
+
+def read_capabilities(values: Properties, pixel_pitch_m: float | None) -> CameraCapabilities:
+    """Ask the camera; the pixel pitch of the sensor overrides its own."""
+    whole, step_px = sensor(values)
+    speeds = values.limits(Id.READOUTSPEED).range if values.has(Id.READOUTSPEED) else Range(1, 1)
+    return CameraCapabilities(
+        rows=round(values.get(Id.IMAGE_HEIGHT)),
+        columns=round(values.get(Id.IMAGE_WIDTH)),
+        pixel_pitch_m=_pixel_pitch_m(values, pixel_pitch_m) * round(values.get_or(Id.BINNING, 1)),
+        full_scale=2 ** round(values.get(Id.BITSPERCHANNEL)) - 1,
+        exposure_range_s=values.limits(Id.EXPOSURETIME).range,
+        em_gain_range=values.limits(Id.SENSITIVITY).range if has_em_gain(values) else Range(1.0, 1.0),
+        amplifiers=tuple(AMPLIFIERS[mode] for mode in _modes(values, Id.CCDMODE) if mode in AMPLIFIERS),
+        readout_speeds=tuple(range(round(speeds.minimum), round(speeds.maximum) + 1)),
+        binnings=tuple(mode for mode in _modes(values, Id.BINNING) if mode < _SQUARE),
+        triggers=tuple(TRIGGERS[mode] for mode in _modes(values, Id.TRIGGERSOURCE) if mode in TRIGGERS),
+        sensor=whole,
+        region_step_px=step_px,
+    )
+
+
+def has_em_gain(values: Properties) -> bool:
+    """Whether the amplifier in use multiplies electrons."""
+    return values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL) == ids.CCDMODE_EM
+
+
+def _modes(values: Properties, identifier: Id) -> tuple[int, ...]:
+    """The values of a mode; where the camera does not have it, the first is what all cameras do."""
+    return values.values(identifier) if values.has(identifier) else (1,)
+
+
+def _pixel_pitch_m(values: Properties, wanted_m: float | None) -> float:
+    pitch_m = wanted_m or 1e-6 * values.get_or(Id.IMAGEDETECTOR_PIXELWIDTH, 0.0)
+    if not pitch_m:
+        raise Unsupported("this camera does not tell its pixel pitch: set camera.pixel_pitch_m")
+    return pitch_m
