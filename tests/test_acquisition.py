@@ -193,7 +193,9 @@ def test_a_stale_dark_or_reference_is_told(
 def test_lost_frames_are_counted(running: Running) -> None:
     running.begin()
     running.camera.inject(LoseFrames(5))
-    running.wait_until(lambda: running.measurements[-1].counts.lost == 5)
+    running.wait_until(lambda: running.measurements[-1].counts.lost >= 5)  # a busy computer loses some more
+    last = running.measurements[-1]
+    assert last.counts.acquired + last.counts.lost == last.frame.index + 1
 
 
 def test_an_unplugged_camera_ends_the_loop_with_the_light_off(running: Running) -> None:

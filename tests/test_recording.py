@@ -345,6 +345,7 @@ def test_a_recorder_ends_by_itself_after_so_many_frames(tmp_path: Path) -> None:
         recorder_.take(measurement(index, host_time_s=index / 10, lost=4 if index > 1 else 2))
     assert wait(recorder_, {"finished"}).frames == 3
     recording = Recording(tmp_path / "r")
+    assert recording.run["frames"] == {"acquired": 3, "recorded": 3, "reconstructed": 0, "lost": 2}
     assert [recording.line(index).camera_index for index in range(3)] == [1, 2, 3]
     assert [recording.line(index).lost for index in range(3)] == [0, 2, 0]
     recorder_.start(tmp_path / "again", FACTS)
