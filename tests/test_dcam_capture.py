@@ -240,11 +240,14 @@ def test_a_loss_is_not_asked_about_while_frames_come(stand_in: StandIn, camera: 
 
 
 @pytest.fixture
-def long_exposure() -> Iterator[DcamCamera]:
-    with (
-        dcam_stand_in(speed=1.0) as stand_in,
-        DcamCamera(DcamSettings(readout_speed=1, exposure_s=3.8), library(stand_in)) as camera,
-    ):
+def in_real_time() -> Iterator[StandIn]:
+    with dcam_stand_in(speed=1.0) as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def long_exposure(in_real_time: StandIn) -> Iterator[DcamCamera]:
+    with DcamCamera(DcamSettings(readout_speed=1, exposure_s=3.8), library(in_real_time)) as camera:
         camera.start()
         yield camera
 
@@ -264,7 +267,10 @@ def test_a_long_exposure_does_not_hold_up_a_stop(long_exposure: DcamCamera) -> N
     assert duration_s(wait_and_stop) < 2.0  # about 0.1 on a quiet machine
 
 
-def test_closing_ends_the_wait_of_another_thread(long_exposure: DcamCamera) -> None:
+@pytest.mark.parametrize("is_abort_refused", [False, True])
+def test_closing_ends_the_wait_of_another_thread(
+    in_real_time: StandIn, long_exposure: DcamCamera, *, is_abort_refused: bool
+) -> None:
     ended: list[BaseException] = []
 
     def wait() -> None:
@@ -273,6 +279,8 @@ def test_closing_ends_the_wait_of_another_thread(long_exposure: DcamCamera) -> N
         except DeviceError as error:
             ended.append(error)
 
+    if is_abort_refused:
+        in_real_time.fail("dcamwait_abort", 0x80000203)
     reader = threading.Thread(target=wait)
     reader.start()
     time.sleep(0.05)
@@ -281,3 +289,4 @@ def test_closing_ends_the_wait_of_another_thread(long_exposure: DcamCamera) -> N
     assert not reader.is_alive()
     assert isinstance(ended[0], WrongState)
     assert took_s < 2.0
+    assert in_real_time.calls("dcamwait_abort") == 1
