@@ -266,7 +266,7 @@ def _faults(what: str) -> Iterator[None]:
         raise
     except usb.core.USBTimeoutError as error:
         raise DeviceTimeout(f"{what} did not answer in time; is it busy, or hung?") from error
-    except (OSError, ValueError, NotImplementedError) as error:  # USBError is an OSError
+    except (OSError, ValueError, LookupError, NotImplementedError) as error:  # USBError is an OSError
         raise _translate(what, error) from error
 
 
@@ -278,7 +278,9 @@ def _translate(what: str, error: Exception) -> DeviceError:
         return Busy(f"another program holds {what}; close it")
     if number in {errno.EACCES, errno.EPERM}:
         return DeviceError(
-            f"you may not use {what}: as root, write the line “{UDEV_RULE}” to {UDEV_FILE}, run"
-            " “udevadm control --reload” and plug it in again (on Windows, give it the driver WinUSB)"
+            f"you may not use {what}: as root, add the line “{UDEV_RULE}” to {UDEV_FILE}, run"
+            " “udevadm control --reload” and plug it in again"
         )
+    if isinstance(error, NotImplementedError):
+        return Unsupported(f"{what} has no driver that libusb can use; on Windows, give it WinUSB by the program Zadig")
     return DeviceError(f"the conversation with {what} failed: {error}")

@@ -158,8 +158,11 @@ def test_what_keeps_an_instrument_from_being_used(wire: Echo, clock: ManualClock
     assert 'ATTR{idVendor}=="1313"' in instrument.trouble
     with pytest.raises(DeviceError, match="you may not use the echo"):
         Usbtmc(instrument, what="the echo")
-    plug.is_allowed = True
-    plug.is_configured = False
+    plug.is_allowed, plug.has_driver = True, False
+    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    with pytest.raises(Unsupported, match="Zadig"):
+        Usbtmc(instrument, what="the echo")
+    plug.has_driver, plug.is_configured = True, False
     (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
     assert instrument.serial_number == "M1"
     Usbtmc(instrument, what="the echo", sleep=clock.sleep).close()

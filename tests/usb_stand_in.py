@@ -23,7 +23,7 @@ class Plug:
 
     def __init__(self, wire: UsbtmcWire, serial_number: str, product_id: int = 0x80C8) -> None:
         self.wire, self.serial_number, self.product_id = wire, serial_number, product_id
-        self.is_allowed = True
+        self.is_allowed = self.has_driver = True
         self.is_taken = False  # by another program
         self.has_kernel_driver = True
         self.is_configured = True
@@ -111,6 +111,8 @@ class Bus(IBackend):  # type: ignore[misc] # pyusb has no types
         )
 
     def open_device(self, dev: Plug) -> Plug:
+        if not dev.has_driver:
+            raise NotImplementedError("Operation not supported or unimplemented on this platform")
         if not dev.is_allowed:
             raise usb.core.USBError("Access denied (insufficient permissions)", -3, errno.EACCES)
         with _translated():
