@@ -112,5 +112,5 @@ class SerialStorm(LightStorm):
         return not self.device.faults and not self.device.is_unplugged
 
     def recover(self) -> None:
-        self.device.faults.clear()
+        super().recover()
         self.device.is_unplugged = False

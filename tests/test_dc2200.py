@@ -349,7 +349,7 @@ class Storm(LightStorm):
         return not self.device.faults and not self.device.is_unplugged
 
     def recover(self) -> None:
-        self.device.faults.clear()
+        super().recover()
         self.device.plug_in()
         self.device.is_head_hot = False
 
