@@ -183,7 +183,7 @@ class UsbtmcWire(ABC):
         return bytes([_SUCCESS if is_in_progress else _NOT_IN_PROGRESS, tag])
 
     def _reset_in(self) -> None:
-        self._answer, self._later, self._request = b"", None, None
+        self._answer, self._later, self._request, self._out_tag = b"", None, None, 0
         self._is_answer_begun = self._is_confused = self._is_aborting = False
         self._packets.clear()
 

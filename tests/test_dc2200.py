@@ -272,6 +272,15 @@ def test_unplugged_in_the_middle_of_a_command(device: DC2200Wire, light: Thorlab
     light.close()
 
 
+def test_unplugged_while_it_is_opened(device: DC2200Wire, clock: ManualClock) -> None:
+    device.faults.append(UsbFault("unplug"))
+    with pytest.raises(Disconnected):
+        open_light(device, clock)
+    device.plug_in()
+    with open_light(device, clock) as light:
+        assert not light.is_on
+
+
 def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
     other = DC2200Wire("M00990000")
     bus = Bus(Plug(device, "M00331234"), Plug(other, "M00990000"), clock=clock)
