@@ -111,6 +111,13 @@ def test_the_current_helps_only_where_the_exposure_does_not_suffice() -> None:
     assert found.current_a == pytest.approx(0.7, rel=0.1)
 
 
+def test_less_current_makes_up_for_an_exposure_between_two_steps() -> None:
+    scene = Scene(counts_per_a_s=45_000 / 1.4e-5, exposure_range_s=WIDEST)  # at full current, steps of 10 us
+    found = expose(exposure_bench(scene, exposure_s=1e-5, current_a=1.0)[0])
+    assert found.exposure_s == pytest.approx(2e-5)
+    assert found.current_a == pytest.approx(0.7, rel=0.05)
+
+
 def test_an_led_that_droops_and_a_light_that_flickers_are_no_obstacle() -> None:
     for scene in (
         Scene(counts_per_a_s=45_000 / 0.001, exposure_range_s=C9100["em3"], droop=0.8),

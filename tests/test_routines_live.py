@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from app.acquisition import Acquisition
 from app.config import load_bench
 from app.devices import Devices, open_devices
 from app.instrument import Instrument, Status
-from app.routines import Cancelled, RoutineError
+from app.routines import AutoExposure, Cancelled, RoutineError, auto_expose
 from app.start_up import start_up
 from drivers.interface import DeviceTimeout, Region
 from reconstruction.noise import CameraNoise
@@ -36,11 +37,11 @@ class Live:
         return self.devices
 
     def do(self, command: Callable[[Instrument], object]) -> None:
-        self.acquisition.submit(command).result(30)
+        self.acquisition.submit(command).result(60)
 
     @property
     def status(self) -> Status:
-        return self.acquisition.submit(lambda instrument: instrument.status()).result(30)
+        return self.acquisition.submit(lambda instrument: instrument.status()).result(60)
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def live(small_toml: Path) -> Iterator[Live]:
 
 def started(live: Live) -> None:
     for step in start_up(live.acquisition, 4):
-        step.result(30)
+        step.result(60)
     assert live.status.warning == ""
 
 
@@ -79,7 +80,7 @@ def test_an_exposure_that_cannot_be_found_is_told_and_the_loop_goes_on(small_tom
     dim = Live(small_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
     try:
         with pytest.raises(RoutineError, match="lamp plugged in"):
-            dim.acquisition.auto_expose().result(30)
+            dim.acquisition.auto_expose().result(60)
         status = dim.status
         assert (status.is_light_on, status.current_a, status.exposure_s) == (False, 0.0, 0.02)
         assert dim.acquisition.is_alive
@@ -114,7 +115,7 @@ def test_a_camera_that_stalls_in_a_search_ends_all_with_the_light_off(
     monkeypatch.setattr(light, "close", lambda: was_off.append(not light.is_on))
     monkeypatch.setattr(camera, "read", _no_frame)
     with pytest.raises(DeviceTimeout):
-        live.acquisition.auto_expose().result(30)
+        live.acquisition.auto_expose().result(60)
     live.acquisition.close()
     assert was_off == [True]
 
@@ -125,22 +126,31 @@ def _no_frame(_timeout_s: float) -> None:
 
 def test_the_background_is_checked_by_command(live: Live) -> None:
     with pytest.raises(RoutineError, match="no dark yet"):
-        live.acquisition.check_background(4).result(30)
+        live.acquisition.check_background(4).result(60)
     started(live)
-    check = live.acquisition.check_background(4).result(30)
+    check = live.acquisition.check_background(4).result(60)
     assert check.is_good
     assert "still good" in check.verdict
     assert (live.status.is_light_on, live.status.is_running) == (True, True)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
     with pytest.raises(RoutineError, match=r"the dark was taken at 20.0 ms: take it again"):
-        live.acquisition.check_background(4).result(30)
+        live.acquisition.check_background(4).result(60)
 
 
-def test_start_up_finds_the_exposure_before_dark_and_reference(live: Live) -> None:
+def test_start_up_finds_the_exposure_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_sample: list[bool] = []
+
+    def watched(devices: Devices, *arguments: Any, **how: Any) -> AutoExposure:
+        with_sample.append(devices.stage.is_sample_in)
+        return auto_expose(devices, *arguments, **how)
+
+    monkeypatch.setattr("app.instrument.auto_expose", watched)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
+    live.do(lambda instrument: instrument.devices.stage.set_sample_in(True))
     for step in start_up(live.acquisition, 4, auto_expose=True):
-        step.result(30)
+        step.result(60)
     status = live.status
+    assert with_sample == [False]
     assert (status.warning, status.dark, status.reference) == ("", "good", "good")
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
     reference = live.acquisition.submit(lambda instrument: instrument.reference).result(5)
