@@ -595,6 +595,22 @@ def test_an_external_trigger_makes_a_frame(stand_in: StandIn) -> None:
             camera.fire_trigger()
 
 
+def test_a_change_before_a_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="external", exposure_s=0.05) as camera:
+        camera.start()
+        for exposure_s in (0.1, 0.2, 0.3):
+            camera.set_exposure(exposure_s)
+            stand_in.trigger()
+            frame = camera.read(1.0)
+            assert frame.exposure_s == exposure_s
+            assert frame.camera_time_s == pytest.approx(stand_in.now(), abs=2e-6)
+
+
+def test_an_exposure_that_pulses_make_is_warned_of(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="external", trigger_active="level") as camera:
+        assert camera.warnings() == ("the trigger's pulses make the exposure, not the time that is set",)
+
+
 def test_a_software_trigger_makes_a_frame(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.set_trigger("software")
     with pytest.raises(WrongState, match="while the camera runs"):

@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from dcam_tools import compiling
 
 from drivers.dcam import structures
 from drivers.dcam.errors import ERRORS, error_of
@@ -65,7 +66,9 @@ def test_structures_lie_as_a_c_compiler_lays_them(tmp_path: Path) -> None:
     source = tmp_path / "layout.c"
     headers = "#include <stddef.h>\n#include <stdio.h>\n#include <dcamapi.h>\n"
     source.write_text(headers + "int main(void) {" + "\n".join(lines) + "}")
-    told = subprocess.run([build_program(source, tmp_path)], capture_output=True, text=True, check=True).stdout  # noqa: S603
+    with compiling():
+        program = build_program(source, tmp_path)
+    told = subprocess.run([program], capture_output=True, text=True, check=True).stdout  # noqa: S603 - just made
     expected = "".join(
         f"{name} size {ctypes.sizeof(kind)}\n"
         + "".join(f"{name} {field} {offset}\n" for field, offset in layout(kind).items())

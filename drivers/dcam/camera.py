@@ -220,6 +220,7 @@ class DcamCamera(Camera):
             self._settings.ring_frames,
             (self._read_exposure(), self._read_em_gain()),
             self._clock,
+            is_triggered=self._read_trigger() != "internal",
         )
         try:
             capture.begin()

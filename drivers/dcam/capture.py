@@ -52,6 +52,8 @@ class Capture:
         ring_frames: int,
         in_force: tuple[float, float],
         clock: Callable[[], float],
+        *,
+        is_triggered: bool,
     ) -> None:
         self._library = library
         self._handle = handle
@@ -59,6 +61,7 @@ class Capture:
         self._shape = shape
         self._ring_frames = ring_frames
         self._clock = clock
+        self._exposing = 0 if is_triggered else 1  # frames that are mostly under way
         self._in_force = deque([InForce(0, *in_force)])
         self._next = 0  # in the library's count
         self._lost = 0  # before their transfer
@@ -99,8 +102,11 @@ class Capture:
             self._library.call("dcamwait_abort", self._wait_handle)
 
     def change(self, exposure_s: float, em_gain: float) -> None:
-        """Note settings that were changed just now: they hold from the frame after the one that is being exposed."""
-        first = self._transferred().nFrameCount + self._lost + 1
+        """Note settings that were changed just now: they hold from the frame after the one that is being exposed.
+
+        The DCAM-API does not tell what each frame was taken with. Where a trigger is awaited, none is being exposed.
+        """
+        first = self._transferred().nFrameCount + self._lost + self._exposing
         if self._in_force[-1].first_index == first:
             self._in_force.pop()
         self._in_force.append(InForce(first, exposure_s, em_gain))

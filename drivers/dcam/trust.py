@@ -29,6 +29,9 @@ def reasons_for_mistrust(values: Properties, *, has_em_gain: bool) -> tuple[str,
         for identifier, (harmless, sentence) in _FILTERS.items()
         if values.get_or(identifier, harmless) != harmless
     ]
+    triggered = values.get_or(Id.TRIGGERSOURCE, 1) == ids.TRIGGER_SOURCES["external"]
+    if triggered and values.get_or(Id.TRIGGERACTIVE, 1) != ids.TRIGGER_ACTIVE["edge"]:
+        found.append("the trigger's pulses make the exposure, not the time that is set")
     if has_em_gain:
         found += _of_em_gain(values)
     cooler = values.get_or(Id.SENSORCOOLERSTATUS, 0)
