@@ -32,6 +32,7 @@ cli = typer.Typer(
 )
 
 _LIVE_OUT = Path("svwfs-output")
+_LIVE_BENCH = "live_demo"
 
 BenchOption = Annotated[
     str, typer.Option("--bench", "-b", metavar="TOML", help=f"A bench TOML file, or a preset: {', '.join(PRESETS)}.")
@@ -94,8 +95,15 @@ def _common(
 @cli.command()
 def live(
     *,
-    bench: BenchOption = "live_demo",
+    bench: Annotated[
+        str | None,
+        typer.Option("--bench", "-b", metavar="TOML", help=f"A bench TOML file, or a preset; {_LIVE_BENCH}."),
+    ] = None,
     setting: SetOption = None,
+    replay: Annotated[
+        Path | None, typer.Option(metavar="RECORDING", help="Show a recording at its own pace, again and again.")
+    ] = None,
+    frames: FramesOption = None,
     seconds: Annotated[
         float | None,
         typer.Option(
@@ -104,10 +112,20 @@ def live(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the screenshot and the results of such a run.")] = _LIVE_OUT,
 ) -> None:
-    """Open the window: live wavefronts at every field position. Without a display it runs unseen for a few seconds."""
+    """Open the window: live wavefronts at every field position. Without a display it runs unseen for a few seconds.
+
+    With --replay it shows a recording, by its own bench unless --bench or --set say otherwise, and --frames some of it.
+    """
     from app.live import live_window
 
-    raise typer.Exit(live_window(load(bench, setting), seconds=seconds, out=out))
+    if replay is None:
+        if frames is not None:
+            raise InputError("--frames says which frames of a recording are meant: give --replay RECORDING")
+        raise typer.Exit(live_window(load(bench or _LIVE_BENCH, setting), seconds=seconds, out=out))
+    from app.replay.player import Player
+
+    player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
+    raise typer.Exit(live_window(player.bench, seconds=seconds, out=out, player=player))
 
 
 @cli.command()

@@ -6,7 +6,7 @@ It has no thread of its own; whoever holds it owns the devices. `Status` is the 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from app.calibration import Calibration
@@ -159,6 +159,14 @@ class Instrument:
         self._reference_taken = Circumstances.of(self.devices)
         self._prepare()
 
+    def use(self, calibration: Calibration) -> None:
+        """Take over bench, dark and reference that come from elsewhere, as from a recording."""
+        self._bench, self._dark, self._reference = calibration.bench, calibration.dark, calibration.reference
+        now = Circumstances.of(self.devices)
+        self._dark_taken = None if self._dark is None else _as_averaged(now, self._dark)
+        self._reference_taken = _as_averaged(now, self._reference)
+        self._prepare()
+
     def auto_expose(self, *, progress: Progress, should_stop: ShouldStop) -> AutoExposure:
         """Find exposure and current for what is in the beam, and use them from now on."""
         sensor, lattice = self._bench.sensor, self._lattice
@@ -237,6 +245,11 @@ class Instrument:
     def _doubt_of_reference(self, now: Circumstances) -> str:
         """Why the reference does not go with the frames of now; empty when it does."""
         return _doubt("reference", self._reference_taken, now, is_lit=True)
+
+
+def _as_averaged(now: Circumstances, average: Average) -> Circumstances:
+    """Return the circumstances of now, but for what is known of an average."""
+    return replace(now, exposure_s=average.exposure_s, em_gain=average.em_gain, amplifier=average.amplifier)
 
 
 def _doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit: bool) -> str:

@@ -10,15 +10,19 @@ from app.acquisition import Acquisition, Measurement
 from app.config import Bench
 from app.devices import open_devices
 from app.files import make_folder
+from app.replay.player import Player
 from app.results import result_dataset, write_results
 from app.run_record import write_run
+from app.start_up import start_up
 from app.streams.publisher import stream_sinks
 
 _UNATTENDED_S = 5.0
 
 
-def live_window(bench: Bench, *, seconds: float | None, out: Path) -> int:
+def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Player | None = None) -> int:
     """Run the window and return the exit status; Qt is loaded here, when it is known that a window is wanted.
+
+    With a `player` it shows a recording in place of the bench's devices.
 
     Where there is no display, or `seconds` are given, nobody needs to be there: it closes by itself so long after
     the first wavefront and leaves `window.png`, `result.nc` and `run.json` in the folder `out`; without them it ends
@@ -39,17 +43,22 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path) -> int:
     with stream_sinks(bench) as sinks:
 
         def make() -> Acquisition:
-            made.append(Acquisition(bench, open_devices, sinks))
+            if player is None:
+                made.append(Acquisition(bench, open_devices, sinks))
+            else:
+                made.append(Acquisition(bench, player.open_devices, (player.take, *sinks)))
             return made[-1]
 
+        begin = start_up if player is None else player.begin
         if seconds is None:
-            return run_live(make)
+            return run_live(make, begin=begin)
         make_folder(out)
         status = run_live(
             make,
             offscreen_s=seconds,
             screenshot=out / "window.png",
             on_finish=finish,
+            begin=begin,
         )
     sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
     return status

@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
@@ -15,6 +16,7 @@ from app.acquisition import Acquisition, Measurement
 from app.errors import InputError, Interrupted, RunError
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
+from app.start_up import start_up
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 _GIVE_UP_S = 120.0  # how long an unattended run waits for its first wavefront
@@ -26,8 +28,9 @@ def run_live(
     offscreen_s: float | None = None,
     screenshot: Path | None = None,
     on_finish: Callable[[Measurement], None] | None = None,
+    begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
 ) -> int:
-    """Show the window until it is closed, and return the exit status.
+    """Show the window until it is closed, and return the exit status; each acquisition has to `begin` first.
 
     With `offscreen_s` it closes by itself, so long after its first wavefront: a picture of it is saved to
     `screenshot`, and the last measurement that has a wavefront is given to `on_finish`. `RunError` is raised when
@@ -40,7 +43,7 @@ def run_live(
         application = QApplication(sys.argv[:1])
     application.setApplicationName("svwfs")
     apply_theme(application)
-    window = MainWindow(make_acquisition)
+    window = MainWindow(make_acquisition, begin=begin)
     run = None if offscreen_s is None else _UnattendedRun(window, offscreen_s, screenshot, on_finish)
     signals: list[int] = []
 

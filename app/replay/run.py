@@ -6,19 +6,19 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.calibration import Calibration, one_blas_thread
-from app.config import Bench, load_bench, parse_bench, write_bench
+from app.calibration import one_blas_thread
+from app.config import Bench
 from app.errors import InputError, RunError
 from app.progress import Report
 from app.read_outs import Variable
 from app.recording.reader import Recording
 from app.recording.repeat import Change, Repeated, repeated
+from app.replay.change import change_of
 from app.replay.comparison import Comparison
 from app.replay.results import results_in_pieces
 from app.replay.selection import chosen_frames
 from app.replay.verification import Verification
 from app.results import write_pieces
-from reconstruction.errors import ReconstructionError
 
 
 @dataclass(slots=True)
@@ -57,7 +57,7 @@ def replay(
     """
     recording = Recording(folder)
     chosen = chosen_frames(recording, frames)
-    change = None if bench is None and not settings else _change(bench, settings)
+    change = change_of(bench, settings)
     if verify and change is not None:
         raise InputError("--verify asks whether the recorded bench makes the same again: leave --bench and --set out")
     made = Replay(Verification(recording) if change is None else None, None if change is None else Comparison())
@@ -92,22 +92,6 @@ def _frames(
         made.take(frame)
         report(f"replaying {len(chosen)} frames", done / len(chosen))
         yield frame, more
-
-
-def _change(bench: str | None, settings: tuple[str, ...]) -> Change:
-    """Return what turns a recorded calibration into one of another bench, or of its own with other settings."""
-
-    def change(calibration: Calibration) -> Calibration:
-        if bench is None:
-            other = parse_bench(write_bench(calibration.bench), "the recorded bench", settings)
-        else:
-            other = load_bench(bench, settings)
-        try:
-            return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
-        except ReconstructionError as error:
-            raise InputError(f"the recorded reference does not go with this bench: {error}") from error
-
-    return change
 
 
 def first_bench(recording: Recording, chosen: range, change: Change | None = None) -> Bench:

@@ -1,0 +1,66 @@
+"""A recording played into the live view, by the calibrations that its frames had."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+
+from app.acquisition import Acquisition
+from app.calibration import Calibration
+from app.config import Bench
+from app.devices import Devices
+from app.errors import InputError
+from app.measurement import Measurement
+from app.recording.reader import Recording
+from app.replay.change import change_of
+from app.replay.devices import RecordedCamera, recorded_devices
+from app.replay.selection import chosen_frames
+
+
+class Player:
+    """Serves one acquisition after another: devices that play a recording, and the calibration of each frame."""
+
+    def __init__(
+        self, folder: Path, *, bench: str | None = None, settings: tuple[str, ...] = (), frames: str | None = None
+    ) -> None:
+        """With another `bench`, or `settings` of its own changed, the frames are shown as these make them."""
+        self._recording = Recording(folder)
+        self._frames = chosen_frames(self._recording, frames)
+        self._change = change_of(bench, settings)
+        self._camera: RecordedCamera | None = None
+        self._acquisition: Acquisition | None = None
+        numbers = (self._recording.line(index).calibration for index in self._frames)
+        first = next((number for number in numbers if number is not None), None)
+        if first is None:
+            raise InputError(f"{folder}: these frames have no calibration: there is nothing to reconstruct them with")
+        self._first = self._in_force = first
+        self.bench = self._calibration(first).bench
+
+    def open_devices(self, _bench: Bench, _progress: Callable[[float], None]) -> Devices:
+        """Open what plays the recording, from its first frame."""
+        devices = recorded_devices(self._recording, self._frames)
+        self._camera = devices.camera if isinstance(devices.camera, RecordedCamera) else None
+        return devices
+
+    def begin(self, acquisition: Acquisition) -> tuple[Future[None], ...]:
+        """Have the recorded calibration used and the camera started, in place of taking dark and reference."""
+        self._acquisition, self._in_force = acquisition, self._first
+        used = self._use(acquisition, self._first)
+        return (used, acquisition.submit(lambda instrument: instrument.devices.camera.start()))
+
+    def take(self, _: Measurement) -> None:
+        """Look, between two frames, whether the next one has another calibration, and have it used."""
+        if self._camera is None or self._acquisition is None:
+            return
+        number = self._recording.line(self._camera.next_frame).calibration
+        if number is not None and number != self._in_force:
+            self._in_force = number
+            self._use(self._acquisition, number)
+
+    def _calibration(self, number: int) -> Calibration:
+        recorded = self._recording.calibration(number)
+        return recorded if self._change is None else self._change(recorded)
+
+    def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
+        return acquisition.submit(lambda instrument: instrument.use(self._calibration(number)))
