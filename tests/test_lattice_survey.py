@@ -181,6 +181,23 @@ def test_the_residual_is_how_far_the_light_lies_beside_the_lattice() -> None:
     np.testing.assert_allclose(found.displacement_px, beside - mean, atol=0.15)
 
 
+def test_a_few_lenslets_far_beside_the_lattice_do_not_drag_it() -> None:
+    beside = np.zeros((15, 15, 2))
+    beside[:3, :4] = 1.5  # a scratch, a bubble
+    light = draw(
+        FRAME,
+        center_px=(TRUTH.center_x_px, TRUTH.center_y_px),
+        pitch_px=TRUTH.pitch_px,
+        rotation_rad=TRUTH.rotation_rad,
+        brightness=np.ones((15, 15)),
+        image_px=image_of("square", TRUTH.pitch_px, 0.3, 1.2),
+        beside_px=beside,
+    )
+    _, pitch_px, rotation_mrad = errors(survey(light, SENSOR))
+    assert pitch_px < 0.002
+    assert rotation_mrad < 0.05
+
+
 def test_more_lenslets_on_the_frame_than_the_sensor_has_are_counted() -> None:
     found = survey(drawn(brightness=np.ones((15, 15))), sensor_with(9, 13, 31.25))
     assert (found.rows, found.columns) == (15, 15)
