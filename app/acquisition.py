@@ -167,6 +167,10 @@ class Acquisition:
         """Write the last ten seconds as a recording, whether or not one is under way."""
         return self.submit(lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, command)))
 
+    def free_minutes(self, folder: Path) -> float:
+        """How long could be recorded into a folder at the rate of now; see `Recorder.free_minutes`."""
+        return self._recorder.free_minutes(folder)
+
     @property
     def recording(self) -> RecordingState | None:
         """How the recording stands that is under way, or the last one; None before the first."""

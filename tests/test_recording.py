@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -370,6 +372,22 @@ def test_the_last_seconds_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(recorder, "_RECENT_BYTES", 10 * taken[0].frame.pixels.nbytes)
     recorder_.take(measurement(301, host_time_s=30.1))
     assert recorder_.recent_frames == 10
+
+
+def test_free_space_is_told_in_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Path] = []
+
+    def usage(path: Path) -> SimpleNamespace:
+        asked.append(path)
+        return SimpleNamespace(free=60 * 10 * 120 * 7)  # seven minutes of ten frames of 120 bytes a second
+
+    monkeypatch.setattr("app.recording.recorder.shutil.disk_usage", usage)
+    recorder_ = Recorder(Timings())
+    assert recorder_.free_minutes(tmp_path) == math.inf
+    for index in range(101):
+        recorder_.take(measurement(index, host_time_s=index / 10))
+    assert recorder_.free_minutes(tmp_path / "not" / "yet") == pytest.approx(7, rel=0.02)
+    assert asked == [tmp_path]
 
 
 def test_a_folder_that_holds_a_recording_is_refused(tmp_path: Path) -> None:

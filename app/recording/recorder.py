@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import shutil
 import threading
 from collections import deque
 from collections.abc import Mapping
@@ -92,3 +94,16 @@ class Recorder:
     def recent_frames(self) -> int:
         """How many frames could be kept."""
         return len(self._recent)
+
+    def free_minutes(self, folder: Path) -> float:
+        """How long could be recorded into a folder, there or not yet, at the rate of the last seconds.
+
+        Infinite when no frames come; `OSError` when the disk cannot be asked. It may take long on a network.
+        """
+        with self._changing:
+            spanned_s = self._recent[-1].frame.host_time_s - self._recent[0].frame.host_time_s if self._recent else 0.0
+            nbytes = self._recent_bytes
+        if spanned_s <= 0:
+            return math.inf
+        there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        return shutil.disk_usage(there).free / (nbytes / spanned_s) / 60
