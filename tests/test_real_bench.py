@@ -8,14 +8,16 @@ from pathlib import Path
 
 import pytest
 from dcam_tools import built, dcam_stand_in
+from gui_bench import FakeLight
 
 from app.acquisition import Acquisition
 from app.config import Bench, parse_bench, write_bench
-from app.devices import open_devices
+from app.devices import open_devices, open_light
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.start_up import start_up
-from drivers.errors import DeviceError, Disconnected
+from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
+from drivers.thorlabs_dc4100 import DC4100Settings
 from simulated_devices.dc4100_wire import DC4100Wire
 from simulated_devices.dcam.stand_in import StandIn
 from simulated_devices.pty_wire import PtyServer
@@ -104,6 +106,15 @@ def test_settings_that_a_device_refuses_are_the_benchs_fault(
         open_devices(wrong, lambda _: None)
     assert not lamp.is_lit
     open_devices(bench, lambda _: None).close()  # all was let go of
+
+
+def test_a_light_whose_first_current_is_refused_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    light = FakeLight()
+    monkeypatch.setattr("app.devices._light", lambda _: light)
+    with pytest.raises(BadValue):
+        open_light(DC4100Settings(port="COM1", current_a=5.0))
+    with pytest.raises(WrongState, match="closed"):
+        light.set_on(True)
 
 
 def test_a_light_that_is_not_there_lets_go_of_the_camera(bench: Bench, port: PtyServer) -> None:
