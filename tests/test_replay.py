@@ -193,14 +193,19 @@ def test_another_registration_leaves_the_refinement_out_and_says_so(
     assert "bit-identical" not in said
 
 
-def test_other_views_are_not_compared(
-    plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("setting", "rows"), [("field.view_rows=2", (2, 5)), ("sensor.lenslet_rows=3", (3, 3))])
+def test_other_views_or_lenslets_are_not_compared(
+    plain: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    setting: str,
+    rows: tuple[int, int],
 ) -> None:
-    settings = ("--set", "field.view_rows=2", "--out", tmp_path / "r.nc", "--frames", ":2")
-    assert run(monkeypatch, "replay", plain.folder, *settings) == 0
+    assert run(monkeypatch, "replay", plain.folder, "--set", setting, "--out", tmp_path / "r.nc", "--frames", ":2") == 0
     assert "nothing to compare" in capsys.readouterr().out
     with xr.open_dataset(tmp_path / "r.nc") as written:
-        assert written["rms"].shape == (2, 2, 3)
+        assert (written.sizes["view_row"], written.sizes["lenslet_row"]) == rows
 
 
 DARK, PASSED, UNCALIBRATED, CHANGED = 3, 2, 0, 6  # frames of the recording below to which something happens
