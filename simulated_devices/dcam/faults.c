@@ -80,17 +80,8 @@ static void unlock(void) {
 
 /* As switched on: one camera, plugged in, no faults, no session; time at 0. */
 DCAM_EXPORT void stand_in_reset(double speed) {
-    static bool is_made = false;
     static const char *const SERIALS[CAMERAS] = {"S/N: 000123", "S/N: 000456"};
     pthread_mutex_lock(&world.lock);
-    if (!is_made) {
-        pthread_condattr_t attributes;
-        pthread_condattr_init(&attributes);
-        pthread_condattr_setclock(&attributes, CLOCK_MONOTONIC);
-        pthread_cond_init(&world.changed, &attributes);
-        pthread_condattr_destroy(&attributes);
-        is_made = true;
-    }
     world.speed = speed;
     world.offset_s = 0.0;
     world.origin_s = machine_s();
@@ -111,6 +102,16 @@ DCAM_EXPORT void stand_in_reset(double speed) {
         power_on(&world.cameras[i]);
     }
     unlock();
+}
+
+/* Loaded by whoever does not know of the hand, it is a camera in real time. */
+__attribute__((constructor)) static void begin(void) {
+    pthread_condattr_t attributes;
+    pthread_condattr_init(&attributes);
+    pthread_condattr_setclock(&attributes, CLOCK_MONOTONIC);
+    pthread_cond_init(&world.changed, &attributes);
+    pthread_condattr_destroy(&attributes);
+    stand_in_reset(1.0);
 }
 
 DCAM_EXPORT double stand_in_now(void) {
