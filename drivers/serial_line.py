@@ -3,7 +3,7 @@
 The protocols served here carry no numbers that say which answer belongs to which question. So after a question that
 was not answered in time, or was answered by garbage, the line is out of step: an answer may yet come, and must not be
 taken for that of the next question. Before that one is asked, the line asks for something with an answer that can be
-known among all others (a `Marker`, the device's name or serial number) and throws away all that comes before it. A
+known among all others (a marker, the device's name or serial number) and throws away all that comes before it. A
 marker that is not answered itself is not asked again before the line has been silent for as long as an answer may take.
 """
 
