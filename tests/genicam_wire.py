@@ -112,7 +112,6 @@ class GigeWire:
         self._will_be_cut = False
         self._garbled = 0  # replies that will be
         self._delay_s = 0.0  # of the next reply
-        self.number_offset = 0  # added to the numbers of the frames, as if the camera had run for long
         self._thread = threading.Thread(target=self._run)
 
     def __enter__(self) -> Self:
@@ -235,7 +234,7 @@ class GigeWire:
         self._front.sendto(packet, client)
 
     def _pass_frame(self, packet: bytes) -> None:
-        number, infos = struct.unpack_from(">HI", packet, 2)
+        (infos,) = struct.unpack_from(">I", packet, 4)
         content, index = infos >> 24 & 0x7F, infos & 0xFFFFFF
         if self._frames_go_to[1] == 0:  # to nobody any more
             return
@@ -244,8 +243,7 @@ class GigeWire:
         if index >= self._passing:
             self._is_cut |= self._will_be_cut
             return
-        renumbered = (number - 1 + self.number_offset) % 65535 + 1
-        self._stream.sendto(packet[:2] + struct.pack(">H", renumbered) + packet[4:], self._frames_go_to)
+        self._stream.sendto(packet, self._frames_go_to)
 
     def _packets_that_pass(self) -> int:
         """How many packets of the frame that now begins will pass."""
