@@ -132,6 +132,20 @@ def test_hot_pixels_in_one_of_ten_lenslets_do_not_count() -> None:
         assert true_fill(scene, expose(exposure_bench(scene, exposure_s=1.0)[0])) == pytest.approx(0.7, abs=0.06)
 
 
+def test_a_large_offset_is_no_light() -> None:
+    for begin_s in (0.0139, 1.0):
+        scene = Scene(counts_per_a_s=39_000 / 0.2, exposure_range_s=C9100["em3"], offset_counts=6000.0)
+        assert true_fill(scene, expose(exposure_bench(scene, exposure_s=begin_s)[0])) == pytest.approx(0.7, abs=0.06)
+
+
+def test_light_that_fills_without_subimages_is_told() -> None:
+    scene = Scene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"], ambient_counts_per_s=4.5e5)
+    devices, camera, lamp = exposure_bench(scene, exposure_s=0.1)
+    with pytest.raises(RoutineError, match="no subimages"):
+        expose(devices)
+    assert (camera.exposure_s, lamp.is_on) == (0.1, False)
+
+
 def test_cameras_of_fewer_bits() -> None:
     eight = Scene(
         counts_per_a_s=175 / 0.05,

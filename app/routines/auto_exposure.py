@@ -27,6 +27,7 @@ _LEAST_CURRENT = 1e-3  # of the highest; below it a light is dark or unsteady
 _BEGINNING_CURRENT = 0.5  # likewise; where none flows
 _EXACT = 0.02  # a rounded exposure may be wrong by that much before the current makes up for it
 _LONGER = 1.5  # times; more than a step, and the current makes up for it
+_LEAST_CONTRAST = 0.2  # of the level; with less it is not the lamp's light that fills
 _HOPELESS = 2.0  # times beyond reach: no need to try
 
 
@@ -67,6 +68,10 @@ def auto_expose(
             shots.append(Shot(taken, seen, seen.level >= SATURATED * full_scale))
             progress(frame, 1.0 if is_reached else len(shots) / MOST_FRAMES)
             if is_reached:
+                if seen.level - seen.background < _LEAST_CONTRAST * seen.level:
+                    raise RoutineError(
+                        "light falls on the camera, but shows no subimages: is the room dark, the lamp on?"
+                    )
                 found.exposure_s, found.current_a = camera.exposure_s, devices.light.current_a
                 return AutoExposure(found.exposure_s, found.current_a, seen.level / full_scale, len(shots))
             light = bench.possible(next_light(shots, fill * full_scale, full_scale, bench.reach), shots)

@@ -16,11 +16,12 @@ SATURATED = 0.95  # of full scale; above it the pixels may be full before the co
 _SEEN = 5.0  # noises above what noise alone makes of the brightest pixels
 _BRIGHTEST_NOISE = 4.0  # noises that the brightest of a dark cell's pixels lies above the background
 _CLEAR = 50.0  # noises; above it that hardly matters, and what looks like noise may be the image
-_MOST_BACKGROUND = 0.05  # of full scale; where no pixel is darker, light lies between the subimages, too
+_BRIGHT = 0.25  # of full scale; a level above it is light, and
+_MOST_BACKGROUND = 0.05  # of full scale is what a camera has without; more lies as light between the subimages
 _FAINT = 3.0  # times what can just be seen: enough to go by
 _USUAL_SPAN = 1000.0  # of light between just seen and the goal, as long as no frame has shown the noise
 _MISJUDGED = 1.5  # times, usually, the goal was missed by what a faint frame had let expect
-_APART = 3.0  # in light: two frames further apart than that tell the background better than one does
+_FAR = 3.0  # times the light that was seen; less is no leap in the dark
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +49,8 @@ def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) 
     """
     dim = [shot for shot in shots if not shot.is_saturated]
     too_much = min((shot.light for shot in shots if shot.is_saturated), default=math.inf)
-    background = min([_MOST_BACKGROUND * full_scale, *(shot.brightness.background for shot in dim)])
-    signals = [_signal(shot, dim, background) for shot in dim]
+    background = min((shot.brightness.background for shot in dim), default=0.0)
+    signals = [_signal(shot.brightness, background, full_scale) for shot in dim]
     seen = [(shot, signal) for shot, signal in zip(dim, signals, strict=True) if signal > _SEEN * shot.brightness.noise]
     enough = too_much * goal / (SATURATED * full_scale)  # or more than that
     if not seen:
@@ -59,19 +60,18 @@ def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) 
     if wanted <= 0:
         return 0.0
     light = best.light * wanted / signal
-    if light < _APART * best.light:
+    if light < _FAR * best.light:
         return light if light < too_much else math.sqrt(best.light * too_much)
     light /= 1 + 2 * best.brightness.noise / signal  # rather too little than saturated
     return light if light < enough else max(math.sqrt(best.light * too_much), enough / _MISJUDGED)
 
 
-def _signal(shot: Shot, dim: list[Shot], background: float) -> float:
-    """Counts by which the light raised the level: above a much darker frame's, where there is one."""
-    darkest = min(dim, key=lambda other: other.light)
-    if darkest.light * _APART < shot.light:
-        return (shot.brightness.level - darkest.brightness.level) / (1 - darkest.light / shot.light)
-    signal = shot.brightness.level - background
-    return signal if signal > _CLEAR * shot.brightness.noise else signal - _BRIGHTEST_NOISE * shot.brightness.noise
+def _signal(seen: Brightness, background: float, full_scale: float) -> float:
+    """Counts by which the light raised the level."""
+    if seen.level > _BRIGHT * full_scale:
+        return seen.level - min(background, _MOST_BACKGROUND * full_scale)
+    signal = seen.level - background
+    return signal if signal > _CLEAR * seen.noise else signal - _BRIGHTEST_NOISE * seen.noise
 
 
 def _where_to_look(black: list[Shot], wanted: float, too_much: float, highest: float, reach: Reach) -> float:
