@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain
 
 import numpy as np
-import xarray as xr
 
 from app.config import Bench
 from app.files import write_image
 from app.progress import Report
-from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
-from app.recording.repeat import repeated
-from app.results import result_dataset, stack_frames, write_pieces
+from app.recording.repeat import Repeated, repeated
+from app.replay.results import results_in_pieces
+from app.results import write_pieces
 from reconstruction.geometry import Floats
-from reconstruction.wavefront import Wavefront, rms
-
-_PIECE = 32  # frames in memory
+from reconstruction.wavefront import rms
 
 
 @dataclass(slots=True)
@@ -40,14 +36,14 @@ class Measured:
         """Standard deviation of each view's RMS over the frames, rad, (view_row, view_column)."""
         return np.sqrt(np.maximum(self.square_rms_rad - self.mean_rms_rad**2, 0))
 
-    def take(self, line: FrameLine, wavefront: Wavefront | None, problem: str) -> None:
+    def take(self, made: Repeated) -> None:
         """Take one more frame into account."""
-        self.recorded, self.lost = self.recorded + 1, self.lost + line.lost
-        if wavefront is None:
-            self.problem = self.problem or problem
+        self.recorded, self.lost = self.recorded + 1, self.lost + made.line.lost
+        if made.wavefront is None:
+            self.problem = self.problem or made.problem
             return
         self.reconstructed += 1
-        values = rms(wavefront.views)
+        values = rms(made.wavefront.views)
         self.mean_rms_rad = self.mean_rms_rad + (values - self.mean_rms_rad) / self.reconstructed
         self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
 
@@ -60,12 +56,11 @@ def write_measured(recording: Recording, bench: Bench, report: Report) -> Measur
     shape = bench.field.view_rows, bench.field.view_columns
     measured = Measured(bench, np.zeros(shape), np.zeros(shape))
     _write_calibration(recording)
-    results = _results(recording, measured, report)
-    first = next(results, None)
+    pieces = results_in_pieces((made, {}) for made in _counted(recording, measured, report))
+    first = next(pieces, None)
     if first is not None:
-        pieces = _stacked(chain([first], results), bench)
         names = {"dark": "dark.tif", "reference": "reference.tif"}
-        write_pieces(recording.folder / "results.nc", pieces, bench=bench, inputs=names)
+        write_pieces(recording.folder / "results.nc", chain([first], pieces), bench=bench, inputs=names)
     return measured
 
 
@@ -78,21 +73,9 @@ def _write_calibration(recording: Recording) -> None:
                 write_image(recording.folder / f"{name}.tif", average.mean)
 
 
-def _results(recording: Recording, measured: Measured, report: Report) -> Iterator[tuple[FrameLine, Wavefront]]:
-    """Every frame that yields a wavefront; all are counted as they come."""
+def _counted(recording: Recording, measured: Measured, report: Report) -> Iterator[Repeated]:
+    """Every frame, counted as it comes."""
     for made in repeated(recording):
-        measured.take(made.line, made.wavefront, made.problem)
+        measured.take(made)
         report("writing the results", (made.line.index + 1) / len(recording))
-        if made.wavefront is not None:
-            yield made.line, made.wavefront
-
-
-def _stacked(results: Iterator[tuple[FrameLine, Wavefront]], bench: Bench) -> Iterator[xr.Dataset]:
-    """The results of some frames after one another, again and again."""
-    while piece := list(islice(results, _PIECE)):
-        yield stack_frames(
-            [result_dataset(wavefront, bench) for _, wavefront in piece],
-            [line.camera_index for line, _ in piece],
-            [line.camera_time_s for line, _ in piece],
-            [math.nan if line.bias_age_s is None else line.bias_age_s for line, _ in piece],
-        )
+        yield made
