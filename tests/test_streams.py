@@ -20,12 +20,14 @@ import pytest
 import zmq
 from numpy.typing import NDArray
 from optics import FIELD, SmallBench
+from test_cli import run
 
-from app.acquisition import Counts, Measurement
 from app.calibration import Calibration
 from app.config import Bench, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
 from app.live_refinement import RefinementState
+from app.measurement import Counts, Measurement
+from app.recording.reader import Recording
 from app.routines import Average
 from app.stream_settings import StreamSettings
 from app.streams.publisher import Publisher, stream_sinks
@@ -313,6 +315,43 @@ def test_the_section_survives_writing_and_reading(small_toml: Path) -> None:
     bench = load_bench(small_toml, ("streams.port=5560", "streams.address=0.0.0.0"))
     assert parse_bench(write_bench(bench), "again") == bench
     assert load_bench(small_toml).streams.port is None
+
+
+def test_measure_publishes_what_it_records(
+    port: int, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever listens from before the start; a busy computer may leave some out, or not reconstruct them live."""
+    arguments = ("--bench", small_toml, "--set", f"streams.port={port}", "--frames", "6", "--out", tmp_path / "run")
+    with closing(Subscriber(port, "coefficients")) as subscriber:
+        assert run(monkeypatch, "measure", *arguments) == 0
+        heard = {}
+        while not subscriber.is_waiting():
+            _, header, arrays = subscriber.hears()
+            if arrays:
+                heard[header["camera_time_s"]] = header, arrays["coefficients"]
+    recording = Recording(tmp_path / "run")
+    both = [index for index in range(len(recording)) if recording.line(index).camera_time_s in heard]
+    assert both
+    for index in both:
+        line = recording.line(index)
+        header, coefficients = heard[line.camera_time_s]
+        assert (header["frame"], header["lattice"]["center_x_px"]) == (line.camera_index, 121.3)
+        np.testing.assert_array_equal(coefficients, recording.coefficients(index))
+
+
+def test_a_port_that_is_taken_ends_the_command(
+    publisher: Publisher,
+    port: int,
+    small_toml: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    settings = ("--bench", small_toml, "--set", f"streams.port={port}")
+    assert publisher
+    assert run(monkeypatch, "measure", *settings, "--frames", "2", "--out", tmp_path / "run") == 1
+    assert f"127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_documented_subscriber_runs(publisher: Publisher, port: int, measurement: Measurement) -> None:
