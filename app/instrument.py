@@ -5,9 +5,9 @@ It has no thread of its own; whoever holds it owns the devices. `Status` is the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from app.calibration import Calibration
 from app.config import Bench
@@ -27,13 +27,18 @@ from app.routines import (
     take_reference,
 )
 from app.timing import Timings
-from drivers.interface import BadValue, CameraCapabilities, Device, Frame, Property, Range
+from drivers.interface import BadValue, CameraCapabilities, Device, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
+from reconstruction.lattice import Survey, survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 Standing = Literal["missing", "doubtful", "good"]  # of a dark or a reference
 
 
@@ -48,6 +53,7 @@ class Status:
     is_running: bool
     exposure_s: float
     amplifier: str
+    readout_speed: int
     em_gain: float
     current_range_a: Range
     current_a: float
@@ -59,6 +65,22 @@ class Status:
     reference: Standing
     lattice: Lattice | None
     warning: str  # why the wavefronts are missing or doubtful; empty when they are not
+
+    @property
+    def bench_in_force(self) -> Bench:
+        """The bench with what has been set and found since: lattice, exposure, gain, current."""
+        camera = {
+            "exposure_s": self.exposure_s,
+            "amplifier": self.amplifier,
+            "readout_speed": self.readout_speed,
+            "em_gain": self.em_gain,
+        }
+        return replace(
+            self.bench,
+            lattice=self.lattice,
+            camera=_with_known(self.bench.camera, camera),
+            light=_with_known(self.bench.light, {"current_a": self.current_a}),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,6 +156,7 @@ class Instrument:
             is_running=camera.is_running,
             exposure_s=camera.exposure_s,
             amplifier=camera.amplifier,
+            readout_speed=camera.readout_speed,
             em_gain=camera.em_gain,
             current_range_a=light.current_range_a,
             current_a=light.current_a,
@@ -180,6 +203,14 @@ class Instrument:
         if self._dark is None or doubt:
             raise RoutineError(doubt)
         return check_background(self.devices, self._dark, frames, progress=progress, should_stop=should_stop)
+
+    def survey_lattice(self) -> Survey:
+        """Find the lenslets in the reference; nothing is changed by it."""
+        if self._reference is None:
+            raise WrongState("the lattice is found in the reference: take one first")
+        dark = None if self._dark is None else self._dark.mean
+        full_scale = self.devices.camera.capabilities.full_scale
+        return survey(self._reference.mean, self._bench.sensor, dark=dark, full_scale=full_scale)
 
     def change_settings(self, change: Callable[[Bench], Bench]) -> None:
         """Replace the settings of registration and reconstruction by what `change` makes of the bench."""
@@ -263,3 +294,9 @@ def _standing(average: Average | None, doubt: str) -> Standing:
     if average is None:
         return "missing"
     return "doubtful" if doubt else "good"
+
+
+def _with_known(settings: T, values: Mapping[str, object]) -> T:
+    """Change those of the values that the settings of this driver have."""
+    known = {field.name for field in fields(settings)}
+    return replace(settings, **{name: value for name, value in values.items() if name in known})

@@ -66,7 +66,7 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
     assert window.wavefront_panel.grid._has_captions()
     panel.caption.setText("a very long line " * 20)
     QApplication.processEvents()
-    assert window.width() == 900
+    assert window.width() == 1000
 
 
 def test_goes_from_opening_to_live_wavefronts_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:

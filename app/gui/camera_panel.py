@@ -16,6 +16,7 @@ from app.gui.widgets import ElidedLabel, label, toggle
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
+from reconstruction.lattice import Survey
 
 _LEVELS = {"auto levels": "percentiles", "full scale": "full", "hold levels": "hold"}
 _LEVELS_INTERVAL_S = 0.5
@@ -59,6 +60,8 @@ class CameraPanel(QWidget):
         self._image = pg.ImageItem(axisOrder="row-major")  # the one place where pyqtgraph must be told
         self._lines = _curve(self._view, theme.ACCENT, alpha=110)
         self._boxes = _curve(self._view, theme.RED, width=2)
+        self._found_lines = _curve(self._view, theme.GREEN, width=2)  # of a lattice that is proposed
+        self._found_boxes = _curve(self._view, theme.AMBER, width=2)  # its lenslets without light
         self._arrows = _curve(self._view, theme.AMBER)
         self._arrows.setShadowPen(pg.mkPen((0, 0, 0, 200), width=3))  # to be seen on black and on white
         self._view.addItem(self._image)
@@ -80,6 +83,14 @@ class CameraPanel(QWidget):
         if (sensor, lattice, full_scale) != (self._sensor, self._lattice, self._full_scale):
             self._sensor, self._lattice, self._full_scale = sensor, lattice, full_scale
             self._show_overlay()
+
+    def propose(self, survey: Survey | None) -> None:
+        """Draw a lattice that is not in force yet, and which of its lenslets have no light; or none any more."""
+        for item in (self._found_lines, self._found_boxes):
+            item.setVisible(survey is not None)
+        if survey is not None:
+            _draw(self._found_lines, lattice_lines(survey.lattice, *survey.illuminated.shape))
+            _draw(self._found_boxes, lost_boxes(survey.lattice, ~survey.illuminated))
 
     def show_frame(self, frame: Frame, displacement: Displacement | None) -> None:
         """Show a frame, and what has become of its lenslets where that is known."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 from app.config import Bench
 from app.instrument import Instrument
+from drivers.interface import BadValue, Camera
+from reconstruction.geometry import Lattice
 
 
 def set_running(instrument: Instrument, running: bool) -> None:
@@ -25,12 +29,14 @@ def set_exposure(instrument: Instrument, exposure_s: float) -> None:
 
 def set_amplifier(instrument: Instrument, amplifier: str) -> None:
     """Choose the camera's amplifier, stopping it for the change."""
-    camera = instrument.devices.camera
-    was_running = camera.is_running
-    camera.stop()
-    camera.set_amplifier(amplifier)
-    if was_running:
-        camera.start()
+    with _stopped(instrument.devices.camera) as camera:
+        camera.set_amplifier(amplifier)
+
+
+def set_readout_speed(instrument: Instrument, readout_speed: int) -> None:
+    """Choose the camera's readout speed, stopping it for the change."""
+    with _stopped(instrument.devices.camera) as camera:
+        camera.set_readout_speed(readout_speed)
 
 
 def set_em_gain(instrument: Instrument, em_gain: float) -> None:
@@ -58,6 +64,11 @@ def set_mask(instrument: Instrument, mask: str) -> None:
     instrument.devices.stage.set_mask(mask)
 
 
+def use_lattice(instrument: Instrument, lattice: Lattice) -> None:
+    """Have the lenslets where they were found."""
+    instrument.change_settings(lambda bench: replace(bench, lattice=lattice))
+
+
 def change_setting(section: str, key: str, instrument: Instrument, value: Any) -> None:
     """Change one setting of the bench."""
 
@@ -66,3 +77,18 @@ def change_setting(section: str, key: str, instrument: Instrument, value: Any) -
         return replace(bench, **changed)
 
     instrument.change_settings(change)
+
+
+@contextmanager
+def _stopped(camera: Camera) -> Iterator[Camera]:
+    """Stop a running camera for a while; it goes on also when what is asked for is refused."""
+    was_running = camera.is_running
+    camera.stop()
+    try:
+        yield camera
+    except BadValue:
+        if was_running:
+            camera.start()
+        raise
+    if was_running:
+        camera.start()

@@ -33,6 +33,7 @@ class ControlsPanel(QFrame):
     running_requested = pyqtSignal(bool)
     exposure_requested = pyqtSignal(float)  # s
     amplifier_requested = pyqtSignal(str)
+    readout_speed_requested = pyqtSignal(int)
     em_gain_requested = pyqtSignal(float)
     light_requested = pyqtSignal(bool)
     current_requested = pyqtSignal(float)  # A
@@ -40,7 +41,8 @@ class ControlsPanel(QFrame):
     mask_requested = pyqtSignal(str)
     dark_requested = pyqtSignal(int)  # frames
     reference_requested = pyqtSignal(int)  # frames
-    cancel_requested = pyqtSignal()
+    lattice_requested = pyqtSignal()
+    auto_exposure_requested = pyqtSignal()
     setting_requested = pyqtSignal(str, str, object)  # section and key of the bench, and the value
 
     def __init__(self, frames: int, parent: QWidget | None = None) -> None:
@@ -66,6 +68,9 @@ class ControlsPanel(QFrame):
         self.exposure.entered.connect(self.exposure_requested)
         self.amplifier = _choice("The camera's output amplifier; it is stopped and started again for the change")
         self.amplifier.textActivated.connect(self.amplifier_requested)
+        self.readout_speed = _choice("Read-out speed: the faster, the noisier; the camera is stopped for the change")
+        self.readout_speed.setMinimumWidth(40)
+        self.readout_speed.textActivated.connect(lambda speed: self.readout_speed_requested.emit(int(speed)))
         self.em_gain = NumberField(decimals=1, tool_tip="Electron multiplication: more signal over the read noise")
         self.em_gain.setPrefix("\N{MULTIPLICATION SIGN} ")
         self.em_gain.entered.connect(self.em_gain_requested)
@@ -74,7 +79,9 @@ class ControlsPanel(QFrame):
         grid.addWidget(label("Exposure", "dim"), 2, 0)
         grid.addWidget(self.exposure, 2, 1)
         grid.addWidget(label("Gain", "dim"), 3, 0)
-        grid.addLayout(_side_by_side(self.em_gain, self.amplifier), 3, 1)
+        mode = _side_by_side(self.em_gain, self.amplifier, self.readout_speed)
+        mode.setStretch(2, 0)
+        grid.addLayout(mode, 3, 1)
 
     def _make_bench(self) -> None:
         self.light = toggle("Light off", "Switch the light (L)")
@@ -99,13 +106,17 @@ class ControlsPanel(QFrame):
         self.dark.clicked.connect(lambda: self.dark_requested.emit(round(self.frames.value())))
         self.reference = button("Reference", "Average frames without the sample: displacements count from here (R)")
         self.reference.clicked.connect(lambda: self.reference_requested.emit(round(self.frames.value())))
-        self.cancel = button("Cancel", "End the dark or reference under way; the bench is left as it was (Esc)")
-        self.cancel.clicked.connect(self.cancel_requested)
+        self.lattice = button("Lattice", "Find the lenslets in the reference; nothing changes until you agree (N)")
+        self.lattice.clicked.connect(self.lattice_requested)
+        self.auto_exposure = button(
+            "Expose", "Find the exposure, and if need be the current, that fills 70 % of the camera's range (X)"
+        )
+        self.auto_exposure.clicked.connect(self.auto_exposure_requested)
         grid = self._section("Calibration")
         grid.addLayout(_side_by_side(self.dark, self.reference), 1, 0, 1, 2)
         grid.addWidget(label("Frames", "dim"), 2, 0)
         grid.addWidget(self.frames, 2, 1)
-        grid.addWidget(self.cancel, 3, 0, 1, 2)
+        grid.addLayout(_side_by_side(self.lattice, self.auto_exposure), 3, 0, 1, 2)
 
     def _make_reconstruction(self) -> None:
         self.registration = self._setting(
@@ -190,6 +201,7 @@ class ControlsPanel(QFrame):
                 field.show_value(value, interval)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
         _show_choice(self.amplifier, allowed.amplifiers, status.amplifier)
+        _show_choice(self.readout_speed, tuple(map(str, allowed.readout_speeds)), str(status.readout_speed))
         _show_choice(self.mask_choice, status.masks, status.mask)
         registration, reconstruction = status.bench.registration, status.bench.reconstruction
         _show_choice(self.registration, get_args(Method), registration.method)
@@ -209,10 +221,6 @@ class ControlsPanel(QFrame):
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
         for taken, standing in ((self.dark, status.dark), (self.reference, status.reference)):
             taken.setIcon(theme.lamp(_LAMPS[standing]))
-
-    def show_busy(self, *, is_busy: bool) -> None:
-        """Offer to cancel what is under way, if anything is."""
-        self.cancel.setEnabled(is_busy)
 
 
 def _uses_warp(registration: RegistrationSettings) -> bool:

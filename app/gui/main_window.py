@@ -7,7 +7,7 @@ Whatever the user wants becomes a command that the acquisition's worker executes
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import Future
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -16,24 +16,29 @@ from typing import Any
 
 from PyQt6.QtCore import QStandardPaths, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFileDialog, QSplitter, QVBoxLayout, QWidget
 
 from app.acquisition import Acquisition, Activity, Measurement
+from app.config import write_bench
 from app.errors import InputError, RunError
+from app.files import appearing_whole
 from app.gui import commands
 from app.gui.advice import advice
 from app.gui.analysis import Quantity
 from app.gui.analysis_panel import AnalysisPanel
+from app.gui.answers import Answers
+from app.gui.calibration_control import CalibrationControl
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
 from app.gui.live_analysis import LiveAnalysis
 from app.gui.menu import fill_menus
 from app.gui.message_strip import MessageStrip
+from app.gui.recording_control import RecordingControl
+from app.gui.recording_panel import RecordingPanel
 from app.gui.status_line import StatusLine
 from app.gui.timed_window import TimedWindow
 from app.gui.wavefront_panel import WavefrontPanel
 from app.instrument import Instrument, Status
-from app.routines import Cancelled
 from app.start_up import FRAMES, start_up
 
 _LOOK_INTERVAL_MS = 40
@@ -56,7 +61,6 @@ class MainWindow(TimedWindow):
         super().__init__()
         self._make_acquisition, self._begin = make_acquisition, begin
         self._acquisition: Acquisition | None = None
-        self._pending: list[Future[Any]] = []
         self._measurement: Measurement | None = None
         self._status: Status | None = None
         self._looks = 0
@@ -66,7 +70,11 @@ class MainWindow(TimedWindow):
         self.wavefront_panel = WavefrontPanel()
         self.analysis_panel = AnalysisPanel()
         self.controls = ControlsPanel(FRAMES)
+        self.recording_panel = RecordingPanel()
         self.messages = MessageStrip()
+        self._answers = Answers(self.messages)
+        self.recording = RecordingControl(self.recording_panel, self.messages, self._answers)
+        self._calibration = CalibrationControl(self.camera_panel, self.messages, self._answers)
         self.status_line = StatusLine()
         self._analysis = LiveAnalysis(self.wavefront_panel, self.analysis_panel, self)
         self._analysis.failed.connect(self.messages.warn)
@@ -97,10 +105,11 @@ class MainWindow(TimedWindow):
         if self._acquisition is not None:
             self._acquisition.close()
         self._measurement, self._status = None, None
+        self._calibration.forget()
         self.status_line.restart()
         self._acquisition = self._make_acquisition()
         self._acquisition.start()
-        self._pending = list(self._begin(self._acquisition))
+        self._answers.restart(self._begin(self._acquisition))
         self._timer.start()
 
     def look(self) -> None:
@@ -108,15 +117,17 @@ class MainWindow(TimedWindow):
         acquisition = self._acquisition
         if acquisition is None:
             return
-        self._look_at_answers()
+        if self._answers.look():
+            self._status = None  # shown again, so that a refused value gives way to the one in force
         status = acquisition.status
         if status is not None and acquisition.failure:
             status = replace(status, is_running=False, is_light_on=False)  # this is how failing devices are left
         if status is not None and status != self._status:
             self.show_status(status)
-        self.controls.setEnabled(self._status is not None and not acquisition.failure)
-        self.controls.show_busy(is_busy=bool(acquisition.activity.text))
-        self.messages.show_activity(acquisition.activity)
+        is_ready = self._status is not None and not acquisition.failure
+        self.controls.setEnabled(is_ready)
+        self.recording_panel.setEnabled(is_ready)
+        self.messages.show_activity(acquisition.activity, may_cancel=is_ready and bool(acquisition.activity.text))
         measurement = acquisition.newest
         if measurement is not None and measurement is not self._measurement and not self.isMinimized():
             with self.drawing(measurement, acquisition.timings):
@@ -142,7 +153,7 @@ class MainWindow(TimedWindow):
         """Show how the instrument stands."""
         self._status = status
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
-        self.controls.show_status(status, is_settled=not self._pending)
+        self.controls.show_status(status, is_settled=self._answers.are_all_there)
         self._analysis.show_bench(status.bench)
         self.camera_panel.show_running(is_running=status.is_running)
         self.camera_panel.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
@@ -151,6 +162,8 @@ class MainWindow(TimedWindow):
         """Write the numbers and the message."""
         self.camera_panel.update_text()
         self.wavefront_panel.update_text()
+        if self._acquisition is not None:
+            self.recording.show(self._acquisition)
         timings = None if self._acquisition is None else self._acquisition.timings.summary()
         self.status_line.update_text(self._status, timings)
         status, measurement = self._status, self._measurement
@@ -174,6 +187,20 @@ class MainWindow(TimedWindow):
             self.messages.warn(f"could not save {path}")
         return is_saved
 
+    def save_bench(self) -> None:
+        """Save the bench as it is set now, the lattice in force included."""
+        if self._status is None:
+            return
+        name, _ = QFileDialog.getSaveFileName(self, "Save the bench", "bench.toml", "Bench (*.toml)")
+        if name:
+            try:
+                with appearing_whole(Path(name)) as temporary:
+                    temporary.write_text(write_bench(self._status.bench_in_force), "utf-8")
+            except (InputError, RunError) as error:
+                self.messages.warn(str(error))
+            else:
+                self.messages.tell(f"saved {name}")
+
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off and let go of the devices."""
         self._timer.stop()
@@ -186,7 +213,7 @@ class MainWindow(TimedWindow):
 
     def _lay_out(self) -> None:
         self.setWindowTitle("svwfs")
-        self.setMinimumSize(900, 640)  # smaller, and captions and plots have no room
+        self.setMinimumSize(1000, 640)  # smaller, and captions and plots have no room
         self.resize(1440, 900)
         left = QSplitter(Qt.Orientation.Vertical)
         left.addWidget(self.camera_panel)
@@ -209,20 +236,34 @@ class MainWindow(TimedWindow):
         layout.addWidget(self.controls)
         layout.addWidget(self.status_line)
         self.setCentralWidget(body)
+        if (bar := self.menuBar()) is not None:
+            bar.setNativeMenuBar(False)  # another place would leave no corner
+            bar.setCornerWidget(self.recording_panel)
 
     def _fill_menus(self) -> None:
         controls, camera = self.controls, self.camera_panel
         fill_menus(
             self,
             {
-                "&File": (("Save a screenshot", "Ctrl+P", self.save_screenshot), ("Quit", "Ctrl+Q", self.close)),
+                "&File": (
+                    ("Record, or stop recording", "W", self.recording_panel.record.click),
+                    ("Keep the last seconds", "K", self.recording_panel.keep.click),
+                    ("Where recordings go", "Ctrl+O", lambda: self.recording.choose_folder(self)),
+                    ("Save the bench", "Ctrl+S", self.save_bench),
+                    ("Save a screenshot", "Ctrl+P", self.save_screenshot),
+                    ("Quit", "Ctrl+Q", self.close),
+                ),
                 "&Bench": (
                     ("Start or stop the camera", "Space", controls.start.click),
                     ("Switch the light", "L", controls.light.click),
                     ("Move the sample in or out", "S", controls.sample.click),
                     ("Take a dark", "D", controls.dark.click),
                     ("Take a reference", "R", controls.reference.click),
-                    ("Cancel what is under way", "Esc", controls.cancel.click),
+                    ("Find the lattice in the reference", "N", controls.lattice.click),
+                    ("Find the exposure", "X", controls.auto_exposure.click),
+                    ("Compare the background with the dark", "B", self._with(self._calibration.check_background)),
+                    ("Use what is proposed", "Return", self.messages.enter),
+                    ("Cancel what is under way, or discard", "Esc", self.messages.escape),
                     ("Refine, or not", "F", controls.refine.click),
                     ("Set the exposure", "E", controls.exposure.edit),
                     ("Set the current", "C", controls.current.edit),
@@ -251,6 +292,7 @@ class MainWindow(TimedWindow):
             (controls.running_requested, commands.set_running),
             (controls.exposure_requested, commands.set_exposure),
             (controls.amplifier_requested, commands.set_amplifier),
+            (controls.readout_speed_requested, commands.set_readout_speed),
             (controls.em_gain_requested, commands.set_em_gain),
             (controls.light_requested, commands.set_light),
             (controls.current_requested, commands.set_current),
@@ -260,38 +302,38 @@ class MainWindow(TimedWindow):
             intent.connect(partial(self._command, command))
         controls.dark_requested.connect(lambda frames: self._routine(Acquisition.take_dark, frames))
         controls.reference_requested.connect(lambda frames: self._routine(Acquisition.take_reference, frames))
+        controls.lattice_requested.connect(self._with(self._calibration.survey))
+        controls.auto_exposure_requested.connect(self._with(self._calibration.auto_expose))
         controls.setting_requested.connect(
             lambda section, key, value: self._command(partial(commands.change_setting, section, key), value)
         )
-        controls.cancel_requested.connect(self._cancel)
+        self.recording_panel.record_requested.connect(
+            lambda on: self._with(self.recording.start if on else self.recording.stop)()
+        )
+        self.recording_panel.keep_requested.connect(self._with(self.recording.keep))
+        self.messages.answered.connect(
+            lambda is_wanted: self._with(partial(self._calibration.answer, is_wanted=is_wanted))()
+        )
+        self.messages.cancel_requested.connect(self._with(Acquisition.cancel))
         self.messages.reconnect_requested.connect(self._reconnect)
 
     def _command(self, command: Callable[[Instrument, Any], object], value: object) -> None:
         if self._acquisition is not None:
-            self._pending.append(self._acquisition.submit(lambda instrument: command(instrument, value)))
+            self._answers.expect(self._acquisition.submit(lambda instrument: command(instrument, value)))
 
     def _routine(self, routine: Callable[[Acquisition, int], Future[None]], frames: int) -> None:
         if self._acquisition is not None:
-            self._pending.append(routine(self._acquisition, frames))
+            self._answers.expect(routine(self._acquisition, frames))
+
+    def _with(self, act: Callable[[Acquisition], object]) -> Callable[[], None]:
+        """Return what has `act` called with the acquisition of then, if there is one."""
+
+        def call() -> None:
+            if self._acquisition is not None:
+                act(self._acquisition)
+
+        return call
 
     def _reconnect(self) -> None:
         if self.failure:
             self.connect_devices()
-
-    def _cancel(self) -> None:
-        if self._acquisition is not None:
-            self._acquisition.cancel()
-
-    def _look_at_answers(self) -> None:
-        """Say which of the commands were refused, and why."""
-        done = [future for future in self._pending if future.done()]
-        self._pending = [future for future in self._pending if not future.done()]
-        if done:
-            self._status = None  # shown again, so that a refused value gives way to the one in force
-        for future in done:
-            try:
-                future.result()
-            except (Cancelled, CancelledError):
-                self.messages.warn("cancelled")
-            except Exception as error:  # noqa: BLE001 - whatever it is, it is told
-                self.messages.warn(str(error))

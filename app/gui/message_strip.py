@@ -1,4 +1,4 @@
-"""One line that says what is the matter, the gravest first, and how far a routine has come."""
+"""One line that says what is the matter, the gravest first, what is to be decided, and how far a routine has come."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QFrame, QHBoxLayout, QProgressBar, QPushButton, QWid
 
 from app.acquisition import Activity
 from app.gui import theme
-from app.gui.widgets import ElidedLabel
+from app.gui.widgets import ElidedLabel, button
 
 _NOTICE_S = 8.0  # how long the answer to something the user did is shown
 
@@ -19,26 +19,36 @@ class MessageStrip(QFrame):
     """Shows a failure for good, a notice for a while, and the state of the measurement otherwise."""
 
     reconnect_requested = pyqtSignal()
+    cancel_requested = pyqtSignal()
+    answered = pyqtSignal(bool)  # what was asked: whether it is to be
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setProperty("role", "strip")
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
+        self._alarm = self._question = ""
         self._shown: tuple[str, str] = ("", "")
         self.text = ElidedLabel()
         self.reconnect = QPushButton("Reconnect")
         self.reconnect.setToolTip("Open the devices again and begin anew: dark, reference, live wavefronts (Ctrl+R)")
         self.reconnect.clicked.connect(self.reconnect_requested)
-        self.reconnect.hide()
+        self.accept = button("Use it", "What is proposed shall be so (Return)")
+        self.accept.clicked.connect(lambda: self._answer(is_wanted=True))
+        self.discard = button("Discard", "Leave everything as it is (Esc)")
+        self.discard.clicked.connect(lambda: self._answer(is_wanted=False))
+        self.dismiss = button("Dismiss", "The message has been read (Esc)")
+        self.dismiss.clicked.connect(lambda: self.alarm(""))
+        self.cancel = button("Cancel", "End what is under way; the bench is left as it was (Esc)")
+        self.cancel.clicked.connect(self.cancel_requested)
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
         self.progress.setFormat("%p %")
-        self.progress.hide()
         layout = QHBoxLayout(self)
         layout.setContentsMargins(10, 3, 6, 3)
         layout.addWidget(self.text, 1)
-        layout.addWidget(self.reconnect)
-        layout.addWidget(self.progress)
+        for widget in (self.reconnect, self.accept, self.discard, self.dismiss, self.progress, self.cancel):
+            widget.hide()
+            layout.addWidget(widget)
         self.setFixedHeight(34)
 
     def warn(self, text: str) -> None:
@@ -49,8 +59,31 @@ class MessageStrip(QFrame):
         """Show for a while what was done."""
         self._notify(text, theme.GREEN)
 
-    def show_activity(self, activity: Activity) -> None:
+    def alarm(self, text: str) -> None:
+        """Show what went wrong until it is dismissed; empty text dismisses it."""
+        self._alarm = text
+
+    def ask(self, question: str) -> None:
+        """Have the user decide; `answered` tells how."""
+        self._question = question
+
+    def escape(self) -> None:
+        """Do what the key Esc means now: discard, dismiss or cancel."""
+        if self._question:
+            self._answer(is_wanted=False)
+        elif self._alarm:
+            self.alarm("")
+        else:
+            self.cancel_requested.emit()
+
+    def enter(self) -> None:
+        """Do what the key Return means now."""
+        if self._question:
+            self._answer(is_wanted=True)
+
+    def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
         """Show what the worker is busy with, if with anything."""
+        self.cancel.setVisible(may_cancel)
         self.progress.setVisible(bool(activity.text))
         if activity.text:
             self.progress.setRange(0, 1000 if activity.progress else 0)  # 0 ... 0 is Qt's "busy, who knows how long"
@@ -58,16 +91,33 @@ class MessageStrip(QFrame):
             self.progress.setToolTip(f"{activity.text}: Esc cancels")
 
     def show_state(self, *, failure: str, problem: str, warning: str, advice: str) -> None:
-        """Show the gravest of a failure, a notice not yet old, a frame's problem, a lasting warning, an advice."""
+        """Show the gravest of a failure, an alarm, a question, a young notice, a problem, a warning, an advice."""
         self.reconnect.setVisible(bool(failure))
         if failure:
+            self._question = ""  # there is nobody left to do it
+        asks = bool(self._question) and not self._alarm
+        for widget, is_shown in (
+            (self.accept, asks),
+            (self.discard, asks),
+            (self.dismiss, bool(self._alarm) and not failure),
+        ):
+            widget.setVisible(is_shown)
+        if failure:
             self._show(f"{failure}  \N{EM DASH}  the light and the devices were shut down", theme.RED)
+        elif self._alarm:
+            self._show(self._alarm, theme.RED)
+        elif self._question:
+            self._show(self._question, theme.GREEN)
         elif self._notice and time.monotonic() < self._notice_until_s:
             self._show(self._notice, self._notice_colour)
         elif problem or warning:
             self._show(problem or warning, theme.AMBER)
         else:
             self._show(advice, theme.DIM)
+
+    def _answer(self, *, is_wanted: bool) -> None:
+        self._question = ""
+        self.answered.emit(is_wanted)
 
     def _notify(self, text: str, colour: QColor) -> None:
         self._notice, self._notice_colour, self._notice_until_s = text, colour, time.monotonic() + _NOTICE_S

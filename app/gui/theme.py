@@ -25,7 +25,7 @@ QLabel[role="on-image"] {{ color: {TEXT.name()}; background: rgba(20, 23, 27, 19
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
 QPushButton {{ padding: 3px 10px; }}
 QPushButton:checked {{ background: #22394c; border: 1px solid #2f6f9f; border-radius: 3px; }}
-QMenuBar {{ background: {SURFACE.name()}; }}
+QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
 QSplitter::handle {{ background: {BACKGROUND.name()}; }}
 QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center; color: {TEXT.name()};
                background: {BACKGROUND.name()}; }}
