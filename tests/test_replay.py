@@ -255,6 +255,12 @@ def test_whatever_happened_meanwhile_happens_again(eventful: Recording) -> None:
     assert (made.frames, made.reconstructed, made.problem) == (8, 6, "no reference yet")
 
 
+@pytest.mark.parametrize("frame", [UNCALIBRATED, PASSED])
+def test_nothing_to_compare_is_no_proof(eventful: Recording, frame: int) -> None:
+    with pytest.raises(RunError, match="there is nothing to compare"):
+        replayed(eventful.folder, verify=True, frames=f"{frame}:{frame + 1}")
+
+
 def test_a_frame_that_was_passed_over_is_reconstructed_now(eventful: Recording, tmp_path: Path) -> None:
     replayed(eventful.folder, frames=f":{CHANGED}", out=tmp_path / "r.nc")
     kept = eventful.calibration(0).reconstructor()(eventful.pixels(PASSED))

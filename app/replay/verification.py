@@ -36,12 +36,14 @@ class Verification:
 
     @property
     def passes(self) -> bool:
-        """Whether nothing differs."""
-        return not self.different
+        """Whether there was something to compare, and nothing differs."""
+        return self.frames > 0 and not self.different
 
     @property
     def sentence(self) -> str:
         """What there is to say of all of them."""
+        if not self.frames:
+            return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
         if not self.different:
             return f"{self.frames} frames, each bit-identical to what was recorded"
         then, now = self._recording.run.get("versions", {}).get("svwfs", "an unknown version"), version("svwfs")
