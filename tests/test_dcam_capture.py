@@ -69,12 +69,13 @@ def test_an_overrun_is_a_gap(stand_in: StandIn, camera: DcamCamera, late: int) -
 
 
 @pytest.mark.parametrize("late", [0, RING // 2, RING - 2])
+@pytest.mark.parametrize("written", [-1, 0])  # half way down its slot is being written, has been written again
 def test_a_frame_that_is_overwritten_while_it_is_copied_is_not_given_out(
-    stand_in: StandIn, camera: DcamCamera, late: int
+    stand_in: StandIn, camera: DcamCamera, late: int, written: int
 ) -> None:
     camera.read(1.0)
-    stand_in.advance((late + 1) * 0.02)
-    stand_in.slow("dcambuf_copyframe", round(20 * (RING - late)))  # its slot is written again half way down
+    stand_in.advance((late + 1) * 0.02 + 0.005)
+    stand_in.slow("dcambuf_copyframe", 20 * (RING - late + written))
     with pytest.raises(DeviceTimeout):
         read_for(stand_in, camera, duration_s=5.0)
     stand_in.slow("dcambuf_copyframe", 0)

@@ -142,12 +142,11 @@ static void draw(const struct Camera *camera, const Slot *slot, int32_t row, uin
     pixels[1] = (uint16_t)(slot->number >> 16);
 }
 
-/* What a row of a slot shows. Into the slot after the newest, the next frame is being written: half of it is there. */
-static Slot written(const struct Camera *camera, int32_t index, bool is_upper_half) {
+/* What a slot shows. Into the one after the newest, the next frame is being written: at worst all of it is there. */
+static Slot written(const struct Camera *camera, int32_t index) {
     Slot next = {camera->exposed, 0, false};
     bool is_overwritten = camera->is_capturing && camera->transferred >= camera->ring_frames;
-    bool is_next = is_overwritten && index == camera->transferred % camera->ring_frames;
-    return is_next && is_upper_half ? next : camera->ring[index];
+    return is_overwritten && index == camera->transferred % camera->ring_frames ? next : camera->ring[index];
 }
 
 /* A slow copy is slow half way down, and then finds in the slot what has been put there meanwhile. */
@@ -168,7 +167,7 @@ int32_t dcambuf_copyframe(HDCAM h, DCAMBUF_FRAME *frame) {
             follow_time();
             if (!h->ring) return leave(ABORT);
         }
-        Slot slot = written(h, frame->iFrame, row < rows / 2);
+        Slot slot = written(h, frame->iFrame);
         draw(h, &slot, row, (uint16_t *)((char *)frame->buf + (size_t)row * frame->rowbytes), columns);
     }
     frame->timestamp.sec = (uint32_t)first.end_s;
