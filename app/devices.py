@@ -76,7 +76,7 @@ def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack
     try:
         camera = stack.enter_context(open_camera(bench.camera))
         pitch_m = camera.capabilities.pixel_pitch_m
-        if not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
+        if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
             raise InputError(
                 f"sensor.pixel_pitch_m = {bench.sensor.pixel_pitch_m:g}, but that of {camera.name} is {pitch_m:g}"
             )

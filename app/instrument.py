@@ -193,8 +193,7 @@ class Instrument:
     def auto_expose(self, *, progress: Progress, should_stop: ShouldStop) -> AutoExposure:
         """Find exposure and current for what is in the beam, and use them from now on."""
         sensor, lattice = self._bench.sensor, self._lattice
-        nominal_px = sensor.lenslet_pitch_m / self.devices.camera.capabilities.pixel_pitch_m
-        pitch_px = nominal_px if lattice is None else lattice.pitch_px
+        pitch_px = sensor.lenslet_pitch_px if lattice is None else lattice.pitch_px
         return auto_expose(self.devices, pitch_px, progress=progress, should_stop=should_stop)
 
     def check_background(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> BackgroundCheck:

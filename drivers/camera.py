@@ -63,7 +63,7 @@ class CameraCapabilities:
 
     rows: int  # of a frame, as it comes in the present region and binning
     columns: int
-    pixel_pitch_m: float  # of a pixel of the frame
+    pixel_pitch_m: float | None  # of a pixel of the frame, where the camera or its settings tell it
     full_scale: int  # the count at which a pixel saturates
     exposure_range_s: Range
     em_gain_range: Range

@@ -28,7 +28,7 @@ def check_tells_what_it_is(camera: Camera) -> None:
     for what, number in {
         "rows": allowed.rows,
         "columns": allowed.columns,
-        "pixel_pitch_m": allowed.pixel_pitch_m,
+        "pixel_pitch_m": 1.0 if allowed.pixel_pitch_m is None else allowed.pixel_pitch_m,
         "full_scale": allowed.full_scale,
         "the shortest exposure": allowed.exposure_range_s.minimum,
     }.items():

@@ -126,7 +126,7 @@ class GenicamCamera(Camera):
         return CameraCapabilities(
             rows=rows,
             columns=columns,
-            pixel_pitch_m=self._pixel_pitch_m() * self._read_binning(),
+            pixel_pitch_m=self._pixel_pitch_m(),
             full_scale=self._full_scale(),
             exposure_range_s=Range(shortest_us / 1e6, longest_us / 1e6),
             em_gain_range=Range(1.0, 1.0),
@@ -144,12 +144,11 @@ class GenicamCamera(Camera):
         binning = self._read_binning()
         return Region(0, 0, self._line.integer("HeightMax") * binning, self._line.integer("WidthMax") * binning)
 
-    def _pixel_pitch_m(self) -> float:
-        if self._settings.pixel_pitch_m is not None:
-            return self._settings.pixel_pitch_m
-        if self._line.has("SensorPixelWidth"):
-            return self._line.number("SensorPixelWidth") * 1e-6
-        raise BadValue(f"{self.name} does not tell how large its pixels are: give camera.pixel_pitch_m")
+    def _pixel_pitch_m(self) -> float | None:
+        pitch_m = self._settings.pixel_pitch_m
+        if pitch_m is None and self._line.has("SensorPixelWidth"):
+            pitch_m = self._line.number("SensorPixelWidth") * 1e-6
+        return None if pitch_m is None else pitch_m * self._read_binning()
 
     def _full_scale(self) -> int:
         """The count at which a pixel saturates: fewer bits than the format's may come from the digitisation."""

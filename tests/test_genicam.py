@@ -335,12 +335,18 @@ def test_binning_keeps_the_part_of_the_sensor(camera: GenicamCamera) -> None:
     assert camera.binning == 2
     assert camera.region == TELLING.region
     assert (camera.capabilities.rows, camera.capabilities.columns) == (48, 64)
-    assert camera.capabilities.pixel_pitch_m == pytest.approx(10e-6)
+    assert camera.capabilities.pixel_pitch_m == pytest.approx(2 * 5e-6)
     camera.start()
     assert whole_frames(camera, 1)[0].pixels.shape == (48, 64)
     camera.stop()
     with pytest.raises(BadValue):
         camera.set_binning(17)
+
+
+@pytest.mark.usefixtures("peer")
+def test_how_large_its_pixels_are_need_not_be_known() -> None:
+    with GenicamCamera(replace(TELLING, pixel_pitch_m=None)) as camera:
+        assert camera.capabilities.pixel_pitch_m is None  # this one does not tell
 
 
 @pytest.mark.usefixtures("peer")
@@ -407,7 +413,6 @@ def test_all_that_matters_is_recorded(camera: GenicamCamera) -> None:
         (replace(TELLING, pixel_format="Mono12"), "Mono12 is not one of Mono16, Mono8"),
         (replace(TELLING, trigger="Line7"), "no trigger 'Line7'; there are internal, Line0"),
         (replace(TELLING, region=Region(0, 0, 4096, 4096)), "does not lie on the sensor"),
-        (replace(TELLING, pixel_pitch_m=None), "give camera.pixel_pitch_m"),
     ],
 )
 def test_a_setting_that_the_camera_refuses_is_told(asked: GenicamSettings, sentence: str) -> None:
