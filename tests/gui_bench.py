@@ -62,6 +62,7 @@ class FakeCamera(Camera):
             exposure_range_s=Range(0.01, 10),
             em_gain_range=Range(1, 1200),
             amplifiers=("em", "normal"),
+            readout_speeds=(3,),  # as the bench's
         )
         self._exposure, self._chosen, self._gain, self._running = 0.02, "em", 1.0, False
         self._index = 0

@@ -36,7 +36,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     for act, is_done in acts:
         act()
         qtbot.waitUntil(is_done, timeout=3000)
-        qtbot.waitUntil(lambda: not window._pending, timeout=3000)
+        qtbot.waitUntil(lambda: window._answers.are_all_there, timeout=3000)
     assert camera.is_running
     qtbot.waitUntil(lambda: controls.exposure.value() == 30.0, timeout=3000)  # what the camera made of it
     assert controls.light.text() == "Light off"

@@ -51,7 +51,7 @@ def windows(application: QApplication) -> Iterator[MakeWindow]:
 
 def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117", timeout=10_000)
-    qtbot.waitUntil(lambda: not window._pending, timeout=10_000)
+    qtbot.waitUntil(lambda: window._answers.are_all_there, timeout=10_000)
 
 
 def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:

@@ -196,7 +196,7 @@ class MainWindow(TimedWindow):
             try:
                 with appearing_whole(Path(name)) as temporary:
                     temporary.write_text(write_bench(self._status.bench_in_force), "utf-8")
-            except (InputError, RunError) as error:
+            except (InputError, RunError, ValueError) as error:  # the last from settings that do not go together
                 self.messages.warn(str(error))
             else:
                 self.messages.tell(f"saved {name}")

@@ -1,0 +1,93 @@
+"""Recording by the window."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from gui_bench import FakeCamera
+from PyQt6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+from window_tools import MakeWindow, press, wait_for_wavefront
+
+from app.gui.main_window import MainWindow
+from app.recording.reader import Recording
+from drivers.interface import Disconnected
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def only_recording(folder: Path, suffix: str = "") -> Recording:
+    (found,) = (path for path in folder.iterdir() if path.name.endswith("-kept") == (suffix == "-kept"))
+    return Recording(found)
+
+
+def test_what_is_live_is_recorded_from_start_to_stop(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, _ = live
+    window.recording.folder = tmp_path / "here"
+    panel = window.recording_panel
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: panel.record.text() == "Stop", timeout=5000)
+    qtbot.waitUntil(lambda: int(panel.text.text().split(" ")[0] or 0) > 5, timeout=5000)
+    qtbot.waitUntil(lambda: "room for" in panel.text.text(), timeout=5000)
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text(), timeout=5000)
+    assert panel.record.text() == "Record"
+    recording = only_recording(tmp_path / "here")
+    assert recording.is_complete
+    assert len(recording) == int(window.messages.text.text().split(" ")[1]) > 5
+    assert recording.displacement(3) is not None
+
+
+def test_last_seconds_are_kept(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
+    window, _ = live
+    window.recording.folder = tmp_path
+    press(qtbot, window, Qt.Key.Key_K)
+    qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text(), timeout=10_000)
+    assert len(only_recording(tmp_path, "-kept")) > 1
+
+
+def test_folder_that_cannot_be_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
+    window, _ = live
+    (tmp_path / "file").write_text("no folder")
+    window.recording.folder = tmp_path / "file"
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: str(tmp_path / "file") in window.messages.text.text(), timeout=5000)
+    qtbot.waitUntil(lambda: not window.recording_panel.record.isChecked(), timeout=5000)
+
+
+def test_camera_that_is_unplugged_leaves_a_whole_recording(
+    make_window: MakeWindow, qtbot: QtBot, tmp_path: Path
+) -> None:
+    first, second = FakeCamera(), FakeCamera()
+    window = make_window(first, second)
+    window.recording.folder = tmp_path
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop", timeout=5000)
+    before = first._index
+    qtbot.waitUntil(lambda: first._index > before + 5, timeout=5000)
+    first.fault = Disconnected("the camera was unplugged")
+    qtbot.waitUntil(window.messages.reconnect.isVisible, timeout=5000)
+    assert not first.light.shines
+    qtbot.waitUntil(lambda: only_recording(tmp_path).is_complete, timeout=5000)
+    recording = only_recording(tmp_path)
+    assert "unplugged" in recording.ended_early
+    assert len(recording) > 5
+    window.messages.reconnect.click()
+    wait_for_wavefront(qtbot, window)
+    qtbot.waitUntil(lambda: not window.messages.reconnect.isVisible(), timeout=5000)
+
+
+def test_closing_the_window_finishes_the_recording(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, _ = live
+    window.recording.folder = tmp_path
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop", timeout=5000)
+    window.close()
+    assert only_recording(tmp_path).is_complete
