@@ -12,15 +12,35 @@ from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
 
 from drivers.dcam.camera import DcamCamera
-from drivers.dcam.errors import ERRORS
+from drivers.dcam.errors import ERRORS, NotThere
 from drivers.dcam.library import PROTOTYPES
-from drivers.interface import Region, WrongState
+from drivers.interface import (
+    BadValue,
+    DeviceError,
+    DeviceTimeout,
+    Disconnected,
+    FrameLost,
+    Region,
+    Unsupported,
+)
 from simulated_devices.dcam.stand_in import Plug, StandIn
 
 FEW = 40
 STORM = settings(deadline=None, stateful_step_count=40, suppress_health_check=list(HealthCheck))
-# One that says it is in another state than it is, is none of these faults: then the driver believes it.
-CODES = [code for code, (_, kind, _) in ERRORS.items() if kind is not WrongState]
+
+
+def codes(*kinds: type[DeviceError]) -> st.SearchStrategy[int]:
+    return st.sampled_from([code for code, (_, kind, _) in ERRORS.items() if kind in kinds])
+
+
+# What each function may say beside the truth. One that tells of another state than it is in, would be believed.
+ANY = st.tuples(st.sampled_from(sorted(PROTOTYPES)), codes(Disconnected, DeviceTimeout, DeviceError), st.integers(1, 3))
+REFUSAL = st.tuples(st.just("dcamprop_setgetvalue"), codes(BadValue, Unsupported, NotThere), st.just(1))
+DAMAGE = st.tuples(st.sampled_from(["dcambuf_copyframe", "dcamwait_start"]), codes(FrameLost), st.integers(1, 3))
+NO_START = st.tuples(st.sampled_from(["dcambuf_alloc", "dcamcap_start"]), codes(Unsupported, BadValue), st.just(1))
+FAILURE = st.tuples(ANY | REFUSAL | DAMAGE | NO_START, st.integers(0, 6)).map(
+    lambda drawn: ("fail", *drawn[0], drawn[1])
+)
 
 
 def test_no_sequence_of_commands_and_faults_leaves_the_family() -> None:
@@ -35,10 +55,9 @@ def test_no_sequence_of_commands_and_faults_leaves_the_family() -> None:
                 return open_camera(stand_in, ring_frames=8, region=Region(0, 0, 32, 32))
 
             def faults(self) -> st.SearchStrategy[tuple[Any, ...]]:
-                function, times, after = st.sampled_from(sorted(PROTOTYPES)), st.integers(1, 3), st.integers(0, 6)
                 return st.one_of(
-                    st.tuples(st.just("fail"), function, st.sampled_from(CODES), times, after),
-                    st.tuples(st.just("slow"), function, st.sampled_from([0, 5, 300])),
+                    FAILURE,
+                    st.tuples(st.just("slow"), st.sampled_from(sorted(PROTOTYPES)), st.sampled_from([0, 5, 300])),
                     st.tuples(st.just("unplug"), st.sampled_from(Plug), st.floats(0.0, 0.1)),
                     st.tuples(st.just("plug_in")),
                     st.tuples(st.just("lose"), st.integers(1, 20)),

@@ -133,7 +133,10 @@ class DcamCamera(Camera):
         """Modes can be changed only where there is no ring."""
         with super()._changing_mode():
             self._give_back()
-            yield
+            try:
+                yield
+            finally:
+                self._values.look_again()
 
     @contextmanager
     def _restored_on_failure(self, identifier: Id) -> Iterator[None]:
@@ -214,8 +217,7 @@ class DcamCamera(Camera):
         self._give_back()
         allowed = self.capabilities
         capture = Capture(
-            self._library,
-            self._handle,
+            self._values,
             (allowed.rows, allowed.columns),
             self._settings.ring_frames,
             (self._read_exposure(), self._read_em_gain()),

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import Frame
-from drivers.dcam.library import DcamLibrary
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import ALIVE_ONLINE, PRODUCER_NONE, Id
 from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
@@ -46,8 +45,7 @@ class Capture:
 
     def __init__(
         self,
-        library: DcamLibrary,
-        handle: int,
+        values: Properties,
         shape: tuple[int, int],
         ring_frames: int,
         in_force: tuple[float, float],
@@ -55,9 +53,9 @@ class Capture:
         *,
         is_triggered: bool,
     ) -> None:
-        self._library = library
-        self._handle = handle
-        self._properties = Properties(library, handle)
+        self._library = values.library
+        self._handle = values.handle
+        self._values = values
         self._shape = shape
         self._ring_frames = ring_frames
         self._clock = clock
@@ -68,7 +66,7 @@ class Capture:
         self._last: tuple[int, int] | None = None  # the library's and the camera's count of the last frame
         self._is_loss_told = False
         self._is_aborted = False
-        self._has_stamps = self._properties.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
+        self._has_stamps = self._values.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
         self._seen_alive_s = clock()
         self._wait_handle = 0
         self._to_undo: list[Callable[[], None]] = []
@@ -147,7 +145,7 @@ class Capture:
         now_s = self._clock()
         if now_s - self._seen_alive_s < 0.9 * _SLICE_S:
             return
-        if self._properties.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
+        if self._values.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
             raise Disconnected("the camera is gone: check its power and cable, then connect again")
         status = c_int32()
         self._library.call("dcamcap_status", self._handle, byref(status))

@@ -13,6 +13,11 @@ from drivers.errors import (
     WrongState,
 )
 
+
+class NotThere(Unsupported):
+    """The camera has no such property, or no further one."""
+
+
 _GONE = "the camera is gone: check its power and cable, then connect again"
 _NOT_NOW = "the camera cannot do this in its present state"
 _TAKEN = "the camera cannot be opened: another program holds it (close it), or the camera is switched off"
@@ -56,8 +61,8 @@ ERRORS: dict[int, tuple[str, type[DeviceError], str]] = {
     0x80000822: ("OUTOFRANGE", BadValue, _REFUSED),
     0x80000823: ("NOTWRITABLE", Unsupported, _NOT_THERE),
     0x80000824: ("NOTREADABLE", Unsupported, _NOT_THERE),
-    0x80000825: ("INVALIDPROPERTYID", Unsupported, _NOT_THERE),
-    0x80000828: ("NOPROPERTY", Unsupported, _NOT_THERE),
+    0x80000825: ("INVALIDPROPERTYID", NotThere, _NOT_THERE),
+    0x80000828: ("NOPROPERTY", NotThere, _NOT_THERE),
     0x8000082B: ("INVALIDSUBARRAY", BadValue, "the camera refused the region"),
     0x8000082C: ("ACCESSDENY", WrongState, _NOT_NOW),
     0x80000833: ("INVALIDFRAMEINDEX", FrameLost, _DAMAGED),

@@ -7,11 +7,12 @@ from ctypes import byref, c_char_p, c_double, c_int32, cast, create_string_buffe
 from dataclasses import dataclass
 
 from drivers.camera import Range
+from drivers.dcam.errors import NotThere
 from drivers.dcam.library import DcamLibrary
 from drivers.dcam.property_ids import OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute
 from drivers.dcam.structures import PropertyAttribute, PropertyValueText, sized
 from drivers.device import Property
-from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported
+from drivers.errors import BadValue, DeviceError, Disconnected
 
 _TEXT_BYTES = 256
 
@@ -32,13 +33,18 @@ class Properties:
     """Reads and writes the properties of one open camera by their numbers; every value is a float on the wire."""
 
     def __init__(self, library: DcamLibrary, handle: int) -> None:
-        self._library = library
-        self._handle = handle
+        self.library = library
+        self.handle = handle
+        self._known: frozenset[int] | None = None
+
+    def look_again(self) -> None:
+        """Ask anew which properties there are, as after a change of mode."""
+        self._known = None
 
     def limits(self, identifier: int) -> Limits:
         """What the property allows in the present mode."""
         told = sized(PropertyAttribute, iProp=identifier)
-        self._library.call("dcamprop_getattr", self._handle, byref(told))
+        self.library.call("dcamprop_getattr", self.handle, byref(told))
         unsigned = told.attribute & 0xFFFFFFFF
         attribute = Attribute(unsigned & sum(Attribute))
         return Limits(
@@ -51,25 +57,20 @@ class Properties:
         )
 
     def has(self, identifier: int) -> bool:
-        """Whether the camera has the property at all."""
-        try:
-            self.limits(identifier)
-        except Unsupported:
-            return False
-        return True
+        """Whether the camera has the property at all, in its present mode."""
+        if self._known is None:
+            self._known = frozenset(self._identifiers())
+        return identifier in self._known
 
     def get(self, identifier: int) -> float:
         """The value in force."""
         value = c_double()
-        self._library.call("dcamprop_getvalue", self._handle, identifier, byref(value))
+        self.library.call("dcamprop_getvalue", self.handle, identifier, byref(value))
         return value.value
 
     def get_or(self, identifier: int, default: float) -> float:
         """The value in force, or the default where the camera does not have the property."""
-        try:
-            return self.get(identifier)
-        except Unsupported:
-            return default
+        return self.get(identifier) if self.has(identifier) else default
 
     def set(self, identifier: int, value: float) -> float:
         """Write a value; return the one that the camera took."""
@@ -79,7 +80,7 @@ class Properties:
             value = min(allowed.range.minimum + steps * allowed.step, allowed.range.maximum)
         taken = c_double(value)
         try:
-            self._library.call("dcamprop_setgetvalue", self._handle, identifier, byref(taken), 0)
+            self.library.call("dcamprop_setgetvalue", self.handle, identifier, byref(taken), 0)
         except BadValue as error:
             name, least, most = self.name(identifier).lower(), allowed.range.minimum, allowed.range.maximum
             raise BadValue(f"{name} = {value:g}, allowed are {least:g} ... {most:g}: {error}") from error
@@ -92,8 +93,8 @@ class Properties:
         found = [round(value.value)]
         while value.value < allowed.maximum:
             try:
-                self._library.call("dcamprop_queryvalue", self._handle, identifier, byref(value), OPTION_NEXT)
-            except (BadValue, Unsupported):  # there is no next
+                self.library.call("dcamprop_queryvalue", self.handle, identifier, byref(value), OPTION_NEXT)
+            except (BadValue, NotThere):  # there is no next
                 break
             found.append(round(value.value))
         return tuple(found)
@@ -101,7 +102,7 @@ class Properties:
     def name(self, identifier: int) -> str:
         """Hamamatsu's own name of the property."""
         text = create_string_buffer(_TEXT_BYTES)
-        self._library.call("dcamprop_getname", self._handle, identifier, text, _TEXT_BYTES)
+        self.library.call("dcamprop_getname", self.handle, identifier, text, _TEXT_BYTES)
         return text.value.decode(errors="replace")
 
     def text(self, identifier: int, value: float) -> str:
@@ -109,7 +110,7 @@ class Properties:
         text = create_string_buffer(_TEXT_BYTES)
         asked = sized(PropertyValueText, iProp=identifier, value=value, textbytes=_TEXT_BYTES)
         asked.text = cast(text, c_char_p)
-        self._library.call("dcamprop_getvaluetext", self._handle, byref(asked))
+        self.library.call("dcamprop_getvaluetext", self.handle, byref(asked))
         return text.value.decode(errors="replace")
 
     def readable(self) -> dict[str, Property]:
@@ -145,7 +146,7 @@ class Properties:
 
     def _advance(self, identifier: c_int32) -> bool:
         try:
-            self._library.call("dcamprop_getnextid", self._handle, byref(identifier), 0)
-        except Unsupported:  # there is none
+            self.library.call("dcamprop_getnextid", self.handle, byref(identifier), 0)
+        except NotThere:  # there is no other
             return False
         return identifier.value != 0
