@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # sh
 from app.config import Bench
 from app.routines import Average
 from reconstruction.geometry import Lattice
-from reconstruction.lattice import find_lattice
+from reconstruction.lattice import Survey, survey
 from reconstruction.noise import CameraNoise
 from reconstruction.photon_transfer import photon_transfer
 from reconstruction.pipeline import Reconstructor
@@ -36,7 +36,7 @@ class Calibration:
 
         This is the only step that need not be done again for a calibration that was kept.
         """
-        lattice = bench.lattice or find_lattice(reference.mean, bench.sensor)
+        lattice = bench.lattice or surveyed(bench, dark, reference, full_scale).lattice
         return cls(bench, dark, reference, lattice, full_scale)
 
     def reconstructor(self) -> Reconstructor:
@@ -62,6 +62,11 @@ class Calibration:
         return photon_transfer(
             reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
         )
+
+
+def surveyed(bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Survey:
+    """Look where the lenslets lie on the reference, whatever the bench says; `ReconstructionError` if it shows none."""
+    return survey(reference.mean, bench.sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

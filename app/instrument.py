@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Literal, TypeVar
 
-from app.calibration import Calibration
+from app.calibration import Calibration, surveyed
 from app.config import Bench
 from app.devices import Devices
 from app.live_refinement import LiveRefinement, RefinementState
@@ -31,7 +31,7 @@ from drivers.interface import BadValue, CameraCapabilities, Device, Frame, Prope
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
-from reconstruction.lattice import Survey, survey
+from reconstruction.lattice import Survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
 
@@ -207,9 +207,7 @@ class Instrument:
         """Find the lenslets in the reference; nothing is changed by it."""
         if self._reference is None:
             raise WrongState("the lattice is found in the reference: take one first")
-        dark = None if self._dark is None else self._dark.mean
-        full_scale = self.devices.camera.capabilities.full_scale
-        return survey(self._reference.mean, self._bench.sensor, dark=dark, full_scale=full_scale)
+        return surveyed(self._bench, self._dark, self._reference, self.devices.camera.capabilities.full_scale)
 
     def change_settings(self, change: Callable[[Bench], Bench]) -> None:
         """Replace the settings of registration and reconstruction by what `change` makes of the bench."""

@@ -24,6 +24,10 @@ class FieldModes(Protocol):
         """How many there are."""
         ...
 
+    def __hash__(self) -> int:
+        """Field modes are what is computed of them kept by."""
+        ...
+
     def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """T_q at normalised positions: (field_mode, *broadcast shape)."""
         ...
