@@ -134,18 +134,37 @@ def measure(
     bench: BenchOption,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many frames to measure.")],
     out: Annotated[Path, typer.Option(help="Folder that becomes a recording, with results.nc beside the frames.")],
+    mask: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="The mask in the beam, for simulation.source.mask: square, stars, ..."),
+    ] = None,
+    average: Annotated[
+        int | None,
+        typer.Option(min=1, max=10_000, help="How many frames make the dark, and the reference; 20 unless said."),
+    ] = None,
+    auto_expose: Annotated[
+        bool, typer.Option("--auto-expose", help="Find the exposure first, without the sample: bright, not saturated.")
+    ] = False,
     setting: SetOption = None,
 ) -> None:
     """Measure without a window: dark, reference, sample in, so many frames recorded, results.
 
-    Ctrl-C ends it early and keeps everything; docs/recording.md says what is in the folder.
+    On a bench without motors you are asked to move the mask and the sample. Long exposures: average fewer frames, but
+    at least 4, which tell the camera's noise. Pinholes are compared by their centroids, not by a warp:
+
+    svwfs measure --bench B.toml --mask stars --set registration.method=centroids --set reconstruction.method=zonal
+    --set camera.amplifier=normal --set camera.exposure_s=3.8 --average 4 --frames 10 --out stars
+
+    Ctrl-C ends it early and keeps everything; docs/recording.md says what is in the folder, docs/experiment.md leads
+    through a whole experiment.
     """
     from app.measure import measure as run
     from app.report import print_measurement, progress_bar
+    from app.start_up import FRAMES
 
-    loaded = load(bench, setting)
+    loaded = load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
     with progress_bar() as report:
-        measured = run(loaded, frames, out, report)
+        measured = run(loaded, frames, out, report, average=average or FRAMES, auto_expose=auto_expose)
     print_measurement(measured, out)
 
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterable
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 from app.acquisition import Acquisition
 from app.config import Bench
@@ -17,16 +18,19 @@ from app.progress import Report
 from app.recording.layout import RUN
 from app.recording.reader import Recording
 from app.recording.run_writer import check_free
-from app.start_up import calibrate, start_up, watch_sample
+from app.start_up import FRAMES, calibrate, watch_sample
 from app.streams.publisher import stream_sinks
 from drivers.interface import DeviceError
 
 _POLL_S = 0.05
 
 
-def measure(bench: Bench, frames: int, out: Path, report: Report) -> Measured:
+def measure(
+    bench: Bench, frames: int, out: Path, report: Report, *, average: int = FRAMES, auto_expose: bool = False
+) -> Measured:
     """Record `frames` frames into the folder `out`, and write beside them the results, the dark and the reference.
 
+    Dark and reference are means of `average` frames each; with `auto_expose` the exposure is found before them.
     Whatever ends it early, Ctrl-C among others, the results of what has been recorded are written first. A device that
     fails is a `RunError`, a bench that cannot be, or a folder that holds a recording, is an `InputError`.
     """
@@ -36,6 +40,7 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Measured:
         acquisition = Acquisition(bench, open_devices, sinks)
         acquisition.start()
         try:
+            _calibrate(acquisition, bench, average, report, auto_expose=auto_expose)
             _record(acquisition, bench, frames, out, report)
         except Interrupted:
             is_stopped = True
@@ -66,20 +71,23 @@ def measure(bench: Bench, frames: int, out: Path, report: Report) -> Measured:
     return measured
 
 
+def _calibrate(acquisition: Acquisition, bench: Bench, average: int, report: Report, *, auto_expose: bool) -> None:
+    """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample."""
+    if not bench.is_simulated:
+        ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
+    _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, report)
+    if not bench.is_simulated:
+        ask("put the sample into the beam")
+
+
 def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, report: Report) -> None:
-    """Take dark and reference, and record from the first frame on, or from the first that is refined."""
+    """Record from the first frame with the sample on, or from the first that is refined."""
 
     def begin() -> Future[None]:
         return acquisition.start_recording(out, command="measure", frames=frames)
 
-    if bench.is_simulated:
-        steps = start_up(acquisition)
-    else:
-        ask("take the sample out of the beam")
-        _wait(calibrate(acquisition), acquisition, report)
-        ask("put the sample into the beam")
-        steps = (watch_sample(acquisition),)
-    _wait((*steps, *([] if bench.reconstruction.refine else [begin()])), acquisition, report)
+    watched = watch_sample(acquisition)
+    _wait([watched, *([] if bench.reconstruction.refine else [begin()])], acquisition, report)
     if bench.reconstruction.refine:
         while acquisition.is_alive and not _is_refined(acquisition):
             report("waiting for the first refinement", 0.0)
@@ -90,7 +98,7 @@ def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, repo
         time.sleep(_POLL_S)
 
 
-def _wait(steps: Iterable[Future[None]], acquisition: Acquisition, report: Report) -> None:
+def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, report: Report) -> None:
     for step in steps:
         while not step.done():
             report(acquisition.activity.text, acquisition.activity.progress)
