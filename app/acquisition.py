@@ -21,7 +21,6 @@ from typing import Any, TypeVar
 
 from app.calibration import one_blas_thread
 from app.config import Bench, write_bench
-from app.devices import Devices
 from app.errors import InputError, RunError
 from app.instrument import Instrument, Reconstruction, Status
 from app.measurement import PASSED_OVER, Counts, LightState, Measurement
@@ -29,7 +28,7 @@ from app.recording.background import RecordingState
 from app.recording.recorder import Recorder
 from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled, RoutineError, next_frame
 from app.timing import Timings, short_turns
-from drivers.interface import BadValue, DeviceError, DeviceTimeout, Frame, FrameLost, Unsupported, WrongState
+from drivers.interface import BadValue, DeviceError, Devices, DeviceTimeout, Frame, FrameLost, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
 
 T = TypeVar("T")

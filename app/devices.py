@@ -9,10 +9,8 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Self
 
 import platformdirs
 
@@ -21,7 +19,7 @@ from app.errors import InputError
 from drivers.coolled import CoolLEDSettings
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam_settings import GenicamSettings
-from drivers.interface import BadValue, Camera, DeviceError, LightSource, Stage
+from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
 from drivers.manual_stage import ManualStage
 from drivers.thorlabs_dc2200 import DC2200Settings
 from drivers.thorlabs_dc4100 import DC4100Settings
@@ -33,26 +31,6 @@ from simulated_devices.light import SimulatedLight
 from simulated_devices.stage import SimulatedStage
 
 _PITCH_TOLERANCE = 0.01
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Devices:
-    """The devices of one bench, open; closing turns the light off first."""
-
-    camera: Camera
-    light: LightSource
-    stage: Stage
-    _closing: ExitStack = field(default_factory=ExitStack)
-
-    def close(self) -> None:
-        """Close all of them, each even if another fails."""
-        self._closing.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 from app.calibration import Calibration, surveyed
 from app.config import Bench
-from app.devices import Devices
 from app.live_refinement import LiveRefinement, RefinementState
 from app.routines import (
     AutoExposure,
@@ -27,7 +26,7 @@ from app.routines import (
     take_reference,
 )
 from app.timing import Timings
-from drivers.interface import BadValue, CameraCapabilities, Device, Frame, Property, Range, WrongState
+from drivers.interface import BadValue, CameraCapabilities, Device, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice

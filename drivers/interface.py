@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from drivers.camera import Camera, CameraCapabilities, CameraState, Frame, Range, Region
 from drivers.device import Device, Property
+from drivers.devices import Devices
 from drivers.errors import (
     BadValue,
     Busy,
@@ -30,6 +31,7 @@ __all__ = [
     "Device",
     "DeviceError",
     "DeviceTimeout",
+    "Devices",
     "Disconnected",
     "Frame",
     "FrameLost",

@@ -7,8 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from app.devices import Devices
-from drivers.interface import Camera, CameraCapabilities, Frame, LightSource, Range, Stage
+from drivers.interface import Camera, CameraCapabilities, Devices, Frame, LightSource, Range, Stage
 from reconstruction.geometry import Floats
 
 PITCH_PX = 16.0

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from app.acquisition import Counts, Measurement
 from app.config import Bench
-from app.devices import Devices
 from drivers.interface import (
     BadValue,
     Camera,
     CameraCapabilities,
+    Devices,
     DeviceTimeout,
     Frame,
     LightSource,

@@ -23,11 +23,11 @@ import numpy as np
 
 from app.acquisition import Acquisition
 from app.config import Bench, load_bench
-from app.devices import Devices, open_devices
+from app.devices import open_devices
 from app.recording.reader import Recording
 from app.recording.recover import recover
 from app.start_up import start_up
-from drivers.interface import Frame
+from drivers.interface import Devices, Frame
 
 _TOLD = struct.Struct("<qId")  # the camera's index of a frame, checksum of its pixels, time of arrival in s
 _WITHIN_S = 60.0

@@ -12,13 +12,13 @@ import pytest
 
 from app.acquisition import Acquisition, Measurement
 from app.config import Bench, load_bench
-from app.devices import Devices, open_devices
+from app.devices import open_devices
 from app.errors import InputError
 from app.instrument import Instrument, Reconstruction
 from app.measurement import PASSED_OVER
 from app.routines import Cancelled
 from app.start_up import start_up
-from drivers.interface import BadValue, Disconnected, Frame, WrongState
+from drivers.interface import BadValue, Devices, Disconnected, Frame, WrongState
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
 
 

@@ -13,10 +13,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from app.config import load_bench
-from app.devices import Devices, simulated_bench
+from app.devices import simulated_bench
 from app.routines import AutoExposure, Cancelled, RoutineError, auto_expose
 from app.routines.brightness import brightness
-from drivers.interface import BadValue, Frame, Range
+from drivers.interface import BadValue, Devices, Frame, Range
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 from simulated_devices.light import SimulatedLight

@@ -20,9 +20,9 @@ import xarray as xr
 from app import start_up
 from app.cli import main
 from app.config import Bench
-from app.devices import Devices, open_devices
+from app.devices import open_devices
 from app.errors import Interrupted
-from drivers.interface import Frame
+from drivers.interface import Devices, Frame
 from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera, Unplug
 

@@ -12,7 +12,7 @@ from recording_crash import kill_one
 
 from app.acquisition import Acquisition
 from app.config import Bench, load_bench
-from app.devices import Devices, open_devices
+from app.devices import open_devices
 from app.errors import InputError
 from app.instrument import Instrument, Reconstruction
 from app.measurement import PASSED_OVER, Measurement
@@ -21,7 +21,7 @@ from app.recording.reader import Recording
 from app.recording.recover import recover
 from app.recording.repeat import repeated
 from app.start_up import start_up
-from drivers.interface import Frame
+from drivers.interface import Devices, Frame
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Unplug
 
 

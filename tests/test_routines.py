@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from app.config import load_bench
-from app.devices import Devices, simulated_bench
+from app.devices import simulated_bench
 from app.routines import (
     Average,
     Cancelled,
@@ -28,6 +28,7 @@ from drivers.interface import (
     Camera,
     Device,
     DeviceError,
+    Devices,
     DeviceTimeout,
     Disconnected,
     Frame,

@@ -13,11 +13,11 @@ from optics import SmallBench, at_views
 
 from app.acquisition import Acquisition
 from app.config import load_bench
-from app.devices import Devices, open_devices
+from app.devices import open_devices
 from app.instrument import Instrument, Status
 from app.routines import AutoExposure, Cancelled, RoutineError, auto_expose
 from app.start_up import start_up
-from drivers.interface import DeviceTimeout, Region
+from drivers.interface import Devices, DeviceTimeout, Region
 from reconstruction.noise import CameraNoise
 from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.registration import RegistrationSettings

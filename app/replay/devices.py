@@ -7,12 +7,12 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 
-from app.devices import Devices
 from app.errors import InputError
 from app.recording.reader import Recording
 from drivers.interface import (
     Camera,
     CameraCapabilities,
+    Devices,
     DeviceTimeout,
     Disconnected,
     Frame,

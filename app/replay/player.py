@@ -9,13 +9,13 @@ from pathlib import Path
 from app.acquisition import Acquisition
 from app.calibration import Calibration
 from app.config import Bench
-from app.devices import Devices
 from app.errors import InputError
 from app.measurement import Measurement
 from app.recording.reader import Recording
 from app.replay.change import change_of
 from app.replay.devices import RecordedCamera, recorded_devices
 from app.replay.selection import chosen_frames
+from drivers.interface import Devices
 
 
 class Player:

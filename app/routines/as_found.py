@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
-from app.devices import Devices
-from drivers.interface import BadValue, DeviceError, Unsupported, WrongState
+from drivers.interface import BadValue, DeviceError, Devices, Unsupported, WrongState
 
 _REFUSALS = (BadValue, Unsupported, WrongState)  # the device is well, only what was asked of it was not
 

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from app.devices import Devices
 from app.routines.as_found import as_found
 from app.routines.brightness import brightness
 from app.routines.exposure_search import SATURATED, Reach, Shot, next_light
 from app.routines.frames import Progress, RoutineError, ShouldStop, next_frame
-from drivers.interface import BadValue, Range
+from drivers.interface import BadValue, Devices, Range
 
 FILL = 0.70  # of full scale
 TOLERANCE = 0.05  # likewise

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.devices import Devices
 from app.routines.as_found import as_found
 from app.routines.frames import Progress, ShouldStop, next_frame
-from drivers.interface import BadValue, Camera
+from drivers.interface import BadValue, Camera, Devices
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.devices import Devices
 from app.routines.averages import Average, take_dark
 from app.routines.frames import Progress, ShouldStop
-from drivers.interface import Frame
+from drivers.interface import Devices, Frame
 
 _SIGNIFICANT = 5.0  # standard errors
 _RELEVANT = 0.1  # of a dark pixel's noise in one frame; less is lost in it

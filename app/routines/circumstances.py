@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.devices import Devices
-from drivers.interface import Region
+from drivers.interface import Devices, Region
 
 _SAME_EXPOSURE = 1e-3  # relative
 
