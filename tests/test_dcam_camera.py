@@ -290,6 +290,17 @@ def test_the_em_gain_is_the_true_multiplication(camera: DcamCamera) -> None:
     assert camera.properties()["DIRECT EM GAIN MODE"] == "ON"
 
 
+@pytest.mark.parametrize("code", [0x80000F03, 0x80000825])
+def test_a_question_that_fails_is_not_taken_for_a_camera_without_em_gain(
+    stand_in: StandIn, camera: DcamCamera, code: int
+) -> None:
+    assert camera.em_gain == 4.0
+    stand_in.fail("dcamprop_getvalue", code)
+    with pytest.raises(Unsupported):
+        _ = camera.em_gain
+    assert camera.em_gain == 4.0
+
+
 def test_a_relative_em_gain_is_told_as_such(stand_in: StandIn) -> None:
     stand_in.remove(Id.DIRECTEMGAIN_MODE)
     with open_camera(stand_in) as camera:
