@@ -324,6 +324,14 @@ def test_a_camera_without_em_gain_is_an_ordinary_one(stand_in: StandIn) -> None:
         assert camera.warnings() == ()
 
 
+def test_a_property_that_goes_with_the_mode_is_no_longer_asked_for(stand_in: StandIn, camera: DcamCamera) -> None:
+    assert len(camera.capabilities.triggers) == 3
+    stand_in.remove(Id.TRIGGERSOURCE)
+    camera.set_binning(2)
+    assert camera.capabilities.triggers == ("internal",)
+    assert camera.trigger == "internal"
+
+
 def test_a_camera_that_does_not_tell_its_pixels_needs_to_be_told(stand_in: StandIn) -> None:
     stand_in.remove(Id.IMAGEDETECTOR_PIXELWIDTH)
     with pytest.raises(Unsupported, match=r"set camera\.pixel_pitch_m"):
