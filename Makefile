@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test lint lock clean qt-libraries
+.PHONY: help setup run test lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
@@ -21,7 +21,7 @@ setup: qt-libraries .venv/ready ## make .venv; with root, install the system lib
 run: setup ## the live window on the simulated bench
 	.venv/bin/svwfs live
 
-test: setup ## every test, without a screen
+test: setup c-compiler ## every test, without a screen
 	QT_QPA_PLATFORM=offscreen .venv/bin/python -m pytest
 
 lint: .venv/ready ## style, types, and who may import whom
@@ -50,6 +50,15 @@ clean: ## remove .venv and every cache
 
 .venv/bin/pip:
 	@$(PYTHON) -m venv .venv
+
+# The tests talk to a camera's library that they compile; nothing else needs a compiler.
+c-compiler:
+	@if command -v cc >/dev/null; then exit 0; fi; \
+	install='apt-get install --no-install-recommends --yes gcc libc6-dev'; \
+	if [ "$$(id -u)" != 0 ] || ! command -v apt-get >/dev/null; then \
+	    echo "the tests need a C compiler: sudo $$install" >&2; exit 1; fi; \
+	echo 'installing a C compiler for the tests'; \
+	export DEBIAN_FRONTEND=noninteractive DEBCONF_NOWARNINGS=yes; apt-get update -qq; $$install >/dev/null
 
 # Silent and quick when all are there, or where there is no apt.
 qt-libraries:
