@@ -50,11 +50,11 @@ class Calibration:
             reconstruction=self.bench.reconstruction,
             dark=None if self.dark is None else self.dark.mean,
             full_scale=self.full_scale,
-            noise=self._noise(),
+            noise=self.noise(),
             reference_frames=self.reference.frames,
         )
 
-    def _noise(self) -> CameraNoise | None:
+    def noise(self) -> CameraNoise | None:
         """The camera's noise, from the scatter of the frames that made dark and reference; None without a dark."""
         dark, reference = self.dark, self.reference
         if dark is None:

@@ -248,6 +248,35 @@ def export(
 
 
 @cli.command()
+def report(
+    recording: Annotated[Path, typer.Argument(help="The folder of a recording.")],
+    *,
+    out: Annotated[Path, typer.Option(help="The file to write: .pdf, pages of A4, or .png, all in one picture.")],
+    beside: Annotated[
+        Path | None,
+        typer.Option(metavar="RECORDING", help="Another recording of the same sample, to subtract its wavefronts."),
+    ] = None,
+    frames: FramesOption = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it is there.")] = False,
+) -> None:
+    """Put a recording on two pages: when, with what, which wavefronts, how sure they are, and what was lost.
+
+    Frames are reconstructed again, at most 200, spread evenly. With --beside a third page subtracts the mean wavefronts
+    of another recording view by view, and a table says what is left, as the paper compares a square with stars.
+    """
+    from app.pages.run import report_pages
+    from app.report import print_residual, progress_bar
+
+    with progress_bar() as progress:
+        summary, residual = report_pages(
+            recording, out, beside=beside, frames=frames, overwrite=overwrite, report=progress
+        )
+    if residual is not None:
+        print_residual(residual)
+    typer.echo(f"the report of {summary.frames_looked_at} is in {out}")
+
+
+@cli.command()
 def calibrate(
     reference: Annotated[Path, typer.Argument(help="A frame without the sample: TIFF or NPY.")],
     *,

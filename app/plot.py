@@ -43,29 +43,32 @@ def views_figure(wavefront: Wavefront, sensor: Sensor) -> Figure:
     ((left, right),) = maps.subfigures(1, 2, squeeze=False)
     limit = float(np.nanmax(np.abs(views), initial=0)) or 1.0
     captions = [[f"RMS {rms(view):.3f}  PV {peak_to_valley(view):.2f} rad" for view in row] for row in views]
-    _draw_maps(left, views, field, captions, ("RdBu_r", Normalize(-limit, limit), "wavefront (rad)"))
+    draw_maps(left, views, _with_places(field, captions), ("RdBu_r", Normalize(-limit, limit), "wavefront (rad)"))
     _draw_psf(right, wavefront, sensor)
     middle = field.view_rows // 2, field.view_columns // 2
     axes = curves.subplots(1, 2)
-    _draw_transfer(axes[0], mtf(views[middle], sensor), _place(field, *middle))
-    _draw_structure(axes[1], isoplanatism(wavefront))
+    draw_transfer(axes[0], mtf(views[middle], sensor), place(field, *middle))
+    draw_structure(axes[1], isoplanatism(wavefront))
     return figure
 
 
-def _draw_maps(
+def draw_maps(
     figure: SubFigure,
     maps: Floats,
-    field: Field,
     captions: list[list[str]],
     colours: tuple[str, Normalize, str],
-    extent: tuple[float, float, float, float] | None = None,
+    *,
+    fontsize: float = 8,
 ) -> None:
-    """Draw a map (row, column) of every view on one colour scale; what is NaN is grey."""
+    """Draw a map (row, column) of every view, with its caption, on one colour scale; what is NaN is grey.
+
+    `colours` are the name of a colour map, its scale and its title.
+    """
     name, scale, title = colours
-    axes = figure.subplots(field.view_rows, field.view_columns, squeeze=False)
+    axes = figure.subplots(len(captions), len(captions[0]), squeeze=False)
     for (row, column), axis in np.ndenumerate(axes):
-        axis.imshow(maps[row, column], cmap=name, norm=scale, extent=extent)
-        axis.set_title(f"{_place(field, row, column)}\n{captions[row][column]}", fontsize=8)
+        axis.imshow(maps[row, column], cmap=name, norm=scale)
+        axis.set_title(captions[row][column], fontsize=fontsize)
         axis.set_xticks([])
         axis.set_yticks([])
         axis.set_facecolor("0.6")
@@ -81,21 +84,23 @@ def _draw_psf(figure: SubFigure, wavefront: Wavefront, sensor: Sensor) -> None:
     captions = [[f"Strehl {one[middle, middle]:.3f}  peak {one.max():.3f}" for one in row] for row in maps]
     scale = PowerNorm(0.5, 0, float(np.nanmax(maps, initial=0)) or 1.0)
     title = f"point-spread function within $\\pm${angle_rad[-1] * 1e3:.2g} mrad (ideal peak 1)"
-    _draw_maps(figure, maps, wavefront.field, captions, ("inferno", scale, title))
+    draw_maps(figure, maps, _with_places(wavefront.field, captions), ("inferno", scale, title))
 
 
-def _draw_transfer(axis: Axes, transfer: Mtf, place: str) -> None:
+def draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
+    """Draw the modulation transfer along x and y at the position that is called `where`."""
     for name, frequency_per_rad, values, limit in (
         ("x", transfer.frequency_x_per_rad, transfer.along_x, transfer.limit_x),
         ("y", transfer.frequency_y_per_rad, transfer.along_y, transfer.limit_y),
     ):
         (line,) = axis.plot(frequency_per_rad / 1e3, values, label=f"along {name}")
         axis.plot(frequency_per_rad / 1e3, limit, "--", linewidth=0.8, color=line.get_color())
-    axis.set(title=f"modulation transfer at {place}", xlabel="cycles per mrad", xlim=(0, None), ylim=(0, 1))
+    axis.set(title=f"modulation transfer at {where}", xlabel="cycles per mrad", xlim=(0, None), ylim=(0, 1))
     axis.legend(title="- - diffraction limit", fontsize=8, title_fontsize=8)
 
 
-def _draw_structure(axis: Axes, found: Isoplanatism) -> None:
+def draw_structure(axis: Axes, found: Isoplanatism) -> None:
+    """Draw how wavefronts differ with their separation in the field, with tilt and without."""
     for name, curve in (("all", found.curve), ("without tilt", found.curve_without_tilt)):
         separation_mm = np.append(0.0, curve.separation_m * 1e3)
         rms_rad, least_rad, most_rad = (
@@ -110,5 +115,13 @@ def _draw_structure(axis: Axes, found: Isoplanatism) -> None:
     axis.legend(fontsize=8)
 
 
-def _place(field: Field, row: int, column: int) -> str:
+def place(field: Field, row: int, column: int) -> str:
+    """Where in the field a view lies."""
     return f"({field.view_x_m[column] * 1e3:+.2f}, {field.view_y_m[row] * 1e3:+.2f}) mm"
+
+
+def _with_places(field: Field, captions: list[list[str]]) -> list[list[str]]:
+    return [
+        [f"{place(field, row, column)}\n{caption}" for column, caption in enumerate(line)]
+        for row, line in enumerate(captions)
+    ]

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 
 from app.measured import Measured
+from app.pages.residual import Residual
 from app.recording.recover import Recovered
 from app.replay.run import Replay
 from app.selftest import Check
@@ -87,6 +88,16 @@ def print_replay(made: Replay) -> None:
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
     console.print(f"{made.frames} frames{why}", highlight=False, soft_wrap=True)
+
+
+def print_residual(residual: Residual) -> None:
+    """Print how far two recordings' mean wavefronts are apart at every view, and the paper's three numbers."""
+    field = residual.field
+    table = _view_table(field, f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames")
+    for y_m, row in zip(field.view_y_m, residual.rms_rad, strict=True):
+        table.add_row(f"{y_m * 1e3:+.2f}", *(f"{value:.3f}" for value in row))
+    Console().print(table)
+    Console().print(residual.sentence, highlight=False, soft_wrap=True)
 
 
 def print_checks(checks: Iterable[Check]) -> bool:

@@ -22,7 +22,7 @@ class Comparison:
 
     def take(self, then: Repeated, now: Repeated) -> dict[str, Variable]:
         """Compare one frame; return what there is to say of it, for its results."""
-        if then.wavefront is None or now.wavefront is None or not _are_alike(then.wavefront, now.wavefront):
+        if then.wavefront is None or now.wavefront is None or not are_alike(then.wavefront, now.wavefront):
             return {}
         values = [rms(then.wavefront.views), rms(now.wavefront.views), rms(now.wavefront.views - then.wavefront.views)]
         self._sums = [total + value for total, value in zip(self._sums or [np.zeros(1)] * 3, values, strict=True)]
@@ -48,7 +48,7 @@ class Comparison:
         return self._sums[2] / self.frames
 
 
-def _are_alike(then: Wavefront, now: Wavefront) -> bool:
+def are_alike(then: Wavefront, now: Wavefront) -> bool:
     """Whether views and lenslets are the same, so that wavefronts can be subtracted."""
     return (
         then.views.shape == now.views.shape
