@@ -17,6 +17,7 @@ import tomli_w
 
 from app.errors import InputError
 from app.presets import PRESETS
+from app.recording_settings import RecordingSettings
 from app.stream_settings import StreamSettings
 from drivers.coolled import CoolLEDSettings
 from drivers.dcam.settings import DcamSettings
@@ -30,7 +31,7 @@ from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSe
 
 T = TypeVar("T")
 
-CameraSettings: TypeAlias = SimulatedCameraSettings | DcamSettings | GenicamSettings
+CameraSettings: TypeAlias = SimulatedCameraSettings | DcamSettings | GenicamSettings | RecordingSettings
 LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings
 
 AUTOMATIC = "automatic"  # the word for what is left out
@@ -53,11 +54,11 @@ class Bench:
     streams: StreamSettings = StreamSettings()
 
     def __post_init__(self) -> None:
-        if self.is_simulated and not isinstance(self.light, SimulatedLightSettings):
-            raise ValueError(
-                f'light.driver = "{self.light.driver}" is of no use: a simulated camera sees no real light'
-            )
-        if isinstance(self.light, SimulatedLightSettings) and not self.is_simulated:
+        has_real_light = not isinstance(self.light, SimulatedLightSettings)
+        if has_real_light and not self.is_worked_by_hand:
+            kind = "simulated camera" if self.is_simulated else "recording"
+            raise ValueError(f'light.driver = "{self.light.driver}" is of no use: a {kind} sees no real light')
+        if self.is_worked_by_hand and not has_real_light:
             known = ", ".join(f'"{driver}"' for driver in drivers_of(LightSettings) if driver != "simulated")
             raise ValueError(f'light.driver is missing: camera.driver = "{self.camera.driver}" needs one of {known}')
         designed_px = self.sensor.lenslet_pitch_px
@@ -71,6 +72,11 @@ class Bench:
     def is_simulated(self) -> bool:
         """Whether the simulated bench serves it, with camera, light and stage."""
         return isinstance(self.camera, SimulatedCameraSettings)
+
+    @property
+    def is_worked_by_hand(self) -> bool:
+        """Whether a person moves the sample: there is no motor, and nothing that only seems to move."""
+        return not isinstance(self.camera, SimulatedCameraSettings | RecordingSettings)
 
     @property
     def camera_model(self) -> SimulatedCameraSettings:

@@ -16,6 +16,10 @@ import platformdirs
 
 from app.config import Bench, CameraSettings, LightSettings
 from app.errors import InputError
+from app.recording.devices import recorded_devices
+from app.recording.reader import Recording
+from app.recording.selection import chosen_frames
+from app.recording_settings import RecordingSettings
 from drivers.coolled import CoolLEDSettings
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam_settings import GenicamSettings
@@ -36,6 +40,8 @@ _PITCH_TOLERANCE = 0.01
 def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
     """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
     with ExitStack() as stack:
+        if isinstance(bench.camera, RecordingSettings):
+            return _open_recording(bench, bench.camera)
         if not bench.is_simulated:
             return _open_real(bench, progress, stack)
         simulated = simulated_bench(bench, progress)
@@ -53,11 +59,7 @@ def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack
     section = "camera"
     try:
         camera = stack.enter_context(open_camera(bench.camera))
-        pitch_m = camera.capabilities.pixel_pitch_m
-        if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
-            raise InputError(
-                f"sensor.pixel_pitch_m = {bench.sensor.pixel_pitch_m:g}, but that of {camera.name} is {pitch_m:g}"
-            )
+        _check_pitch(bench, camera)
         progress(0.5)
         stage = stack.enter_context(ManualStage(bench.simulation.source.mask))
         section = "light"
@@ -66,6 +68,22 @@ def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack
     except BadValue as error:
         raise InputError(f"{section}: {error}") from error
     return Devices(camera, light, stage, stack.pop_all())
+
+
+def _open_recording(bench: Bench, settings: RecordingSettings) -> Devices:
+    recording = Recording(settings.folder)
+    devices = recorded_devices(recording, chosen_frames(recording, None), pace=settings.pace, repeat=settings.repeat)
+    _check_pitch(bench, devices.camera)
+    return devices
+
+
+def _check_pitch(bench: Bench, camera: Camera) -> None:
+    """Raise `InputError` when the camera has other pixels than the bench says."""
+    pitch_m = camera.capabilities.pixel_pitch_m
+    if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
+        raise InputError(
+            f"sensor.pixel_pitch_m = {bench.sensor.pixel_pitch_m:g}, but that of {camera.name} is {pitch_m:g}"
+        )
 
 
 def open_camera(settings: CameraSettings) -> Camera:

@@ -73,10 +73,10 @@ def measure(
 
 def _calibrate(acquisition: Acquisition, bench: Bench, average: int, report: Report, *, auto_expose: bool) -> None:
     """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample."""
-    if not bench.is_simulated:
+    if bench.is_worked_by_hand:
         ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
     _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, report)
-    if not bench.is_simulated:
+    if bench.is_worked_by_hand:
         ask("put the sample into the beam")
 
 

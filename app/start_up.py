@@ -18,7 +18,7 @@ def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: boo
     hand nobody knows yet where the sample is: the camera starts after the dark, and a person asks for the reference.
     With `auto_expose` the exposure is found first.
     """
-    if not acquisition.bench.is_simulated:
+    if acquisition.bench.is_worked_by_hand:
         return (
             acquisition.submit(_turn_light_on),
             *([acquisition.auto_expose()] if auto_expose else []),

@@ -77,7 +77,10 @@ def test_every_search_is_there_and_its_driver_can_be_named_in_a_bench() -> None:
     for search in SEARCHES:
         outcome = look(search)
         assert outcome.found == () or outcome.found[0].driver == search.driver
-    named = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {"simulated"}
+    named = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {
+        "simulated",
+        "recording",
+    }  # nothing that is looked for
     assert named == {search.driver for search in SEARCHES}
     bench = load_bench("live_demo")
     with pytest.raises(InputError, match="has no device of its own"):

@@ -1,16 +1,15 @@
-"""A recording in place of devices: its own frames, pace, losses and calibrations, and nothing that could be changed."""
+"""A recording played into the live view: each frame by the calibration that it had."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
-from recordings import edit_line, record
+from recordings import record
 from test_cli import run
 
 from app.acquisition import Acquisition
@@ -21,140 +20,16 @@ from app.measurement import Counts, Measurement
 from app.recording.reader import Recording
 from app.recording.record import Record
 from app.recording.run_writer import RunWriter
-from app.replay.devices import RecordedCamera, recorded_devices
 from app.replay.player import Player
-from drivers.interface import BadValue, DeviceTimeout, Disconnected, Frame, Unsupported, WrongState
 from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.wavefront import rms
 
 FRAMES = 6
-GAPS_S = (0.05, 0.05, 30.0, 0.1, 0.05)  # between arrivals
-
-
-class Clock:
-    """Time that passes only when somebody sleeps."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def now(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
 
 
 @pytest.fixture(scope="module")
 def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    recording = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
-    host_s = 1000.0
-    for index, gap_s in enumerate((0.0, *GAPS_S)):
-        host_s += gap_s
-        edit_line(recording, index, host_time_s=host_s, lost=2 if index == 3 else 0, exposure_s=0.02)
-    return Recording(recording.folder)
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-@pytest.fixture
-def camera(recording: Recording, clock: Clock) -> Iterator[RecordedCamera]:
-    with RecordedCamera(recording, range(FRAMES), now=clock.now, sleep=clock.sleep) as camera:
-        yield camera
-
-
-def read(camera: RecordedCamera) -> Frame:
-    return camera.read(10.0)
-
-
-def test_frames_come_at_their_own_pace_and_again_after_the_last(
-    camera: RecordedCamera, recording: Recording, clock: Clock
-) -> None:
-    camera.start()
-    came: list[tuple[float, Frame]] = []
-    for _ in range(2 * FRAMES):
-        came.append((clock.now_s, read(camera)))
-        came[-1] = (clock.now_s, came[-1][1])
-    for at, (_, frame) in enumerate(came):
-        np.testing.assert_array_equal(frame.pixels, recording.pixels(at % FRAMES))
-        assert (frame.exposure_s, frame.em_gain) == (0.02, 8.0)
-    # The half minute in which nothing was recorded is made a second; the losses are there again.
-    steps_s = np.diff([time_s for time_s, _ in came])
-    once_s = [0.05, 0.05, 1.02, 0.1, 0.05]
-    np.testing.assert_allclose(steps_s, [*once_s, 0.02, *once_s])
-    assert [frame.index for _, frame in came] == [0, 1, 2, 5, 6, 7, 8, 9, 10, 13, 14, 15]
-    np.testing.assert_allclose([frame.host_time_s for _, frame in came], [time_s for time_s, _ in came])
-
-
-def test_it_goes_on_where_it_was_stopped(camera: RecordedCamera, recording: Recording) -> None:
-    camera.start()
-    read(camera)
-    read(camera)
-    camera.stop()
-    with pytest.raises(WrongState):
-        read(camera)
-    camera.start()
-    frame = read(camera)
-    assert frame.index == 0
-    np.testing.assert_array_equal(frame.pixels, recording.pixels(2))
-
-
-def test_no_frame_comes_before_its_time(camera: RecordedCamera, clock: Clock) -> None:
-    camera.start()
-    before_s = clock.now_s
-    with pytest.raises(DeviceTimeout):
-        camera.read(0.0)
-    assert clock.now_s == before_s
-    with pytest.raises(DeviceTimeout):
-        camera.read(0.015)
-    assert clock.now_s == pytest.approx(before_s + 0.015)
-    camera.read(0.01)
-    assert clock.now_s == pytest.approx(before_s + 0.02)
-
-
-def test_who_was_away_misses_little(camera: RecordedCamera, clock: Clock) -> None:
-    """After an hour the recording has waited: it is a second behind, not an hour."""
-    camera.start()
-    read(camera)
-    clock.sleep(3600)
-    read(camera)
-    before_s = clock.now_s
-    for _ in range(FRAMES):
-        read(camera)
-    assert clock.now_s > before_s
-
-
-def test_nothing_can_be_changed(recording: Recording) -> None:
-    with recorded_devices(recording, range(FRAMES)) as devices:
-        camera, light, stage = devices.camera, devices.light, devices.stage
-        assert camera.name == "recording run"
-        allowed = camera.capabilities
-        assert (allowed.rows, allowed.columns, allowed.amplifiers) == (172, 240, (camera.amplifier,))
-        assert allowed.full_scale == recording.calibration(0).full_scale
-        with pytest.raises(BadValue, match=r"exposure_s = 0.5 is outside 0.02"):
-            camera.set_exposure(0.5)
-        assert light.is_on
-        light.set_on(True)
-        with pytest.raises(Unsupported, match="its light stays as it was"):
-            light.set_on(False)
-        stage.set_sample_in(True)
-        with pytest.raises(Unsupported, match="its sample stays"):
-            stage.set_sample_in(False)
-    with pytest.raises(WrongState):
-        camera.start()
-
-
-def test_a_damaged_frame_is_a_lost_device(recording: Recording, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
-    def damaged(_recording: Recording, _index: int) -> None:
-        raise InputError("frame 0 is damaged")
-
-    with RecordedCamera(recording, range(FRAMES), now=clock.now, sleep=clock.sleep) as camera:
-        camera.start()
-        monkeypatch.setattr(Recording, "frame", damaged)
-        with pytest.raises(Disconnected, match="frame 0 is damaged"):
-            read(camera)
+    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
 
 
 @pytest.fixture(scope="module")

@@ -17,9 +17,9 @@ from app.export.table import write_table
 from app.progress import Report
 from app.recording.reader import Recording
 from app.recording.repeat import repeated
+from app.recording.selection import chosen_frames
 from app.replay.results import results_in_pieces
 from app.replay.run import first_bench
-from app.replay.selection import chosen_frames
 from app.results import write_pieces
 from reconstruction.geometry import Floats
 

@@ -10,11 +10,13 @@ from app.acquisition import Acquisition
 from app.calibration import Calibration
 from app.config import Bench
 from app.errors import InputError
+from app.instrument import Instrument
 from app.measurement import Measurement
+from app.recording.camera import RecordedCamera
+from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
+from app.recording.selection import chosen_frames
 from app.replay.change import change_of
-from app.replay.devices import RecordedCamera, recorded_devices
-from app.replay.selection import chosen_frames
 from drivers.interface import Devices
 
 
@@ -47,7 +49,7 @@ class Player:
         """Have the recorded calibration used and the camera started, in place of taking dark and reference."""
         self._acquisition, self._in_force = acquisition, self._first
         used = self._use(acquisition, self._first)
-        return (used, acquisition.submit(lambda instrument: instrument.devices.camera.start()))
+        return (used, acquisition.submit(_show))
 
     def take(self, _: Measurement) -> None:
         """Look, between two frames, whether the next one has another calibration, and have it used."""
@@ -64,3 +66,10 @@ class Player:
 
     def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
         return acquisition.submit(lambda instrument: instrument.use(self._calibration(number)))
+
+
+def _show(instrument: Instrument) -> None:
+    """Let the camera see the recorded frames."""
+    instrument.devices.light.set_on(True)
+    instrument.devices.stage.set_sample_in(True)
+    instrument.devices.camera.start()

@@ -13,10 +13,10 @@ from app.progress import Report
 from app.read_outs import Variable
 from app.recording.reader import Recording
 from app.recording.repeat import Change, Repeated, repeated
+from app.recording.selection import chosen_frames
 from app.replay.change import change_of
 from app.replay.comparison import Comparison
 from app.replay.results import results_in_pieces
-from app.replay.selection import chosen_frames
 from app.replay.verification import Verification
 from app.results import write_pieces
 

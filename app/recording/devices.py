@@ -1,0 +1,82 @@
+"""A recording in place of the devices that it was made with: a camera that plays it, a light and a stage beside it."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+from app.recording.camera import RecordedCamera
+from app.recording.reader import Recording
+from app.recording_settings import Pace
+from drivers.interface import Devices, LightSource, Range, Stage
+
+
+def recorded_devices(recording: Recording, frames: range, *, pace: Pace = "own", repeat: bool = True) -> Devices:
+    """The devices that show some frames of a recording when the light is on and the sample in."""
+    with ExitStack() as stack:
+        camera = stack.enter_context(RecordedCamera(recording, frames, pace=pace, repeat=repeat))
+        stage = stack.enter_context(RecordedStage(camera, recording.bench.simulation.source.mask))
+        light = stack.enter_context(RecordedLight(camera))
+        return Devices(camera, light, stage, stack.pop_all())
+
+
+class RecordedLight(LightSource):
+    """Decides whether the camera sees a dark; its current is that of the frame that was read last."""
+
+    def __init__(self, camera: RecordedCamera) -> None:
+        super().__init__()
+        self._camera = camera
+        self._begin()
+
+    @property
+    def name(self) -> str:
+        """What it is."""
+        return "as recorded"
+
+    def _read_range(self) -> Range:
+        return Range(self._read_current(), self._read_current())
+
+    def _read_current(self) -> float:
+        return self._camera.line.light_current_a or 0.0
+
+    def _set_current(self, current_a: float) -> float:
+        return current_a  # no other is allowed
+
+    def _is_lit(self) -> bool:
+        return self._camera.is_lit
+
+    def _switch(self, *, on: bool) -> None:
+        self._camera.see(is_lit=on, is_sample_in=self._camera.is_sample_in)
+
+    def _close(self) -> None:
+        """There is nothing to let go of."""
+
+
+class RecordedStage(Stage):
+    """Decides whether the camera sees the recorded frames, or a reference."""
+
+    def __init__(self, camera: RecordedCamera, mask: str) -> None:
+        super().__init__()
+        self._camera, self._mask = camera, mask
+
+    @property
+    def name(self) -> str:
+        """What it is."""
+        return "as recorded"
+
+    def _read_masks(self) -> tuple[str, ...]:
+        return (self._mask,)
+
+    def _read_mask(self) -> str:
+        return self._mask
+
+    def _set_mask(self, mask: str) -> None:
+        """There is no other."""
+
+    def _is_sample_in(self) -> bool:
+        return self._camera.is_sample_in
+
+    def _set_sample_in(self, *, sample_in: bool) -> None:
+        self._camera.see(is_lit=self._camera.is_lit, is_sample_in=sample_in)
+
+    def _close(self) -> None:
+        """There is nothing to let go of."""
