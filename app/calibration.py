@@ -6,10 +6,7 @@ carries the one it was reconstructed with, and a recording keeps every one that 
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
 
 from app.config import Bench
 from app.routines import Average
@@ -67,13 +64,3 @@ class Calibration:
 def surveyed(bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Survey:
     """Look where the lenslets lie on the reference, whatever the bench says; `ReconstructionError` if it shows none."""
     return survey(reference.mean, bench.sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Let BLAS work in one thread while a `with` lasts, in all of the process: live, and wherever live is repeated.
-
-    Its own threads wait for one another at full speed: on a busy computer that takes half a second for a decomposition
-    of 30 ms, and frames are lost. And in one thread sums are always added in the same order.
-    """
-    limits: AbstractContextManager[object] = threadpool_limits(1, user_api="blas")
-    return limits

@@ -18,9 +18,9 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
 
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, centered_steps, require
+from reconstruction.threads import one_blas_thread
 from simulated_devices.image_sum import ImageSum, unfold
 from simulated_devices.phase_screen import PhaseScreen
 from simulated_devices.pixel_grid import PixelGrid
@@ -154,7 +154,7 @@ class ForwardModel:
                 total.add(self._field_phase(phase, x_m, y_m), 1.0)
                 waves[:, point] = self._pixels.waves(unfold(total.folded, *lenslets)).reshape(len(waves), -1)
 
-        with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(self._threads) as pool:
+        with one_blas_thread(), ThreadPoolExecutor(self._threads) as pool:
             self._share_out(work, pool)
             return self._pixels.evaluate_each(waves, pool.map)
 
@@ -185,7 +185,7 @@ class ForwardModel:
                     progress(done / max(1, len(order)))
             return total.folded
 
-        with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(self._threads) as pool:
+        with one_blas_thread(), ThreadPoolExecutor(self._threads) as pool:
             parts = self._share_out(work, pool)
         return np.asarray(np.sum(parts, axis=0), np.float32)
 

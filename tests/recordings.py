@@ -15,7 +15,6 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from app.calibration import one_blas_thread
 from app.config import load_bench, write_bench
 from app.devices import open_devices
 from app.instrument import Instrument
@@ -25,6 +24,7 @@ from app.recording.layout import PIXELS, STORE
 from app.recording.reader import Recording
 from app.recording.record import Record
 from app.recording.run_writer import RunWriter
+from reconstruction.threads import one_blas_thread
 
 
 def record(toml: Path, folder: Path, *settings: str, frames: int = 12) -> Recording:

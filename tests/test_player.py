@@ -13,7 +13,6 @@ from recordings import record
 from test_cli import run
 
 from app.acquisition import Acquisition
-from app.calibration import one_blas_thread
 from app.config import write_bench
 from app.errors import InputError
 from app.measurement import Counts, Measurement
@@ -22,6 +21,7 @@ from app.recording.record import Record
 from app.recording.run_writer import RunWriter
 from app.replay.player import Player
 from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.threads import one_blas_thread
 from reconstruction.wavefront import rms
 
 FRAMES = 6

@@ -16,7 +16,6 @@ import xarray as xr
 from recordings import edit_line, record, remove_coefficients, replace_pixels
 from test_cli import run
 
-from app.calibration import one_blas_thread
 from app.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.measurement import PASSED_OVER, Counts, Measurement
@@ -29,6 +28,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline import ReconstructionSettings, Reconstructor
 from reconstruction.registration import RegistrationSettings
+from reconstruction.threads import one_blas_thread
 from reconstruction.wavefront import rms
 
 FRAMES = 6

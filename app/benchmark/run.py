@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
 
 from app.benchmark import contestants
 from app.benchmark.cases import Case, noise_free, noisy
@@ -23,6 +22,7 @@ from app.machine import machine_facts, versions
 from app.progress import Report, named
 from reconstruction.field_modes import LegendreModes
 from reconstruction.registration import RegistrationSettings
+from reconstruction.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront, rms
 from reconstruction.zonal import zonal_wavefront
 
@@ -49,7 +49,7 @@ class Plan:
 
 def run_benchmark(plan: Plan, report: Report) -> Json:
     """Run everything, BLAS in one thread as in the live path."""
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         return _run(plan, report)
 
 

@@ -8,7 +8,6 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from app.calibration import one_blas_thread
 from app.config import write_bench
 from app.errors import InputError, RunError
 from app.export.imagej import write_stack
@@ -22,6 +21,7 @@ from app.replay.results import results_in_pieces
 from app.replay.run import first_bench
 from app.results import write_pieces
 from reconstruction.geometry import Floats
+from reconstruction.threads import one_blas_thread
 
 T = TypeVar("T")
 

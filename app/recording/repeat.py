@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.calibration import Calibration, one_blas_thread
+from app.calibration import Calibration
 from app.errors import InputError
 from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
@@ -16,6 +16,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.field_modes import LegendreModes
 from reconstruction.geometry import Floats
 from reconstruction.pipeline import Reconstructor
+from reconstruction.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront
 
 Change = Callable[[Calibration], Calibration]

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.calibration import one_blas_thread
 from app.config import Bench
 from app.errors import InputError, RunError
 from app.progress import Report
@@ -19,6 +18,7 @@ from app.replay.comparison import Comparison
 from app.replay.results import results_in_pieces
 from app.replay.verification import Verification
 from app.results import write_pieces
+from reconstruction.threads import one_blas_thread
 
 
 @dataclass(slots=True)
