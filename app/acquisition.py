@@ -19,17 +19,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from app.calibration import one_blas_thread
 from app.config import Bench, write_bench
 from app.errors import InputError, RunError
 from app.instrument import Instrument, Reconstruction, Status
-from app.measurement import PASSED_OVER, Counts, LightState, Measurement
+from app.measurement import Counts, LightState, Measurement
 from app.recording.background import RecordingState
 from app.recording.recorder import Recorder
 from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled, RoutineError, next_frame
 from app.timing import Timings, short_turns
 from drivers.interface import BadValue, DeviceError, Devices, DeviceTimeout, Frame, FrameLost, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
+from reconstruction.threads import one_blas_thread
 
 T = TypeVar("T")
 
@@ -276,7 +276,7 @@ class Acquisition:
             with suppress(DeviceTimeout, FrameLost):  # there is no newer one
                 while True:
                     newer = camera.read(0.0)
-                    self._publish(self._measurement(frame, Reconstruction(None, PASSED_OVER, instrument.calibration)))
+                    self._publish(self._measurement(frame, instrument.pass_over(frame)))
                     frame = newer
                     self._count(frame)
         return frame

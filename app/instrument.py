@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 from app.calibration import Calibration, surveyed
 from app.config import Bench
 from app.live_refinement import LiveRefinement, RefinementState
+from app.measurement import PASSED_OVER
 from app.routines import (
     AutoExposure,
     Average,
@@ -26,7 +27,7 @@ from app.routines import (
     take_reference,
 )
 from app.timing import Timings
-from drivers.interface import BadValue, CameraCapabilities, Device, Devices, Frame, Property, Range, WrongState
+from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
@@ -134,12 +135,8 @@ class Instrument:
 
     def properties(self) -> dict[str, dict[str, Property]]:
         """All that the devices can tell of themselves, for the record."""
-        devices: dict[str, Device] = {
-            "camera": self.devices.camera,
-            "light": self.devices.light,
-            "stage": self.devices.stage,
-        }
-        return {name: device.properties() for name, device in devices.items()}
+        camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
+        return {"camera": camera.properties(), "light": light.properties(), "stage": stage.properties()}
 
     def status(self) -> Status:
         """Ask the devices how they stand."""
@@ -230,6 +227,11 @@ class Instrument:
             return Reconstruction(None, str(error), calibration, start)
         self._before = registered
         return Reconstruction(wavefront, "", calibration, start, registered, refinement)
+
+    def pass_over(self, frame: Frame) -> Reconstruction:
+        """Leave a frame for later, with what it takes: the calibration, and what corrected the frame before."""
+        refinement = RefinementState() if self._refinement is None else self._refinement.as_before(frame.camera_time_s)
+        return Reconstruction(None, PASSED_OVER, self._calibration, refinement=refinement)
 
     def close(self) -> None:
         """Let go of what works beside the frames; the devices belong to whoever opened them."""

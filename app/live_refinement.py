@@ -10,7 +10,7 @@ import math
 import os
 import sys
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from app.config import Bench
@@ -56,6 +56,7 @@ class LiveRefinement:
         self._newest: tuple[Wavefront, float] | None = None  # one slot each way, written by one thread
         self._found: _Found | None = None
         self._problem = ""
+        self._state = RefinementState("preparing")  # of the frame before
         self._something_new, self._closing = threading.Event(), threading.Event()
         try:
             model = BenchModel(bench, reconstructor)
@@ -87,9 +88,15 @@ class LiveRefinement:
                 moved_rad,
                 bias=found.bias.displacement if is_near else None,
             )
-        self._newest = wavefront, time_s
+        self._newest, self._state = (wavefront, time_s), state
         self._something_new.set()
         return wavefront, state
+
+    def as_before(self, time_s: float) -> RefinementState:
+        """What corrected the frame before, for one exposed at `time_s` that will be reconstructed only later."""
+        if self._newest is None:
+            return self._state
+        return replace(self._state, age_s=self._state.age_s + time_s - self._newest[1])
 
     def _work(self, model: BenchModel) -> None:
         """Find the bias of the newest wavefront, again and again."""

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from app.acquisition import Acquisition, Measurement
-from app.calibration import Calibration, one_blas_thread
+from app.calibration import Calibration
 from app.config import load_bench
 from app.devices import open_devices
+from app.measurement import PASSED_OVER
 from app.start_up import start_up
 from reconstruction.modal import ModalSolution
 from reconstruction.pipeline import Reconstructor
+from reconstruction.threads import one_blas_thread
 
 
 def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings: str) -> list[Measurement]:
@@ -34,7 +36,7 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
             10
         )  # the same settings, another calibration
         before = len(measurements)
-        while len(measurements) < before + 3:
+        while sum(not one.problem for one in measurements[before:]) < 3:
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
     finally:
@@ -50,17 +52,20 @@ def test_every_frame_is_made_again_bit_for_bit(small_toml: Path, tmp_path: Path,
     toml.write_text(
         text if lattice != "found" else text.replace(text[text.index("[lattice]") : text.index("[field]")], "")
     )
-    measurements = measured(
-        toml,
-        lambda some: len(some) > 8 and (refine == "false" or some[-1].refinement.stage == "applied"),
-        f"reconstruction.refine={refine}",
-    )
+
+    def is_enough(measurements: list[Measurement]) -> bool:
+        made = [measurement for measurement in measurements if measurement.wavefront is not None]
+        return len(made) > 8 and (refine == "false" or made[-1].refinement.stage == "applied")
+
+    measurements = measured(toml, is_enough, f"reconstruction.refine={refine}")
     reconstructors: dict[Calibration, Reconstructor] = {}
     registered = None
     with one_blas_thread():
         for measurement in measurements:
             calibration = measurement.calibration
             assert calibration is not None
+            if measurement.problem == PASSED_OVER:  # of these nothing was made that could be made again
+                continue
             if calibration not in reconstructors:
                 reconstructors[calibration] = calibration.reconstructor()
                 assert measurement.start is None  # another calibration starts cold

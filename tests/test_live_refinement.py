@@ -54,17 +54,24 @@ def test_frames_are_corrected_while_the_wavefront_is_near(
         displacement = reconstructor.register(frame)
         once, state = refinement.refine(displacement, 0.0)
         assert state.stage == "preparing"
+        assert refinement.as_before(1.0).bias is None
         np.testing.assert_array_equal(once.views, reconstructor.solve(displacement).views)
         until(refinement, reconstructor, frame, "applied")
         time.sleep(1.0)  # some rounds more
         corrected, state = refinement.refine(displacement, time.monotonic())
         assert state.age_s > 0
         assert state.moved_rad < 0.2
+        now_s = time.monotonic()
+        corrected, state = refinement.refine(displacement, now_s)
+        later = refinement.as_before(now_s + 0.25)  # for a frame that nobody looks at now
+        assert later.bias is state.bias is not None
+        assert later.age_s == pytest.approx(state.age_s + 0.25)
         assert rms(corrected.views - once.views).mean() > 0.005
 
         gone = reconstructor.register(bowl(small_bench, -1.0))
         found, state = refinement.refine(gone, time.monotonic())
         assert state.stage == "moved"
+        assert refinement.as_before(time.monotonic()).bias is None
         assert state.moved_rad == pytest.approx(2 * rms(once.views).mean(), rel=0.1)
         np.testing.assert_array_equal(found.views, reconstructor.solve(gone).views)
         until(refinement, reconstructor, bowl(small_bench, -1.0), "applied")

@@ -119,20 +119,25 @@ def load_bench_of(live: Live) -> Bench:
     return status.bench
 
 
-def test_gaps_and_frames_that_were_passed_over_are_recorded(
-    make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    live = make_live("camera.exposure_s=0.0139")
+def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the computer slower than any camera."""
     measure = Instrument.measure
 
     def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
         time.sleep(0.2)
         return measure(instrument, frame)
 
+    monkeypatch.setattr(Instrument, "measure", slowly)
+
+
+def test_gaps_and_frames_that_were_passed_over_are_recorded(
+    make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = make_live("camera.exposure_s=0.0139")
     live.acquisition.start_recording(tmp_path / "r").result(60)
     live.camera.inject(LoseFrames(5))
     live.until(lambda: live.recording.frames > 5)
-    monkeypatch.setattr(Instrument, "measure", slowly)
+    measure_slowly(monkeypatch)
     live.until(lambda: live.recording.frames > 50)
     live.stop()
     recording = Recording(tmp_path / "r")
@@ -143,6 +148,29 @@ def test_gaps_and_frames_that_were_passed_over_are_recorded(
     assert np.diff(camera_index).tolist() == [line.lost + 1 for line in lines[1:]]
     assert_made_again(recording)
     assert all(made.wavefront is not None for made in repeated(recording))  # those passed over, too
+
+
+def test_frames_that_were_passed_over_are_refined_later_as_the_one_before(
+    make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = make_live("camera.exposure_s=0.0139", "reconstruction.refine=true")
+    live.until(lambda: any(each.refinement.stage == "applied" for each in live.measurements))
+    measure_slowly(monkeypatch)
+    live.acquisition.start_recording(tmp_path / "r").result(60)
+    live.until(lambda: live.recording.frames > 50)
+    live.stop()
+    recording = Recording(tmp_path / "r")
+    lines = [recording.line(index) for index in range(len(recording))]
+    assert sum(line.problem == PASSED_OVER for line in lines) > 20
+    before = lines[0]
+    for line, made in zip(lines[1:], list(repeated(recording))[1:], strict=True):
+        if line.problem == PASSED_OVER:
+            assert (line.bias, made.is_refined) == (before.bias, before.bias is not None)
+            if line.bias_age_s is not None and before.bias_age_s is not None:
+                later_s = line.camera_time_s - before.camera_time_s
+                assert line.bias_age_s == pytest.approx(before.bias_age_s + later_s)
+        else:
+            before = line
 
 
 def test_a_lost_camera_leaves_a_readable_recording_that_says_why(
