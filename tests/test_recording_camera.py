@@ -30,7 +30,17 @@ from app.recording.record import Record
 from app.recording.run_writer import RunWriter
 from app.recording_settings import Pace, RecordingSettings
 from app.routines import Average, average, take_dark, take_reference
-from drivers.interface import BadValue, Camera, DeviceTimeout, Disconnected, Frame, LightSource, Stage, WrongState
+from drivers.interface import (
+    BadValue,
+    Camera,
+    DeviceTimeout,
+    Disconnected,
+    Frame,
+    LightSource,
+    Range,
+    Stage,
+    WrongState,
+)
 from reconstruction.wavefront import rms
 from simulated_devices.clock import ManualClock
 
@@ -312,6 +322,23 @@ def test_dark_and_reference_belong_to_the_next_frame(two_references: Recording, 
             camera.stop()
 
 
+def test_what_is_allowed_follows_what_is_seen(two_references: Recording, clock: ManualClock) -> None:
+    with player(two_references, clock, pace="fastest") as camera:
+        camera.start()
+        for exposure_s in (0.02, 0.02, 0.02, 0.04, 0.04):
+            read(camera)
+            assert camera.capabilities.exposure_range_s == Range(exposure_s, exposure_s)
+        camera.stop()
+    with player(two_references, clock, pace="fastest") as camera:
+        camera.start()
+        for _ in range(FRAMES // 2):
+            read(camera)
+        for is_sample_in, exposure_s in ((True, 0.02), (False, 0.04), (True, 0.02)):
+            camera.see(is_lit=True, is_sample_in=is_sample_in)
+            assert camera.exposure_s == exposure_s
+            assert camera.capabilities.exposure_range_s == Range(exposure_s, exposure_s)
+
+
 def test_what_was_not_recorded_is_not_made_up(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
     kept = steady.calibration(0)
     without_dark = written(steady, tmp_path / "bright", (replace(kept, dark=None),))
@@ -391,6 +418,10 @@ def test_a_bench_names_a_recording(small_toml: Path, steady: Recording) -> None:
             devices.camera.set_exposure(0.5)
         with pytest.raises(BadValue, match="there is no mask 'stars'"):
             devices.stage.set_mask("stars")
+        for is_on, is_in in ((False, True), (True, True), (True, False), (False, False)):
+            devices.light.set_on(is_on)
+            devices.stage.set_sample_in(is_in)
+            assert (devices.light.is_on, devices.stage.is_sample_in) == (is_on, is_in)
     assert devices.camera.state == "closed"
     with pytest.raises(InputError, match="has no device of its own"):
         open_camera(bench.camera)
