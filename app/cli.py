@@ -256,20 +256,28 @@ def report(
         Path | None,
         typer.Option(metavar="RECORDING", help="Another recording of the same sample, to subtract its wavefronts."),
     ] = None,
+    setting: SetOption = None,
     frames: FramesOption = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it is there.")] = False,
 ) -> None:
     """Put a recording on two pages: when, with what, which wavefronts, how sure they are, and what was lost.
 
     Frames are reconstructed again, at most 200, spread evenly. With --beside a third page subtracts the mean wavefronts
-    of another recording view by view, and a table says what is left, as the paper compares a square with stars.
+    of another recording view by view, and a table says what is left, as the paper compares a square with stars;
+    --set tries another method on the first: svwfs report SQUARE --beside STARS --set registration.method=correlation
     """
     from app.pages.run import report_pages
     from app.report import print_residual, progress_bar
 
     with progress_bar() as progress:
         summary, residual = report_pages(
-            recording, out, beside=beside, frames=frames, overwrite=overwrite, report=progress
+            recording,
+            out,
+            beside=beside,
+            settings=tuple(setting or ()),
+            frames=frames,
+            overwrite=overwrite,
+            report=progress,
         )
     if residual is not None:
         print_residual(residual)

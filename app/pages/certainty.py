@@ -52,7 +52,7 @@ def _draw_trend(axis: Axes, summary: Summary, found: Found) -> None:
     live_rad = [np.nan if line.rms_rad is None else line.rms_rad for line in lines]
     axis.plot(list(time_s.values()), live_rad, "-", color="0.7", linewidth=1, label="as recorded", zorder=1)
     at_s = [time_s[index] for index in found.frames.tolist()]
-    name = f"{summary.frames_looked_at} made again; the bar is at most one standard deviation of the noise"
+    name = f"{summary.frames_looked_at} made again; bars: at most one standard deviation of the noise"
     axis.errorbar(at_s, found.rms_rad, found.rms_sigma_rad, fmt=".", capsize=2, linewidth=0.8, label=name, zorder=2)
     gaps_s = [time_s[line.index] for line in lines if line.lost]
     if gaps_s:
@@ -64,8 +64,8 @@ def _draw_trend(axis: Axes, summary: Summary, found: Found) -> None:
         )
     axis.set(title="RMS of the wavefront, mean over the views", xlabel="time since the first frame (s)", ylabel="rad")
     axis.ticklabel_format(useOffset=False)
-    axis.margins(y=0.25)
-    axis.legend(fontsize=8, ncols=2, loc="upper center")
+    axis.margins(y=0.1)
+    axis.legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
 
 
 def _draw_lost(axis: Axes, found: Found) -> None:

@@ -17,6 +17,6 @@ def draw_comparison(figure: FigureBase, residual: Residual) -> None:
     write_title(title, TITLE_INCHES, f"{residual.name} beside {residual.other_name}", residual.sentence)
     limit = float(np.nanmax(np.abs([residual.mean, residual.other_mean]), initial=0))
     ((own, other),) = above.subfigures(1, 2, squeeze=False)
-    draw_views(own, residual.mean, residual.field, "the first", limit=limit, fontsize=6.5)
-    draw_views(other, residual.other_mean, residual.field, "the second", limit=limit, fontsize=6.5)
+    draw_views(own, residual.mean, residual.field, "the first", limit=limit, with_places=False)
+    draw_views(other, residual.other_mean, residual.field, "the second", limit=limit, with_places=False)
     draw_views(below, residual.views, residual.field, "the first minus the second")

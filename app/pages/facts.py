@@ -23,7 +23,7 @@ def facts(summary: Summary) -> list[Fact]:
     said = [
         ("recorded", _when(summary)),
         ("frames", _counts(summary)),
-        *[("", f"{count} {problem}") for problem, count in summary.problems.most_common(2)],
+        *[("", f"{count} of them: {problem}") for problem, count in summary.problems.most_common(2)],
         ("camera", _camera(summary, devices.get("camera", {}), bench)),
         ("exposure", _exposure(lines, devices.get("camera", {}))),
         ("light", _light(lines, devices.get("light", {}))),
@@ -58,7 +58,7 @@ def _counts(summary: Summary) -> str:
     return (
         f"{some}{whole} recorded{'' if acquired is None else f' of {acquired} acquired'};"
         f" {sum(line.lost for line in lines)} lost by the camera;"
-        f" {found} of {summary.looked_at} that were looked at again have a wavefront"
+        f" {found} of {summary.looked_at} made again have a wavefront"
     )
 
 
@@ -139,7 +139,7 @@ def _speed(timings: dict[str, dict[str, float | None]]) -> str:
         p50_s, p99_s = (timings.get(stage, {}).get(which) for which in ("p50_s", "p99_s"))
         if p50_s is not None and p99_s is not None:
             said.append(f"{name} {p50_s * 1e3:.1f} ({p99_s * 1e3:.1f}) ms")
-    return ", ".join(said) + ": median (99th percentile)" * bool(said)
+    return ", ".join(said) + ": median (99 %)" * bool(said)
 
 
 def _software(run: dict[str, Any]) -> str:

@@ -21,6 +21,9 @@ from reconstruction.wavefront import peak_to_valley, rms
 _LABEL_INCHES, _LINE_INCHES = 0.85, 0.18
 _COLUMNS = 98  # characters of a line beside the labels
 _MOST_VIEWS = 5  # along each axis; more would be too small to see
+_LARGEST_POINTS = 8.0
+_LETTER = 0.62  # width of a letter over its size, on average
+_MAPS_PART = 0.82  # of the width is for maps, the rest for their colour bar
 _GREY_PERCENT = (0.5, 99.8)  # of the pixels lie within the grey scale
 
 
@@ -51,14 +54,15 @@ def draw_overview(figure: FigureBase, summary: Summary) -> None:
 
 
 def draw_views(
-    figure: SubFigure, views: Floats, field: Field, title: str, *, limit: float = 0.0, fontsize: float = 8
+    figure: SubFigure, views: Floats, field: Field, title: str, *, limit: float = 0.0, with_places: bool = True
 ) -> None:
     """Draw the wavefronts of the views with RMS and PV, on a scale of +-`limit` rad, or of what there is."""
     rows, columns = (_some(count) for count in views.shape[:2])
     scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
     captions = [
         [
-            f"{place(field, row, column)}\n{rms(views[row, column]):.3f} / {peak_to_valley(views[row, column]):.2f}"
+            f"{place(field, row, column)}\n" * with_places
+            + f"{rms(views[row, column]):.3f} / {peak_to_valley(views[row, column]):.2f}"
             for column in columns
         ]
         for row in rows
@@ -67,7 +71,7 @@ def draw_views(
     note = f"; {hidden} more views are not shown" * bool(hidden)
     figure.suptitle(f"{title}: RMS / PV (rad){note}", fontsize=10)
     colours = ("RdBu_r", Normalize(-scale, scale), "rad")
-    draw_maps(figure, views[np.ix_(rows, columns)], captions, colours, fontsize=fontsize * min(1, 4.4 / len(columns)))
+    draw_maps(figure, views[np.ix_(rows, columns)], captions, colours, fontsize=_fitting(captions, figure))
 
 
 def _headline(summary: Summary) -> str:
@@ -90,7 +94,15 @@ def _draw_images(figure: SubFigure, summary: Summary) -> None:
     for axis, (name, image) in zip(figure.subplots(1, len(images), squeeze=False)[0], images, strict=True):
         darkest, brightest = np.percentile(image, _GREY_PERCENT)
         axis.imshow(image, cmap="gray", vmin=darkest, vmax=brightest)
-        axis.set(title=f"{name}: {image.min():.0f} ... {image.max():.0f} counts", xticks=[], yticks=[])
+        axis.set_title(f"{name}: {image.min():.0f} ... {image.max():.0f} counts", fontsize=10)
+        axis.set(xticks=[], yticks=[])
+
+
+def _fitting(captions: list[list[str]], figure: SubFigure) -> float:
+    """Size of the letters, points, with which captions beside one another do not touch."""
+    longest = max(len(line) for row in captions for caption in row for line in caption.splitlines())
+    width_inches = _MAPS_PART * figure.bbox.width / figure.get_figure(root=True).dpi / len(captions[0])
+    return min(_LARGEST_POINTS, 72 * width_inches / longest / _LETTER)
 
 
 def _some(count: int) -> list[int]:

@@ -17,23 +17,32 @@ from app.pages.residual import Residual, residual_of
 from app.pages.summary import Summary, summarise
 from app.progress import Report
 from app.recording.reader import Recording
+from app.replay.change import change_of
 
 _PNG_DPI = 110
 
 
 def report_pages(
-    folder: Path, out: Path, *, beside: Path | None, frames: str | None, overwrite: bool, report: Report
+    folder: Path,
+    out: Path,
+    *,
+    beside: Path | None,
+    settings: tuple[str, ...],
+    frames: str | None,
+    overwrite: bool,
+    report: Report,
 ) -> tuple[Summary, Residual | None]:
     """Write the report of a recording as PDF, page after page, or as one PNG; with its facts return what is left.
 
-    With `beside`, another recording of the same sample, its wavefronts are subtracted. `frames` are those of the first.
+    With `beside`, another recording of the same sample, its wavefronts are subtracted. `frames` and changed
+    `settings` are those of the first.
     """
     if out.suffix.lower() not in {".pdf", ".png"}:
         raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
     if out.exists() and not overwrite:
         raise InputError(f"{out}: is there already; --overwrite replaces it")
     recordings = [Recording(folder), *([] if beside is None else [Recording(beside)])]
-    summary = summarise(recordings[0], frames, report)
+    summary = summarise(recordings[0], frames, report, change=change_of(None, settings))
     residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, report))
     write_pages(out, _pages(summary, residual))
     return summary, residual

@@ -14,7 +14,7 @@ from app.errors import InputError
 from app.progress import Report
 from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
-from app.recording.repeat import Repeated, repeated
+from app.recording.repeat import Change, Repeated, repeated
 from app.recording.selection import chosen_frames
 from app.replay.comparison import are_alike
 from reconstruction.displacement import Outcome
@@ -48,7 +48,7 @@ class Summary:
     lines: list[FrameLine]  # of the frames that are meant
     problems: Counter[str]  # why frames were not reconstructed live, or cannot be again; how many
     looked_at: int  # frames that were made again
-    calibration: Calibration | None  # of the first frame that has one
+    calibration: Calibration | None  # of the first frame that has one, as changed
     calibrations: int  # how many of them were in force
     found: Found | None  # None when no frame has a wavefront
 
@@ -70,26 +70,30 @@ class Summary:
         return whole if count == len(self.lines) else f"{count} of {whole}"
 
 
-def summarise(recording: Recording, frames: str | None, report: Report) -> Summary:
-    """Look through some frames of a recording, all without `frames`; of more than 200, so many are made again."""
+def summarise(recording: Recording, frames: str | None, report: Report, *, change: Change | None = None) -> Summary:
+    """Look through some frames of a recording, all without `frames`; of more than 200, so many are made again.
+
+    With a `change` of their calibrations, something else is made of them.
+    """
     chosen = chosen_frames(recording, frames)
     lines = [recording.line(index) for index in chosen]
     numbers = [line.calibration for line in lines if line.calibration is not None]
     some = chosen[:: -(-len(chosen) // _LOOKED_AT)]
     again: Counter[str] = Counter()
     sums = _Sums()
-    for done, frame in enumerate(repeated(recording, some), 1):
+    for done, frame in enumerate(repeated(recording, some, change), 1):
         if frame.problem and not frame.line.problem:
             again[frame.problem] += 1
         sums.take(frame, is_early=2 * done <= len(some) + 1)
         report(f"looking at {recording.folder.name}", done / len(some))
     problems = Counter(line.problem for line in lines if line.problem)
+    first = recording.calibration(numbers[0]) if numbers else None
     return Summary(
         recording=recording,
         lines=lines,
         problems=problems + again,
         looked_at=len(some),
-        calibration=recording.calibration(numbers[0]) if numbers else None,
+        calibration=first if first is None or change is None else change(first),
         calibrations=len(set(numbers)),
         found=sums.found(),
     )
