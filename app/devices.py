@@ -41,7 +41,7 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
     """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
     with ExitStack() as stack:
         if isinstance(bench.camera, RecordingSettings):
-            return _open_recording(bench, bench.camera)
+            return _open_recording(bench, bench.camera, stack)
         if not bench.is_simulated:
             return _open_real(bench, progress, stack)
         simulated = simulated_bench(bench, progress)
@@ -70,10 +70,12 @@ def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack
     return Devices(camera, light, stage, stack.pop_all())
 
 
-def _open_recording(bench: Bench, settings: RecordingSettings) -> Devices:
+def _open_recording(bench: Bench, settings: RecordingSettings, stack: ExitStack) -> Devices:
     recording = Recording(settings.folder)
-    devices = recorded_devices(recording, chosen_frames(recording, None), pace=settings.pace, repeat=settings.repeat)
+    frames = chosen_frames(recording, None)
+    devices = stack.enter_context(recorded_devices(recording, frames, pace=settings.pace, repeat=settings.repeat))
     _check_pitch(bench, devices.camera)
+    stack.pop_all()
     return devices
 
 

@@ -50,6 +50,7 @@ class RecordedCamera(Camera):
         self._due_s = 0.0  # when the next one comes
         self._averaged = lru_cache(maxsize=2)(AveragedFrames)
         self._shape = recording.pixels(frames[0]).shape
+        self._pixel_pitch_m = recording.bench.sensor.pixel_pitch_m
         self.line = recording.line(frames[0])  # of the recorded frame that was read last, at first of the first
         self.is_lit = self.is_sample_in = False
 
@@ -74,7 +75,7 @@ class RecordedCamera(Camera):
         return CameraCapabilities(
             rows=rows,
             columns=columns,
-            pixel_pitch_m=self._recording.bench.sensor.pixel_pitch_m,
+            pixel_pitch_m=self._pixel_pitch_m,
             full_scale=_FULL_SCALE if calibration is None else int(calibration.full_scale),
             exposure_range_s=Range(taken.exposure_s, taken.exposure_s),
             em_gain_range=Range(taken.em_gain, taken.em_gain),
