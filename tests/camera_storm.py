@@ -49,11 +49,16 @@ class CameraStorm(RuleBasedStateMachine):
         """Plug in again, take all faults away."""
         raise NotImplementedError
 
-    @initialize()
-    def begin(self) -> None:
+    @initialize(is_started=st.booleans())
+    def begin(self, *, is_started: bool) -> None:
         self.device = self.make()
-        self.camera = self.open()
-        self.is_started, self.last_index = False, -1
+        self.enter(self.open(), is_started=is_started)
+
+    def enter(self, camera: Camera, *, is_started: bool) -> None:
+        """Go on with a camera that was just opened; where nothing started it, hardly a frame would ever be read."""
+        self.camera, self.is_started, self.last_index = camera, False, -1
+        if is_started:
+            self.start()
 
     def call(self, action: Callable[[Camera], T], *, timeout_s: float = 0.0) -> T | None:
         """Return what it returned, None where it failed as devices do."""
@@ -210,16 +215,16 @@ class CameraStorm(RuleBasedStateMachine):
         self.camera = None
 
     @precondition(lambda self: self.camera is None)
-    @rule(is_repaired=st.booleans())
-    def reopen(self, *, is_repaired: bool) -> None:
+    @rule(is_repaired=st.booleans(), is_started=st.booleans())
+    def reopen(self, *, is_repaired: bool, is_started: bool) -> None:
         if is_repaired:
             self.recover()
         try:
-            self.camera = self.open()
+            camera = self.open()
         except DeviceError:
             assert not is_repaired
         else:
-            self.is_started, self.last_index = False, -1
+            self.enter(camera, is_started=is_started)
 
     @invariant()
     def state_fits(self) -> None:
