@@ -24,6 +24,7 @@ _GVCP: Final = ("127.0.0.1", 3956)
 _DISCOVERY: Final = bytes.fromhex("4211000200000001")
 _WRITES: Final = (0x0082, 0x0086)  # of a register, of memory
 _REFUSED: Final = 0x8006  # GEV_STATUS_ACCESS_DENIED
+_CONTROL: Final = 0x0A00  # the register that says that somebody has the camera; 0 lets it go
 _STREAM_PORT: Final = 0x0D00  # the register that tells the camera where its frames go
 _ACQUISITION: Final = 0x0124  # of this camera: 1 starts it
 _LEADER: Final = 1  # the kind of packet that begins a frame
@@ -108,6 +109,7 @@ class GigeWire:
         self._is_stalled = False
         self._frames_to_lose = 0
         self._writes_until_refusal = 0  # and never again
+        self._is_held = False  # by somebody whose letting go was refused
         self._passing = _ALL  # packets of the present frame
         self._will_be_cut = False
         self._garbled = 0  # replies that will be
@@ -133,7 +135,7 @@ class GigeWire:
         """Let everything pass; the camera was without power."""
         self._peer.kill()
         self._peer.start()
-        self._will_be_cut = self._is_cut = False
+        self._will_be_cut = self._is_cut = self._is_held = False
 
     def unplug_in_a_frame(self) -> None:
         """Cut the cable when two packets of the next frame have passed."""
@@ -168,11 +170,11 @@ class GigeWire:
         self._delay_s = _LATE_S
 
     def mend(self) -> None:
-        """Undo all that happened; the camera is switched off and on only where the cable was cut."""
+        """Undo all that happened; the camera is switched off and on only where the cable was cut, or it is not free."""
         self._is_stalled = False
         self._frames_to_lose = self._writes_until_refusal = self._garbled = 0
         self._delay_s = 0.0
-        if not self.is_whole:
+        if self._is_held or not self.is_whole:
             self.plug_in()
 
     @property
@@ -205,11 +207,12 @@ class GigeWire:
     def _pass_command(self, packet: bytes, sender: tuple[str, int]) -> None:
         command, _, identifier = struct.unpack_from(">HHH", packet, 2)
         if command in _WRITES:
+            register, value = struct.unpack_from(">II", packet, 8)
             self._writes_until_refusal -= 1
             if self._writes_until_refusal == 0:
+                self._is_held = (register, value) == (_CONTROL, 0)
                 self._front.sendto(struct.pack(">HHHHI", _REFUSED, command + 1, 4, identifier, 0), sender)
                 return
-            register, value = struct.unpack_from(">II", packet, 8)
             if register == _STREAM_PORT:
                 self._asked[sender, identifier] = value & 0xFFFF
                 own = value & ~0xFFFF | self._stream.getsockname()[1]
