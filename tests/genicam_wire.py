@@ -210,7 +210,7 @@ class GigeWire:
             register, value = struct.unpack_from(">II", packet, 8)
             self._writes_until_refusal -= 1
             if self._writes_until_refusal == 0:
-                self._is_held = (register, value) == (_CONTROL, 0)
+                self._is_held |= (register, value) == (_CONTROL, 0)
                 self._front.sendto(struct.pack(">HHHHI", _REFUSED, command + 1, 4, identifier, 0), sender)
                 return
             if register == _STREAM_PORT:
