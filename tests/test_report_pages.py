@@ -331,7 +331,9 @@ def test_the_command_compares_with_another_method(
     assert "the report of 2 frames is in" in shown
     least, most, mean = (float(number) for number in re.findall(r"\d+\.\d{3}", shown)[-3:])
     assert 0 < least < mean < most  # a single shift per lenslet does not vary over the field
-    assert dict(facts(summarise(recording, ":1", lambda *_: None)))["method"].startswith("gauss_newton")
+    changed = change_of(None, ("registration.method=correlation",))
+    methods = [summarise(recording, ":1", lambda *_: None, change=change) for change in (None, changed)]
+    assert [dict(facts(each))["method"].split(",")[0] for each in methods] == ["gauss_newton", "correlation"]
     assert run(monkeypatch, "report", recording.folder, "--out", tmp_path / "r.pdf") == 2
     assert "--overwrite replaces it" in capsys.readouterr().err
     assert run(monkeypatch, "report", "--help") == 0
