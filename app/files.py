@@ -41,6 +41,11 @@ def make_folder(path: Path) -> None:
         raise RunError(f"{path}: cannot be made a folder: {error.strerror or error}") from error
 
 
+def nearest(path: Path) -> Path:
+    """The path itself or, where it is not there yet, the nearest folder above it; `OSError` where none may look."""
+    return next(each for each in (path.absolute(), *path.absolute().parents) if each.exists())
+
+
 @contextmanager
 def appearing_whole(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; it takes the name `path` if all goes well and vanishes otherwise."""

@@ -390,6 +390,22 @@ def test_free_space_is_told_in_minutes(tmp_path: Path, monkeypatch: pytest.Monke
     assert asked == [tmp_path]
 
 
+def test_a_folder_that_cannot_be_is_refused_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    for folder, said in (
+        (tmp_path / "file" / "deep" / "er", "file: is no folder"),
+        (tmp_path / ("a" * 300), "too long"),
+    ):
+        with pytest.raises(InputError, match=said):
+            Recorder(Timings()).start(folder, FACTS)
+    monkeypatch.setattr("os.access", lambda *_: False)  # as for anybody but root in somebody else's folder
+    with pytest.raises(InputError, match="nothing may be written there"):
+        Recorder(Timings()).start(tmp_path / "new" / "er", FACTS)
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
+
+
 def test_a_folder_that_holds_a_recording_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(0)])
     recorder_ = Recorder(Timings())

@@ -49,13 +49,19 @@ def test_last_seconds_are_kept(live: tuple[MainWindow, FakeCamera], qtbot: QtBot
     assert len(only_recording(tmp_path, "-kept")) > 1
 
 
-def test_folder_that_cannot_be_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["file", "file/below", "a" * 300])  # the last is more than any disk allows
+def test_folder_that_cannot_be_is_told(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, name: str
+) -> None:
     window, _ = live
     (tmp_path / "file").write_text("no folder")
-    window.recording.folder = tmp_path / "file"
+    window.recording.folder = tmp_path / name
+    window.recording._asked_s = 0.0  # how much room there is, is asked at once
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: str(tmp_path / "file") in window.messages.text.text(), timeout=5000)
+    qtbot.waitUntil(lambda: str(tmp_path / name[:4]) in window.messages.text.text(), timeout=5000)
     qtbot.waitUntil(lambda: not window.recording_panel.record.isChecked(), timeout=5000)
+    assert not window.failure
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
 def test_camera_that_is_unplugged_leaves_a_whole_recording(

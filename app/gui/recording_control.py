@@ -56,7 +56,10 @@ class RecordingControl:
         """Show how recordings stand; what has ended early stays in the message strip until it is dismissed."""
         if time.monotonic() > self._asked_s + _ASK_DISK_S:
             self._asked_s = time.monotonic()
-            self._free_minutes = acquisition.free_minutes(self.folder)
+            try:
+                self._free_minutes = acquisition.free_minutes(self.folder)
+            except OSError:  # no room is told; what stands in the way is, when a recording is to begin
+                self._free_minutes = math.inf
         self._panel.show_state(acquisition.recording, self._free_minutes)
         for state in (acquisition.recording, acquisition.kept):
             if state is not None and state.stage in {"finished", "ended early"} and state.folder not in self._told:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import InputError
+from app.files import nearest
 from app.measurement import Measurement
 from app.recording.background import BackgroundRecording, RecordingState
 from app.recording.record import Record
@@ -105,5 +106,4 @@ class Recorder:
             nbytes = self._recent_bytes
         if spanned_s <= 0:
             return math.inf
-        there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-        return shutil.disk_usage(there).free / (nbytes / spanned_s) / 60
+        return shutil.disk_usage(nearest(folder)).free / (nbytes / spanned_s) / 60

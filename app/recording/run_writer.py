@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.calibration import Calibration
 from app.errors import InputError, RunError
-from app.files import make_folder
+from app.files import make_folder, nearest
 from app.recording.frame_array import FrameArray, Separator
 from app.recording.frame_line import FrameLine
 from app.recording.kept_calibration import write_array, write_calibration
@@ -38,12 +38,18 @@ _LENSLET = ("lenslet_row", "lenslet_column")
 
 
 def check_free(folder: Path) -> None:
-    """Raise `InputError` when a recording lies in the folder, or anything else stands in its place."""
-    for name in (RUN, FRAMES, STORE):
-        if (folder / name).exists():
-            raise InputError(f"{folder}: holds a recording already: {name}")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is no folder")
+    """Raise `InputError` when no recording can begin in the folder: it holds one, or it can be no folder for one."""
+    try:
+        for name in (RUN, FRAMES, STORE):
+            if (folder / name).exists():
+                raise InputError(f"{folder}: holds a recording already: {name}")
+        there = nearest(folder)
+        if not there.is_dir():
+            raise InputError(f"{there}: is no folder")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be used: {error.strerror or error}") from error
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError(f"{there}: nothing may be written there")
 
 
 class RunWriter:
