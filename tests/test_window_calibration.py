@@ -103,6 +103,21 @@ def test_background_that_is_as_it_was_is_told(live: tuple[MainWindow, FakeCamera
     assert camera.light.is_on
 
 
+def test_what_an_alarm_hides_is_not_agreed_to(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """Neither Return nor Esc may decide what cannot be read at that moment."""
+    window, _ = live
+    answers: list[bool] = []
+    window.messages.answered.connect(answers.append)
+    window.messages.ask("use it?")
+    window.messages.alarm("the disk is full")
+    press(qtbot, window, Qt.Key.Key_Return)
+    press(qtbot, window, Qt.Key.Key_Escape)  # dismisses the alarm alone
+    qtbot.waitUntil(window.messages.accept.isVisible, timeout=5000)
+    assert not answers
+    press(qtbot, window, Qt.Key.Key_Escape)
+    assert answers == [False]
+
+
 def test_alarm_stays_until_it_is_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.messages.alarm("the disk is full")

@@ -68,17 +68,17 @@ class MessageStrip(QFrame):
         self._question = question
 
     def escape(self) -> None:
-        """Do what the key Esc means now: discard, dismiss or cancel."""
-        if self._question:
-            self._answer(is_wanted=False)
-        elif self._alarm:
+        """Do what the key Esc means now: dismiss, discard or cancel."""
+        if self._alarm:
             self.alarm("")
+        elif self._question:
+            self._answer(is_wanted=False)
         else:
             self.cancel_requested.emit()
 
     def enter(self) -> None:
-        """Do what the key Return means now."""
-        if self._question:
+        """Do what the key Return means now; a question that an alarm hides waits until it can be read."""
+        if self._question and not self._alarm:
             self._answer(is_wanted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
