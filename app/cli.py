@@ -6,7 +6,6 @@ a failure while running with status 1, Ctrl-C with 130; each with one line on st
 
 from __future__ import annotations
 
-import signal
 import sys
 from contextlib import nullcontext
 from importlib.metadata import version
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from app.ending import ended_by
 from app.errors import InputError, Interrupted, RunError
 from app.presets import PRESETS
 
@@ -49,22 +49,17 @@ FramesOption = Annotated[
 
 def main() -> None:
     """Run the command line and leave with its exit status."""
-    # Not KeyboardInterrupt, which the library below would turn into silence; and SIGTERM, so that it, too, turns the
-    # light off and writes what was measured.
-    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        cli(standalone_mode=True)
-    except InputError as error:
-        _leave(error, 2)
-    except RunError as error:
-        _leave(error, 1)
-    except Interrupted as error:
-        _leave(error, 130)
-    except OSError as error:  # standard output is full or gone
-        _leave(error, 1)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with ended_by(_interrupt):  # no KeyboardInterrupt, which the library below would turn into silence
+        try:
+            cli(standalone_mode=True)
+        except InputError as error:
+            _leave(error, 2)
+        except RunError as error:
+            _leave(error, 1)
+        except Interrupted as error:
+            _leave(error, 130)
+        except OSError as error:  # standard output is full or gone
+            _leave(error, 1)
 
 
 def _interrupt(_number: int, _frame: object) -> None:

@@ -6,7 +6,7 @@ class InputError(Exception):
 
 
 class Interrupted(BaseException):
-    """Somebody ended it early, by Ctrl-C or SIGTERM; the text says what there is all the same. Exit status 130.
+    """Somebody ended it early, by Ctrl-C or another signal; the text says what there is all the same. Exit status 130.
 
     No `Exception`, so that nothing takes it for a fault that could be survived.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -13,12 +12,12 @@ from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageH
 from PyQt6.QtWidgets import QApplication
 
 from app.acquisition import Acquisition, Measurement
+from app.ending import ended_by
 from app.errors import InputError, Interrupted, RunError
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 from app.start_up import start_up
 
-_ENDING = (signal.SIGINT, signal.SIGTERM)
 _GIVE_UP_S = 120.0  # how long an unattended run waits for its first wavefront
 
 
@@ -35,7 +34,7 @@ def run_live(
     With `offscreen_s` it closes by itself, so long after its first wavefront: a picture of it is saved to
     `screenshot`, and the last measurement that has a wavefront is given to `on_finish`. `RunError` is raised when
     that does not come about: no wavefront comes, the devices fail, somebody closes the window before; `InputError`
-    when the bench cannot be. Ctrl-C and SIGTERM close the window as its user would; then `Interrupted` is raised.
+    when the bench cannot be. Ctrl-C and its like close the window as its user would; then `Interrupted` is raised.
     """
     qInstallMessageHandler(_pass_on)
     application = QApplication.instance()
@@ -51,15 +50,13 @@ def run_live(
         signals.append(number)
         QTimer.singleShot(0, window.close)  # in the event loop, even when that has not begun
 
-    before = {number: signal.signal(number, end) for number in _ENDING}  # the window's timer lets Python notice
-    try:
-        window.show()
-        window.connect_devices()
-        status = application.exec()
-    finally:
-        window.close()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with ended_by(end):  # the window's timer lets Python notice
+        try:
+            window.show()
+            window.connect_devices()
+            status = application.exec()
+        finally:
+            window.close()
     if window.is_stuck:
         raise RunError("a device does not answer: the light may still be on, switch it off by hand")
     if signals:
