@@ -429,8 +429,9 @@ def test_settings_check_themselves(wrong: dict[str, Any], words: str) -> None:
 
 
 LEAVING = """
-import sys
+import signal, sys
 from drivers.thorlabs_dc4100 import DC4100Settings, ThorlabsDC4100
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests were started with
 light = ThorlabsDC4100(DC4100Settings(port=sys.argv[1]))
 light.set_on(True)
 assert light.is_on
