@@ -35,6 +35,7 @@ from app.pages.summary import Summary, summarise
 from app.recording.reader import Recording
 from app.replay.change import change_of
 from reconstruction.displacement import Outcome
+from reconstruction.geometry import Floats
 
 FRAMES = 5
 
@@ -92,6 +93,12 @@ def said(figure: FigureBase) -> str:
 def axis_titled(figure: Figure, start: str) -> Axes:
     (axis,) = (axis for axis in figure.findobj(Axes) if isinstance(axis, Axes) and axis.get_title().startswith(start))
     return axis
+
+
+def maps_of(figure: Figure) -> Floats:
+    """The maps of 5 x 7 lenslets, as they follow one another."""
+    images = [image.get_array() for axis in figure.findobj(Axes) if isinstance(axis, Axes) for image in axis.images]
+    return np.stack([np.ma.filled(image, np.nan) for image in images if image is not None and image.shape == (5, 7)])
 
 
 def assert_legible(figure: Figure) -> None:
@@ -177,9 +184,7 @@ def test_the_facts_are_those_of_the_recording(mine: Recording) -> None:
 def test_the_first_page_shows_the_mean_of_every_view(summary: Summary) -> None:
     figure = drawn(lambda onto: draw_overview(onto, summary))
     assert summary.found is not None
-    images = [image.get_array() for axis in figure.findobj(Axes) if isinstance(axis, Axes) for image in axis.images]
-    maps = [np.ma.filled(image, np.nan) for image in images if image is not None and image.shape == (5, 7)]
-    np.testing.assert_array_equal(np.stack(maps), summary.found.mean.reshape(9, 5, 7))
+    np.testing.assert_array_equal(maps_of(figure), summary.found.mean.reshape(9, 5, 7))
     mean = summary.found.mean[2, 1]
     assert f"(+0.00, +0.50) mm\n{np.std(mean):.3f} / {np.ptp(mean):.2f}" in said(figure)
     limits = {axis.images[0].get_clim() for axis in figure.findobj(Axes) if isinstance(axis, Axes) and axis.images}
@@ -223,7 +228,7 @@ def test_every_page_is_legible(recording: Recording, settings: tuple[str, ...]) 
     problems["a sentence that is so long that it has to be broken: " + 20 * "words and more words, "] = 3
     summary = replace(summary, problems=problems)
     assert summary.found is not None
-    residual = replace(residual_of(summary, summary), name=60 * "long ", other_name="$\\nothing$ ^_")
+    residual = replace(residual_of(summary, summary), name="$\\nothing$ ^_ " + 60 * "long ")
     assert_legible(drawn(lambda onto: draw_overview(onto, summary)))
     assert_legible(certainty(summary))
     assert_legible(drawn(lambda onto: draw_comparison(onto, residual)))
@@ -313,6 +318,10 @@ def test_what_is_left_is_the_difference(summary: Summary, mine: Recording) -> No
     np.testing.assert_allclose(residual.views, np.broadcast_to(plane - plane.mean(), residual.views.shape), atol=1e-12)
     assert residual.sentence == "RMS of what is left at the views: least 0.600, most 0.600, mean 0.600 rad"
     np.testing.assert_array_equal(residual_of(summary, summary).views, 0)
+    maps = maps_of(drawn(lambda onto: draw_comparison(onto, residual)))
+    np.testing.assert_array_equal(
+        maps.reshape(3, *residual.views.shape), [residual.mean, residual.other_mean, residual.views]
+    )
     coarse = change_of(None, ("field.view_rows=1", "field.view_columns=1"))
     with pytest.raises(InputError, match="other views or lenslets"):
         residual_of(summary, summarise(mine, None, lambda *_: None, change=coarse))
