@@ -221,10 +221,11 @@ class CameraStorm(RuleBasedStateMachine):
             self.recover()
         try:
             camera = self.open()
-        except DeviceError:
+        except DeviceError:  # on a real wire it may be a matter of time, which must not decide what comes next
             assert not is_repaired
-        else:
-            self.enter(camera, is_started=is_started)
+            self.recover()
+            camera = self.open()
+        self.enter(camera, is_started=is_started)
 
     @invariant()
     def state_fits(self) -> None:
