@@ -273,6 +273,13 @@ def test_a_command_that_was_lost_is_noticed(device: DC4100Wire, light: ThorlabsD
     assert not device.is_lit
 
 
+def test_switching_off_is_said_again_where_it_was_lost(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_on(True)
+    device.faults.append(LineFault("deaf"))
+    light.set_on(False)
+    assert not device.is_lit
+
+
 def test_a_refused_value_changes_nothing(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_current(0.2)
     light.set_on(True)

@@ -90,6 +90,18 @@ def test_the_owners_limit_never_raises_the_heads() -> None:
     assert BulbLight(Bulb(), limit_a=5.0).current_range_a.maximum == 1.0
 
 
+def test_after_a_fault_its_time_does_not_run() -> None:
+    bulb = Bulb()
+    light = BulbLight(bulb)
+    light.set_on(True)
+    bulb.trouble["current"] = DeviceTimeout("no answer")
+    with pytest.raises(DeviceTimeout):
+        _ = light.current_a
+    lit_s = light.lit_s
+    time.sleep(0.01)
+    assert light.lit_s == lit_s > 0
+
+
 @pytest.mark.parametrize("limit_a", [0.05, float("nan")])
 def test_a_limit_below_the_lowest_current_cannot_be_opened(limit_a: float) -> None:
     bulb = Bulb(lowest_a=0.1)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import pytest
+import serial
 from serial_stand_in import wire_to
 
 from drivers.errors import DeviceError, DeviceTimeout
 from drivers.serial_line import Dialect, SerialLine, Wire
 from simulated_devices.clock import ManualClock
-from simulated_devices.serial_wire import LineDevice, LineFault
+from simulated_devices.serial_wire import LineDevice, LineFault, MemoryPort
 
 DIALECT = Dialect("counter", end=b"\r\n", timeout_s=0.5)
 
@@ -130,3 +131,26 @@ def test_a_stream_without_an_end_is_no_hang(clock: ManualClock) -> None:
     with pytest.raises(DeviceError, match="bad cable"):
         line.query("n?", "[a-z]+")
     assert clock.now() - start_s < 1
+
+
+class Clogged(MemoryPort):
+    """A port that takes half of one command, and the rest not in time."""
+
+    is_clogged = False
+
+    def write(self, data: bytes, /) -> int:
+        if self.is_clogged:
+            self.is_clogged = False
+            super().write(data[: len(data) // 2])
+            raise serial.SerialTimeoutException
+        return super().write(data)
+
+
+def test_half_a_command_does_not_spoil_the_next(device: Counter, clock: ManualClock) -> None:
+    port = Clogged(device, clock)
+    line = SerialLine("COM7", DIALECT, Wire(lambda _port, **_settings: port, clock.now))
+    port.is_clogged = True
+    with pytest.raises(DeviceTimeout, match="takes no commands"):
+        line.command("set 1234")
+    line.command("off")
+    assert device.received[-1] == "off"
