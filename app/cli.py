@@ -355,6 +355,16 @@ def devices(
             " report. A light shines for it, with at most a twentieth of its range.",
         ),
     ] = None,
+    bench: Annotated[
+        str | None,
+        typer.Option(
+            "--bench",
+            "-b",
+            metavar="TOML",
+            help="With --check camera or --check light: that of this bench, as it says.",
+        ),
+    ] = None,
+    setting: SetOption = None,
 ) -> None:
     """Say which cameras and lights are connected, how a bench names them, and what is missing to use them.
 
@@ -362,10 +372,12 @@ def devices(
     """
     from app.device_report import check_and_print, print_devices
 
-    if check is None:
+    if check is None and bench is None:
         print_devices()
+    elif check is None:
+        raise InputError("--bench goes with --check camera or --check light")
     else:
-        check_and_print(check)
+        check_and_print(check, None if bench is None else load(bench, setting))
 
 
 @cli.command()

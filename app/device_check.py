@@ -1,4 +1,4 @@
-"""The contract of all devices, run on one that is connected: `svwfs devices --check NAME`."""
+"""The contract of all devices, run on one that is connected: `svwfs devices --check`."""
 
 from __future__ import annotations
 
@@ -35,20 +35,27 @@ class Verdict:
     problem: str  # how it does not; empty when it does
 
 
-def check_device(found: Found, warn: Warn, begin: Callable[[str, Mapping[str, Property]], None]) -> Iterator[Verdict]:
+def check_device(
+    settings: CameraSettings | LightSettings, warn: Warn, begin: Callable[[str, Mapping[str, Property]], None]
+) -> Iterator[Verdict]:
     """Run the contract on it; tell first what it is by `begin`, and by `warn` how bright a light will shine.
 
     A device that cannot be opened is a `RunError`, as is a loss on the way.
     """
     try:
-        if found.kind == "camera":
-            settings = _settings(found, CameraSettings)
+        if isinstance(settings, CameraSettings):
             yield from _check_camera(partial(open_camera, settings), begin)
         else:
-            settings = _settings(found, LightSettings)
             yield from _check_light(settings, warn, begin)
     except DeviceError as error:
         raise RunError(str(error)) from error
+
+
+def settings_of(found: Found) -> CameraSettings | LightSettings:
+    """Return the settings that lead to the device that was found, and leave the rest as it is."""
+    kind: Any = CameraSettings if found.kind == "camera" else LightSettings
+    settings: CameraSettings | LightSettings = cattrs.structure(dict(found.settings), drivers_of(kind)[found.driver])
+    return settings
 
 
 def _check_camera(reopen: Callable[[], Camera], begin: Callable[..., None]) -> Iterator[Verdict]:
@@ -68,7 +75,7 @@ def _check_light(settings: Any, warn: Warn, begin: Callable[..., None]) -> Itera
         allowed = light.current_range_a
     limit_a = allowed.minimum + LIGHT_SHARE * (allowed.maximum - allowed.minimum)
     warn(f"the light will shine with up to {limit_a * 1e3:.3g} mA, {LIGHT_SHARE:.0%} of its range")
-    reopen = partial(open_light, dataclasses.replace(settings, limit_a=limit_a))
+    reopen = partial(open_light, dataclasses.replace(settings, current_a=None, limit_a=limit_a))
     with reopen() as light:
         for check in light_contract.LIGHT_CHECKS:
             yield _verdict(check, light)
@@ -86,8 +93,3 @@ def _verdict(check: Callable[..., None], device: Camera | LightSource, *more: An
     except (ContractBroken, DeviceError) as error:
         return Verdict(describe(check), str(error))
     return Verdict(describe(check), "")
-
-
-def _settings(found: Found, kind: Any) -> Any:
-    """Settings that lead to the device that was found, and leave the rest as it is."""
-    return cattrs.structure(dict(found.settings), drivers_of(kind)[found.driver])

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import tomli_w
 from rich.console import Console
 
-from app.device_check import Verdict, check_device
+from app.config import Bench, CameraSettings, LightSettings
+from app.device_check import Verdict, check_device, settings_of
 from app.device_search import SEARCHES, Outcome, look
 from app.errors import InputError, RunError
 from app.person import ask
@@ -23,11 +24,15 @@ def print_devices() -> None:
         _print_outcome(console, look(search))
 
 
-def check_and_print(name: str) -> None:
-    """Run the contract on the device of that name, and print a report; `RunError` where it does not keep it."""
+def check_and_print(name: str, bench: Bench | None = None) -> None:
+    """Run the contract on the device of that name, and print a report; `RunError` where it does not keep it.
+
+    With a bench, the name is "camera" or "light", and the device is opened as the bench says.
+    """
+    settings = settings_of(_found(name)) if bench is None else _named(bench, name)
     console = Console(soft_wrap=True, highlight=False)
     verdicts: list[Verdict] = []
-    for verdict in check_device(_found(name), _warn, lambda *told: _print_device(console, *told)):
+    for verdict in check_device(settings, _warn, lambda *told: _print_device(console, *told)):
         verdicts.append(verdict)
         console.print(f"  {'FAILED' if verdict.problem else 'ok':7}{verdict.sentence}", markup=False)
         if verdict.problem:
@@ -66,6 +71,14 @@ def _warn(sentence: str) -> None:
         ask(f"{sentence}: see that nobody looks into it")
     else:
         sys.stderr.write(f"{sentence}\n")
+
+
+def _named(bench: Bench, name: str) -> CameraSettings | LightSettings:
+    if name == "camera":
+        return bench.camera
+    if name == "light":
+        return bench.light
+    raise InputError(f"{name}: with --bench, --check takes camera or light")
 
 
 def _found(name: str) -> Found:

@@ -17,10 +17,14 @@ from app.devices import open_camera, open_light
 from app.errors import InputError, RunError
 from drivers import discovery
 from drivers.errors import Disconnected, Unsupported
+from drivers.genicam_settings import GenicamSettings
 from drivers.interface import Camera, LightSource
+from drivers.thorlabs_dc4100 import DC4100Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
+from simulated_devices.dc4100_wire import DC4100Wire
 from simulated_devices.light import SimulatedLight
+from simulated_devices.pty_wire import PtyServer
 
 A_CAMERA = discovery.Found(kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"})
 A_LIGHT = discovery.Found(
@@ -116,6 +120,22 @@ def test_a_good_light_passes_and_is_never_brighter_than_was_told(
     assert told.err == "the light will shine with up to 50 mA, 5% of its range\n"
     assert max(brightest_a) == pytest.approx(0.05)
     assert not bench.condition.is_light_on
+
+
+def test_a_device_is_checked_as_a_bench_says(capsys: pytest.CaptureFixture[str]) -> None:
+    lamp = DC4100Wire()  # at a port that is never found, with its second head in use, which bears 200 mA
+    with PtyServer(lamp) as server:
+        light = DC4100Settings(port=server.port, channel=1, current_a=0.15)
+        bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
+        device_report.check_and_print("light", bench)
+        with pytest.raises(InputError, match="--check takes camera or light"):
+            device_report.check_and_print("thorlabs_dc4100", bench)
+    told = capsys.readouterr()
+    assert "DC4100 M00266001 LED2" in told.out
+    assert "light passes all 6 checks" in told.out
+    assert "up to 10 mA" in told.err
+    assert lamp.heads[1].current_ma <= 10
+    assert not lamp.is_lit
 
 
 @pytest.mark.usefixtures("bench")
