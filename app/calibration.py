@@ -54,7 +54,7 @@ class Calibration:
     def noise(self) -> CameraNoise | None:
         """The camera's noise, from the scatter of the frames that made dark and reference; None without a dark."""
         dark, reference = self.dark, self.reference
-        if dark is None:
+        if dark is None or dark.mean.shape != reference.mean.shape:  # the latter is refused by whoever uses both
             return None
         return photon_transfer(
             reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance

@@ -57,10 +57,10 @@ def measure(
     recording = Recording(out)
     try:
         measured = write_measured(recording, bench, report)
-    except Interrupted as error:
-        raise Interrupted(
-            f"stopped before the results were written: {len(recording)} frames are in {out}, and"
-            f" svwfs replay {out} --out makes results of them"
+    except (Interrupted, RunError) as error:
+        why = "stopped before the results were written" if isinstance(error, Interrupted) else fault or str(error)
+        raise type(error)(
+            f"{why}: {len(recording)} frames are in {out}, and svwfs replay {out} --out makes results of them"
         ) from error
     if is_stopped:
         raise Interrupted(f"stopped: {measured.reconstructed} of {frames} frames are in {out}")

@@ -21,7 +21,7 @@ from app import start_up
 from app.cli import main
 from app.config import Bench
 from app.devices import open_devices
-from app.errors import Interrupted
+from app.errors import Interrupted, RunError
 from drivers.interface import Devices, Frame
 from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera, Unplug
@@ -136,6 +136,19 @@ def test_measure_says_where_the_frames_are_when_its_results_are_not_waited_for(
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 130
     assert "3 frames are in" in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "m" / "results.nc").exists()
+
+
+def test_measure_on_a_full_disk_says_where_the_frames_are(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise RunError("results.nc: cannot be written: no space left")
+
+    monkeypatch.setattr("app.measured.write_pieces", refuse)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 1
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert "no space left" in said
+    assert "3 frames are in" in said
 
 
 def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path) -> None:

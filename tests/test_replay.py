@@ -324,6 +324,18 @@ def test_a_mistake_is_one_line(
     assert said.count("\n") == 1
 
 
+def _cut_average(mine: Recording) -> None:
+    path = mine.folder / "calibrations" / "0" / "reference.npz"
+    with np.load(path) as kept:
+        np.savez(path, allow_pickle=False, **{**kept, "mean": kept["mean"][:100]})
+
+
+def _misshape_bias(mine: Recording) -> None:
+    (mine.folder / "biases").mkdir()
+    np.save(mine.folder / "biases" / "0.npy", np.zeros((3, 7, 6, 2)))
+    edit_line(mine, 1, bias=0)
+
+
 def _truncate(mine: Recording) -> None:
     path = mine.folder / "frames.zarr" / "0" / "c" / "1" / "0" / "0"
     path.write_bytes(path.read_bytes()[:100])
@@ -334,6 +346,8 @@ FAULTS: dict[str, tuple[Callable[[Recording], object], str]] = {
     "no recording": (lambda mine: (mine.folder / "run.json").unlink(), "holds no recording"),
     "half a frame": (_truncate, "is damaged"),
     "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
+    "a reference of another size": (_cut_average, "the dark has 172 x 240 pixels, but the reference has 100 x 240"),
+    "a bias of other lenslets": (_misshape_bias, "bias 0 is not of these lenslets"),
     "a bias that is not there": (lambda mine: edit_line(mine, 1, bias=7), "7.npy: cannot be read"),
 }
 

@@ -84,6 +84,8 @@ class _InForce:
         try:
             registered = self.reconstructor.register(recording.pixels(line.index), start=start)
             bias = recording.bias(line.bias) if self.registers_as_recorded and line.bias is not None else None
+            if bias is not None and bias.shape != registered.coefficients.shape:
+                raise InputError(f"{recording.folder}: bias {line.bias} is not of these lenslets and field modes")
             wavefront = self.reconstructor.solve(registered, bias=bias)
         except ReconstructionError as error:
             return Repeated(line, None, str(error), None, self.calibration)
