@@ -32,9 +32,8 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
         while not enough(measurements):
             assert time.monotonic() < deadline_s
             time.sleep(0.01)
-        acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(
-            10
-        )  # the same settings, another calibration
+        # The same settings, another calibration.
+        acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(90)
         before = len(measurements)
         while sum(not one.problem for one in measurements[before:]) < 3:
             assert time.monotonic() < deadline_s
