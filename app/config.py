@@ -204,7 +204,7 @@ def _sentence(error: BaseException, kind: type | None) -> str:
         return f"{_UNKNOWN} {extra}; known are {known}"
     if isinstance(error, KeyError):
         return "is missing"
-    if Literal in (get_origin(each) for each in get_args(kind)):  # or nothing, when it is left out
+    if type(None) in get_args(kind):  # it may be left out
         kind = get_args(kind)[0]
     if get_origin(kind) is Literal:
         return "must be one of " + ", ".join(f'"{value}"' for value in get_args(kind))

@@ -80,6 +80,7 @@ BAD_DEVICES = {
         "camera: unknown key em_gain; known are driver, de",
     ),
     "a value it cannot have": (GENICAM + "binning = 0\n" + DC4100, "camera: binning must be 1"),
+    "a number for a region": (GENICAM + "region = 3\n" + DC4100, "camera.region: must be a section"),
     "a missing port": (GENICAM + DC4100.replace('port = "/dev/ttyUSB0"\n', ""), "light: .*port"),
     "no light": (GENICAM, 'light.driver is missing: camera.driver = "genicam" needs one of "thorlabs_dc4100"'),
     "a light that nobody sees": (DC4100, 'light.driver = "thorlabs_dc4100" is of no use: a simulated camera sees no'),
@@ -97,6 +98,7 @@ def test_what_is_wrong_with_a_device_is_one_line(text: str, sentence: str) -> No
 def test_a_real_bench_survives_writing_and_reading() -> None:
     bench = parse_bench(MINIMAL + GENICAM + DC4100, "b")
     assert (bench.camera.driver, bench.light.driver) == ("genicam", "thorlabs_dc4100")
+    assert isinstance(bench.camera, GenicamSettings)
     assert bench.camera.exposure_s == 0.01
     assert parse_bench(write_bench(bench), "again") == bench
     changed = parse_bench(MINIMAL + GENICAM + DC4100, "b", ("camera.binning=2",)).camera
