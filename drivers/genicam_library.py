@@ -56,8 +56,6 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_get_device_vendor": (c_char_p, (c_uint,)),
     "arv_get_device_model": (c_char_p, (c_uint,)),
     "arv_get_device_serial_nbr": (c_char_p, (c_uint,)),
-    "arv_get_device_address": (c_char_p, (c_uint,)),
-    "arv_get_device_protocol": (c_char_p, (c_uint,)),
     "arv_camera_new": (c_void_p, (c_char_p, _ERROR)),
     "arv_camera_get_device": (c_void_p, (c_void_p,)),
     "arv_camera_get_vendor_name": (c_char_p, (c_void_p, _ERROR)),

@@ -23,7 +23,7 @@ from drivers.serial_line import Dialect, SerialLine, Wire
 from drivers.serial_ports import check_address, find_port
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
-_MODEL = r".*\b(DC4100|DC4104)\b.*"
+_MODEL = r".*\b(DC4100|DC4104|LEDD4)\b.*"  # all that Micro-Manager accepts
 _MILLIAMPERES = r"(\d{1,5})(?:\s*mA)?"
 _ERROR = r"(?:\S+\s+)?(-?\d{1,6})\s*:\s*(.*)"
 _MULTI_SELECTION, _CONSTANT_CURRENT = "0", "0"

@@ -129,6 +129,12 @@ def test_the_lowest_of_three_limits_holds(
             light.set_current(maximum_a + 0.001)
 
 
+def test_a_limit_that_was_meant_for_another_head_does_not_count(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    terminal = device.terminals[1]
+    terminal.limit_a = 2 * terminal.maximum_a
+    assert light.current_range_a.maximum == terminal.maximum_a
+
+
 def test_gated_by_the_camera(device: DC2200Wire, clock: ManualClock) -> None:
     with open_light(device, clock, gate="ttl", terminal=2) as light:
         assert device.mode == "TTL"

@@ -330,6 +330,12 @@ def test_a_light_that_stays_on_is_told(device: DC4100Wire, light: ThorlabsDC4100
         light.set_on(False)
 
 
+@pytest.mark.parametrize("model", ["DC4100", "DC4104", "LEDD4"])
+def test_each_model_is_known_by_its_name(clock: ManualClock, model: str) -> None:
+    with open_light(DC4100Wire(f"Thorlabs {model} 1.8"), clock) as light:
+        assert light.name == f"Thorlabs {model} M00266001 LED1"
+
+
 @pytest.mark.parametrize("name", ["PM100D 1.0", "DC2100"])
 def test_another_instrument_is_left_alone(clock: ManualClock, name: str) -> None:
     device = DC4100Wire(name)
