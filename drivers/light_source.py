@@ -7,6 +7,7 @@ in steps and never above what its head and its owner allow. A driver fills in th
 from __future__ import annotations
 
 import atexit
+import os
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
@@ -21,7 +22,7 @@ from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, Wro
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08
-_LAST_WAIT_S = 1.0  # at the interpreter's exit, for a thread that is talking to the light
+_LAST_WAIT_S = 1.0  # before it is closed, for a thread that is talking to the light, and may hang
 _REFUSALS = (BadValue, Unsupported, WrongState)  # nothing happened: no reason to switch off
 
 
@@ -121,8 +122,16 @@ class LightSource(Device):
         return self._lit_before_s + now_s
 
     def close(self) -> None:
-        """Switch off and let go; closing twice is allowed."""
+        """Switch off and let go; closing twice is allowed. A thread that talks to it is waited for, but not long."""
         _open_lights.discard(self)
+        has_turn = self._turn.acquire(timeout=_LAST_WAIT_S)
+        try:
+            self._switch_off_and_let_go()
+        finally:
+            if has_turn:
+                self._turn.release()
+
+    def _switch_off_and_let_go(self) -> None:
         if self._is_closed:
             return
         was_lit = self._lit_since_s is not None
@@ -221,9 +230,16 @@ _open_lights: WeakSet[LightSource] = WeakSet()
 def _switch_all_off() -> None:
     """Leave no light on when the interpreter ends, however that comes."""
     for light in tuple(_open_lights):
-        turn = light._turn  # noqa: SLF001 - no more than a second for a thread that talks to it, which may hang
-        has_turn = turn.acquire(timeout=_LAST_WAIT_S)
         with suppress(Exception):
             light.close()
-        if has_turn:
-            turn.release()
+
+
+def _leave_all_to_the_parent() -> None:
+    """Close nothing in a process that was forked off: the lights and their wires are its parent's."""
+    for light in tuple(_open_lights):
+        light._is_closed = True  # noqa: SLF001 - nobody else may
+    _open_lights.clear()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_leave_all_to_the_parent)

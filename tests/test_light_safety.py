@@ -279,8 +279,20 @@ def test_it_goes_out_when_the_interpreter_ends(ending: str) -> None:
     assert ended.returncode == status
 
 
-def test_closing_from_another_thread_waits_for_its_turn() -> None:
-    """At the interpreter's exit a command under way is finished first, and none can follow."""
+def test_a_process_that_was_forked_off_leaves_it_on() -> None:
+    code = "if not os.fork(): sys.exit(light.close())\n    os.wait(); print('then', flush=True)"
+    program = textwrap.dedent(PROGRAM.format(tests=str(__file__).rpartition("/")[0]) + "    " + code + "\n")
+    ended = subprocess.run(  # noqa: S603 - this interpreter
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    said = ended.stdout.split()
+    assert said[said.index("then") - 1] == "lit"
+    assert said[-1] == "dark"
+
+
+@pytest.mark.parametrize("close", ["at the interpreter's exit", "by a call"])
+def test_closing_from_another_thread_waits_for_its_turn(close: str) -> None:
+    """A command under way is finished first, and none can follow."""
     bulb = Bulb(0.8)
     light = BulbLight(bulb)
     entered = threading.Event()
@@ -295,7 +307,7 @@ def test_closing_from_another_thread_waits_for_its_turn() -> None:
     entered.wait(5)
     from drivers.light_source import _switch_all_off  # noqa: PLC0415 - it is not for others
 
-    _switch_all_off()
+    light.close() if close == "by a call" else _switch_all_off()
     worker.join()
     assert bulb.lit_with_a[-1] == 0.8
     assert not bulb.is_lit
