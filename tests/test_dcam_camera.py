@@ -141,6 +141,8 @@ def test_a_camera_that_does_not_round_is_given_whole_steps(stand_in: StandIn, ca
     stand_in.set_rounding(is_automatic=False)
     assert camera.set_exposure(0.0200049) == pytest.approx(0.02, abs=1e-12)
     assert camera.set_exposure(1.0) == 1.0
+    camera.set_readout_speed(2)
+    assert camera.set_exposure(7200.0) == 7200.0  # 27.13 ms and so many steps are more, in floating point
 
 
 def test_settings_of_the_bench_are_taken(stand_in: StandIn) -> None:

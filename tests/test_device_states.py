@@ -96,6 +96,19 @@ def test_capabilities_are_read_again_after_a_change_of_mode_and_only_then() -> N
     assert camera.times_read == 2
 
 
+def test_capabilities_are_read_again_after_a_change_of_mode_that_failed_half_way() -> None:
+    class Refusing(PlainCamera):
+        def _set_amplifier(self, amplifier: str) -> None:
+            raise BadValue(amplifier)
+
+    camera = Refusing()
+    assert camera.capabilities.rows == 4
+    with pytest.raises(BadValue):
+        camera.set_amplifier("normal")
+    assert camera.capabilities.rows == 4
+    assert camera.times_read == 2
+
+
 def test_a_loss_is_remembered_with_its_words() -> None:
     camera = PlainCamera()
     camera.trouble = Disconnected("the cable is out")
