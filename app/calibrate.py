@@ -59,7 +59,7 @@ def findings(found: Found) -> list[str]:
     rows, columns = seen.illuminated.shape
     return [
         f"pitch        {lattice.pitch_px:.4f} px",
-        f"rotation     {lattice.rotation_rad * 1e3:+.3f} mrad ({math.degrees(lattice.rotation_rad):+.3f} degrees)",
+        f"rotation     {lattice.rotation_rad * 1e3:+z.3f} mrad ({math.degrees(lattice.rotation_rad):+z.3f} degrees)",
         f"centre       x {lattice.center_x_px:.3f} px, y {lattice.center_y_px:.3f} px",
         f"lenslets     {seen.rows} x {seen.columns} lit and whole on the frame; {rows} x {columns} are used",
         f"illuminated  {seen.illuminated.sum()} of {rows * columns} ({100 * seen.illuminated_fraction:.1f} %)",
@@ -86,7 +86,7 @@ def differences(found: Found) -> list[str]:
         turned_mrad = (seen.lattice.rotation_rad - before.rotation_rad) * 1e3
         said.append(
             f"the bench's own lattice lies {moved_px:.3f} px away; the one found is turned from it by"
-            f" {turned_mrad:+.3f} mrad, and its pitch differs by {seen.lattice.pitch_px - before.pitch_px:+.4f} px"
+            f" {turned_mrad:+z.3f} mrad, and its pitch differs by {seen.lattice.pitch_px - before.pitch_px:+z.4f} px"
         )
     return said
 

@@ -35,7 +35,7 @@ def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
     figure = Figure(figsize=(13.6, 10.2), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.35, 1])
     figure.suptitle(
-        f"pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+.2f} mrad,"
+        f"pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
         f" centre ({lattice.center_x_px:.2f}, {lattice.center_y_px:.2f}) px\n"
         f"{found.rows} x {found.columns} whole lenslets, {lit.sum()} of the sensor's {lit.size} lit,"
         f" {found.residual_px:.3f} px RMS off the lattice"
@@ -106,7 +106,7 @@ def _draw_displacement(axes: Axes, found: Survey) -> None:
         pivot="tail",
     )
     axes.plot(*np.nonzero(~found.illuminated)[::-1], "x", color=_DARK, markersize=5)
-    axes.quiverkey(arrows, 0.86, -0.17, arrow_px, f"{arrow_px:g} px", labelpos="E", fontproperties={"size": 9})
+    axes.quiverkey(arrows, 0.93, -0.17, arrow_px, f"{arrow_px:g} px", labelpos="W", fontproperties={"size": 9})
     axes.set(xlim=(-1, columns), ylim=(rows, -1), aspect="equal", xlabel="lenslet column", ylabel="lenslet row")
     axes.set_title("each lenslet's light beside the lattice", fontsize=10)
 

@@ -14,7 +14,7 @@ from reconstruction.geometry import Floats, Lattice, centered_steps
 from reconstruction.spline import Image
 
 _FEWEST_SAMPLES = 16  # across a cell
-_BEYOND_PX = 1.0  # how far a cell that counts as whole may reach beyond the frame
+_BEYOND_PX = 1.0  # how far a cell that counts as whole may reach beyond the frame, or one beside it onto the frame
 _SIGNIFICANT = 4.0  # standard deviations of its brightness by which a lit cell stands out of the noise
 
 
@@ -53,7 +53,8 @@ def cell_index(lattice: Lattice, shape: tuple[int, int], *, partial: bool = Fals
     corner = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
     corner_px = lattice.to_camera_px((index[:, None] + corner) * lattice.pitch_px)
     inside = np.all((corner_px > -0.5 - _BEYOND_PX) & (corner_px < last + 0.5 + _BEYOND_PX), axis=2)
-    touching = np.all((corner_px.max(axis=1) > -0.5) & (corner_px.min(axis=1) < last + 0.5), axis=1)
+    begin, end = -0.5 + _BEYOND_PX, last + 0.5 - _BEYOND_PX
+    touching = np.all((corner_px.max(axis=1) > begin) & (corner_px.min(axis=1) < end), axis=1)
     return np.asarray(index[touching & ~inside.all(axis=1) if partial else inside.all(axis=1)])
 
 

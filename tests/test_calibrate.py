@@ -11,11 +11,12 @@ import tifffile
 from lattice_frames import draw, image_of, photographed
 from test_cli import FRAMES, run
 
-from app.calibrate import bench_text, calibrate, differences, write_calibrated
+from app.calibrate import bench_text, calibrate, differences, findings, write_calibrated
 from app.config import load_bench, parse_bench
 from app.lattice_plot import lattice_figure
 from app.presets import PRESETS
 from reconstruction.geometry import Lattice
+from reconstruction.lattice_cells import cell_index
 
 BENCH = FRAMES / "bench.toml"
 TRUTH = Lattice(center_x_px=262.4, center_y_px=249.1, pitch_px=30.7, rotation_rad=0.03)
@@ -177,6 +178,15 @@ def test_a_preset_is_written_with_its_lattice(tmp_path: Path) -> None:
     assert load_bench(tmp_path / "b.toml") == found.bench
     (said,) = differences(found)
     assert said.startswith("the bench's own lattice lies 0.000 px away")
+    assert "-0.000" not in " ".join((said, *findings(found)))
+
+
+def test_a_lattice_that_fills_the_frame_has_no_cut_cells() -> None:
+    """Whether its outermost edges lie a millionth of a pixel inside or outside says nothing."""
+    lattice = Lattice(center_x_px=232.0, center_y_px=232.0, pitch_px=31.0 - 1e-6, rotation_rad=1e-7)
+    assert len(cell_index(lattice, (465, 465))) == 15 * 15
+    assert len(cell_index(lattice, (465, 465), partial=True)) == 0
+    assert len(cell_index(lattice, (475, 465), partial=True)) == 15
 
 
 def test_the_picture_marks_what_is_lit_dark_beside_and_cut(reference: Path) -> None:

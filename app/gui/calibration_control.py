@@ -53,7 +53,7 @@ class CalibrationControl:
         self._camera_panel.propose(survey)
         lattice, lenslets = survey.lattice, survey.illuminated
         self._messages.ask(
-            f"found: pitch {lattice.pitch_px:.3f} px, turned {lattice.rotation_rad * 1e3:+.2f} mrad,"
+            f"found: pitch {lattice.pitch_px:.3f} px, turned {lattice.rotation_rad * 1e3:+z.2f} mrad,"
             f" centre {lattice.center_x_px:.2f}, {lattice.center_y_px:.2f} px;"
             f" {lenslets.sum()} of {lenslets.size} lit, {survey.residual_px:.3f} px RMS beside it"
         )
