@@ -92,7 +92,8 @@ def seconds_until_lost(call: Callable[[], object]) -> float:
         except Disconnected:
             return time.perf_counter() - begin_s
         except (DeviceTimeout, FrameLost):
-            assert time.perf_counter() - begin_s < 30
+            pass
+        assert time.perf_counter() - begin_s < 30
 
 
 @pytest.fixture
@@ -103,7 +104,7 @@ def wire(peer: Peer) -> Iterator[GigeWire]:
             peer.kill()
 
 
-FEW = 4  # sequences: a plug that is pulled takes a second to be noticed
+FEW = 4  # sequences: a plug that is pulled takes a second to be noticed. 10,000 take 2 h, or 14 min in twelve `unshare -n`
 # not so many packets that Python could not pass them on, also where half of the sensor is read out
 OVER_THE_WIRE = replace(TELLING, device=HERE, exposure_s=1e-4, frame_rate_hz=25.0, packet_size=16000)
 
@@ -258,6 +259,20 @@ def test_a_camera_that_restarts_is_not_taken_for_the_same(peer: Peer) -> None:
     with GenicamCamera(TELLING) as camera:
         camera.start()
         assert whole_frames(camera, 3)[-1].index == 2
+
+
+def test_a_camera_that_restarts_at_rest_is_lost_to_commands(peer: Peer) -> None:
+    with GenicamCamera(TELLING) as camera:
+        peer.kill()
+        peer.start()
+
+        def command() -> None:
+            with suppress(WrongState):  # it denies us access, until the library has asked who has it
+                camera.set_exposure(0.02)
+            time.sleep(0.01)
+
+        assert seconds_until_lost(command) < 3.5
+        assert camera.state == "lost"
 
 
 def test_a_short_silence_is_a_timeout_and_no_loss(camera: GenicamCamera, peer: Peer) -> None:
