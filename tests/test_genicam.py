@@ -104,7 +104,8 @@ def wire(peer: Peer) -> Iterator[GigeWire]:
             peer.kill()
 
 
-FEW = 4  # sequences: a plug that is pulled takes a second to be noticed. 10,000 take 2 h, or 14 min in twelve `unshare -n`
+# Sequences: a plug that is pulled takes a second to be noticed. 10,000 take 2 h, or 14 min in twelve `unshare -n`.
+FEW = 4
 # not so many packets that Python could not pass them on, also where half of the sensor is read out
 OVER_THE_WIRE = replace(TELLING, device=HERE, exposure_s=1e-4, frame_rate_hz=25.0, packet_size=16000)
 
