@@ -263,6 +263,21 @@ def pitch_of(pitch_px: float) -> Floats:
     )
 
 
+def two_kinds() -> Floats:
+    """Lenslets on a lattice, every other one with an upright bar, the others with a level one."""
+    x, y = np.meshgrid(np.arange(15), np.arange(15))
+    along_px = np.linspace(-11, 11, 15)
+    level_px = np.stack([along_px, np.zeros(15)], axis=-1)
+
+    def some(kind: int, image_px: Floats) -> Floats:
+        brightness = ((x + y) % 2 == kind).astype(np.float64)
+        return draw(
+            FRAME, center_px=(255.0, 255.0), pitch_px=31.25, rotation_rad=0, brightness=brightness, image_px=image_px
+        )
+
+    return some(0, level_px) + some(1, level_px[:, ::-1])
+
+
 def spot(width_px: float) -> Floats:
     y, x = np.indices(FRAME)
     return noise(1) + 1e4 * np.exp(-((x - 200) ** 2 + (y - 300) ** 2) / (2 * width_px**2))
@@ -290,6 +305,7 @@ REFUSED: dict[str, tuple[Callable[[], NDArray[np.generic]], str]] = {
     "half the pitch": (lambda: pitch_of(15.6), "it shows one of 15.6 px; check sensor.lenslet_pitch_m"),
     "twice the pitch": (lambda: pitch_of(62.5), "it shows one of 62.5 px; check sensor.lenslet_pitch_m"),
     "1.4 times the pitch": (lambda: pitch_of(44.0), "no lattice"),
+    "two kinds of images": (two_kinds, "its cells do not hold the same image"),
     "a photographer": (data.camera, "no lattice"),
     "bricks": (data.brick, "no lattice"),
     "gravel": (data.gravel, "no lattice"),

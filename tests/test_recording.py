@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import json
 import math
+import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -322,6 +324,15 @@ def test_a_sync_that_fails_is_not_swallowed(
         recording.take(record)
         time.sleep(0.05)
     assert "Input/output error" in wait(recording, {"ended early"}).problem
+
+
+def test_a_sync_is_asked_of_the_operating_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a power cut would take lines that had long been acknowledged."""
+    synced: list[int] = []
+    monkeypatch.setattr("os.fsync", lambda number: synced.append(os.fstat(number).st_ino))
+    with closing(RunWriter(tmp_path / "r", FACTS)) as writer:
+        writer.sync()
+    assert synced == [(tmp_path / "r" / "frames.jsonl").stat().st_ino]
 
 
 def test_another_size_of_frames_ends_the_recording(tmp_path: Path) -> None:

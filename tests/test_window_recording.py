@@ -88,6 +88,22 @@ def test_camera_that_is_unplugged_leaves_a_whole_recording(
     qtbot.waitUntil(lambda: not window.messages.reconnect.isVisible(), timeout=5000)
 
 
+def test_what_ended_early_is_told_until_it_is_dismissed(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, camera = live
+    window.recording.folder = tmp_path
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop", timeout=5000)
+    assert window._acquisition is not None
+    window._acquisition._recorder.stop("the disk is full")
+    qtbot.waitUntil(window.messages.dismiss.isVisible, timeout=10_000)
+    assert "the disk is full" in window.messages.text.text()
+    assert camera.light.shines  # nothing else has ended
+    press(qtbot, window, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: not window.messages.dismiss.isVisible(), timeout=5000)
+
+
 def test_closing_the_window_finishes_the_recording(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
