@@ -204,6 +204,13 @@ def test_more_lenslets_on_the_frame_than_the_sensor_has_are_counted() -> None:
     check(found)  # the middle ones
 
 
+def test_some_dead_lenslets_do_not_push_the_block_aside() -> None:
+    """The middle of three blocks has four dead lenslets in a column that the first does not have."""
+    brightness = np.ones((15, 15))
+    brightness[[2, 5, 9, 11], 13] = 0
+    check(survey(drawn(brightness=brightness), sensor_with(15, 13, 31.25)))
+
+
 def test_the_lit_block_is_taken_wherever_it_lies() -> None:
     truth = Lattice(center_x_px=330.0, center_y_px=180.0, pitch_px=31.0, rotation_rad=-0.01)
     found = survey(drawn(lattice=truth, brightness=np.ones((6, 7))), sensor_with(6, 7, 31.25))
@@ -278,6 +285,19 @@ def two_kinds() -> Floats:
     return some(0, level_px) + some(1, level_px[:, ::-1])
 
 
+def scattered() -> Floats:
+    beside_px = np.random.default_rng(5).normal(0, 3.2, (15, 15, 2))
+    return draw(
+        FRAME,
+        center_px=(255.0, 255.0),
+        pitch_px=31.25,
+        rotation_rad=0.0,
+        brightness=np.ones((15, 15)),
+        image_px=image_of("square", 31.25, 0.25, 1.2),
+        beside_px=beside_px,
+    )
+
+
 def spot(width_px: float) -> Floats:
     y, x = np.indices(FRAME)
     return noise(1) + 1e4 * np.exp(-((x - 200) ** 2 + (y - 300) ** 2) / (2 * width_px**2))
@@ -306,6 +326,7 @@ REFUSED: dict[str, tuple[Callable[[], NDArray[np.generic]], str]] = {
     "twice the pitch": (lambda: pitch_of(62.5), "it shows one of 62.5 px; check sensor.lenslet_pitch_m"),
     "1.4 times the pitch": (lambda: pitch_of(44.0), "no lattice"),
     "two kinds of images": (two_kinds, "its cells do not hold the same image"),
+    "images far from their places": (scattered, r"the images lie \d+ % of the pitch beside a square lattice"),
     "a photographer": (data.camera, "no lattice"),
     "bricks": (data.brick, "no lattice"),
     "gravel": (data.gravel, "no lattice"),

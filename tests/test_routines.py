@@ -185,6 +185,19 @@ def test_left_as_found(devices: Devices, name: str, standing: Standing) -> None:
     assert name == "exposure" or left == standing
 
 
+def test_light_and_sample_while_frames_are_averaged(devices: Devices) -> None:
+    seen: set[tuple[bool, bool]] = set()
+
+    def note(*_: object) -> None:
+        seen.add((devices.light.is_on, devices.stage.is_sample_in))
+
+    for take, is_light_on in ((take_dark, False), (take_reference, True)):
+        LIVE.set(devices)
+        seen.clear()
+        take(devices, 2, progress=note, should_stop=never)
+        assert seen == {(is_light_on, not is_light_on)}  # a dark does not move the sample
+
+
 @pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
 @pytest.mark.parametrize("name", ROUTINES)
 def test_cancelled_at_every_call_of_a_device_all_is_as_found(devices: Devices, name: str, standing: Standing) -> None:
