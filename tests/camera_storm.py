@@ -24,7 +24,7 @@ T = TypeVar("T")
 class CameraStorm(RuleBasedStateMachine):
     """A subclass says what the device is and what can happen to it."""
 
-    device: Any
+    device: Any = None
     camera: Camera | None = None
     last_index: int = -1
     is_started: bool = False

@@ -91,9 +91,12 @@ class Recording:
         """What there is to say of a frame."""
         if not 0 <= index < len(self):
             raise InputError(f"{self.folder}: has no frame {index}; it has {len(self)}")
-        with (self.folder / FRAMES).open("rb") as file:
-            file.seek(self._ends[index])
-            text = file.read(self._ends[index + 1] - self._ends[index])
+        try:
+            with (self.folder / FRAMES).open("rb") as file:
+                file.seek(self._ends[index])
+                text = file.read(self._ends[index + 1] - self._ends[index])
+        except OSError as error:  # the folder was on a disk that is gone
+            raise InputError(f"{self.folder / FRAMES}: cannot be read: {error.strerror or error}") from error
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
