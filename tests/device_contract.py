@@ -7,6 +7,7 @@ faults. The checks themselves are `drivers/*_contract.py`: `svwfs devices --chec
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -286,9 +287,19 @@ def _expect_within(kind: type[DeviceError], call: Callable[[], object]) -> None:
 
 
 def _repeat_for(duration_s: float, call: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + duration_s
-    while time.monotonic() < deadline_s:
-        call()
+    """Call again and again, so that another thread gets its turn in the middle of a call.
+
+    A thread that now and then lets go of the interpreter for a moment otherwise starves the others for seconds: they
+    ask for their turn only when nobody has let go for a whole switch interval.
+    """
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)
+    try:
+        deadline_s = time.monotonic() + duration_s
+        while time.monotonic() < deadline_s:
+            call()
+    finally:
+        sys.setswitchinterval(before_s)
 
 
 def _read_for(camera: Camera, duration_s: float) -> None:
