@@ -1,0 +1,32 @@
+"""The options that several commands share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from app.presets import PRESETS
+
+if TYPE_CHECKING:
+    from app.config import Bench
+
+BenchOption = Annotated[
+    str, typer.Option("--bench", "-b", metavar="TOML", help=f"A bench TOML file, or a preset: {', '.join(PRESETS)}.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench: registration.warp=affine"),
+]
+
+FramesOption = Annotated[
+    str | None, typer.Option(metavar="FIRST:END", help="Some of the frames, counted from 0, END not among them.")
+]
+SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="How many screens, from the bench's seed on.")]
+
+
+def load(bench: str, setting: list[str] | None) -> Bench:
+    """Load a bench with the changes given by --set."""
+    from app.config import load_bench
+
+    return load_bench(bench, tuple(setting or ()))
