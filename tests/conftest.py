@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import HealthCheck, settings
 from optics import SmallBench
 
 if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
@@ -17,6 +18,12 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
     from window_tools import MakeWindow
 
     from app.gui.main_window import MainWindow
+
+# Each run tries the same examples, however slow the computer is; with `--hypothesis-profile=random`, each time others.
+_PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("random", _PATIENT, derandomize=False)
+settings.register_profile("same", _PATIENT, derandomize=True, database=None)
+settings.load_profile("same")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -43,6 +50,14 @@ def small_toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bench") / "small.toml"
     path.write_text(SMALL_TOML)
     return path
+
+
+@pytest.fixture
+def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa: ARG001 - it must be there
+    """The one of pytest-qt, with more patience."""
+    from window_tools import PatientBot  # noqa: PLC0415 - only where a window is wanted
+
+    return PatientBot(request)
 
 
 @pytest.fixture

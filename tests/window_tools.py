@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 from gui_bench import BENCH, SENSOR, FakeCamera, opener
 from numpy.typing import NDArray
+from patience import HANG_S
 from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QApplication, QWidget
@@ -22,6 +23,14 @@ from reconstruction.geometry import Floats
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 MakeWindow = Callable[..., MainWindow]
+
+
+class PatientBot(QtBot):
+    """Waits until it is so, on a slow computer too."""
+
+    def waitUntil(self, callback: Callable[[], bool | None], *, timeout: int = int(1000 * HANG_S)) -> None:  # noqa: N802 - Qt's
+        super().waitUntil(callback, timeout=timeout)
+
 
 LENSLETS = (SENSOR.lenslet_rows, SENSOR.lenslet_columns)
 
@@ -50,8 +59,8 @@ def windows(application: QApplication) -> Iterator[MakeWindow]:
 
 
 def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117", timeout=10_000)
-    qtbot.waitUntil(lambda: window._answers.are_all_there, timeout=10_000)
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window._answers.are_all_there)
 
 
 def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
