@@ -234,5 +234,5 @@ def test_live_window_shows_the_fake_cameras_sample_as_space_variant(make_window:
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     sentence = window.analysis_panel.sentence
-    qtbot.waitUntil(lambda: sentence.text().startswith("One wavefront"), timeout=5000)
+    qtbot.waitUntil(lambda: sentence.text().startswith("One wavefront"))
     assert float(sentence.text().partition("off by ")[2].partition(" rad")[0]) > 0.1

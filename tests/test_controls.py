@@ -35,14 +35,14 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     )
     for act, is_done in acts:
         act()
-        qtbot.waitUntil(is_done, timeout=3000)
-        qtbot.waitUntil(lambda: window._answers.are_all_there, timeout=3000)
+        qtbot.waitUntil(is_done)
+        qtbot.waitUntil(lambda: window._answers.are_all_there)
     assert camera.is_running
-    qtbot.waitUntil(lambda: controls.exposure.value() == 30.0, timeout=3000)  # what the camera made of it
+    qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # what the camera made of it
     assert controls.light.text() == "Light off"
     assert controls.amplifier.currentText() == "normal"
     controls.light.click()
-    qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text(), timeout=3000)
+    qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
 
 
 def test_keys_act_while_a_number_is_being_edited(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
@@ -50,7 +50,7 @@ def test_keys_act_while_a_number_is_being_edited(live: tuple[MainWindow, FakeCam
     window.activateWindow()
     window.controls.exposure.edit()
     press(qtbot, window.controls.exposure, Qt.Key.Key_L)
-    qtbot.waitUntil(lambda: not camera.light.is_on, timeout=3000)
+    qtbot.waitUntil(lambda: not camera.light.is_on)
 
 
 def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
@@ -64,7 +64,7 @@ def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamer
         assert measurement is not None
         return measurement.wavefront is not None and measurement.wavefront.displacement.coefficients.shape[2] == 3
 
-    qtbot.waitUntil(is_changed, timeout=5000)
+    qtbot.waitUntil(is_changed)
     assert window._status is not None
     assert window._status.bench.reconstruction.pupil_modes == 15
     assert window.controls.method.currentText() == "zonal"
@@ -116,8 +116,8 @@ def test_warp_is_offered_where_it_has_an_effect(
 def test_refused_value_is_told_and_the_loop_goes_on(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.controls.exposure.setValue(55)
-    qtbot.waitUntil(lambda: "between 50 and 60 ms are broken" in window.messages.text.text(), timeout=3000)
+    qtbot.waitUntil(lambda: "between 50 and 60 ms are broken" in window.messages.text.text())
     assert window.controls.exposure.value() == 20.0
     shown = window.status_line.shown
-    qtbot.waitUntil(lambda: window.status_line.shown > shown + 3, timeout=3000)
+    qtbot.waitUntil(lambda: window.status_line.shown > shown + 3)
     assert camera.exposure_s == 0.02

@@ -37,7 +37,7 @@ def move_lattice(window: MainWindow, qtbot: QtBot, center_x_px: float) -> None:
 
     assert window._acquisition is not None
     window._acquisition.submit(command).result(10)
-    qtbot.waitUntil(lambda: center_of(window) == center_x_px, timeout=3000)
+    qtbot.waitUntil(lambda: center_of(window) == center_x_px)
 
 
 def center_of(window: MainWindow) -> float:
@@ -55,16 +55,16 @@ def test_lattice_is_proposed_and_used_only_when_accepted(live: tuple[MainWindow,
     move_lattice(window, qtbot, 211.0)
     for key, center_x_px in ((Qt.Key.Key_Escape, 211.0), (Qt.Key.Key_Return, 215.0)):  # the camera's is 215
         press(qtbot, window, Qt.Key.Key_N)
-        qtbot.waitUntil(window.messages.accept.isVisible, timeout=10_000)
+        qtbot.waitUntil(window.messages.accept.isVisible)
         assert "pitch 31.25" in window.messages.text.text()
         assert "117 of 117 lit" in window.messages.text.text()
         assert window.camera_panel._found_lines.isVisible()
         assert center_of(window) == 211.0
         press(qtbot, window, key)
-        qtbot.waitUntil(lambda: not window.messages.accept.isVisible(), timeout=3000)
+        qtbot.waitUntil(lambda: not window.messages.accept.isVisible())
         assert not window.camera_panel._found_lines.isVisible()
-        qtbot.waitUntil(lambda: window._answers.are_all_there, timeout=10_000)
-        qtbot.waitUntil(partial(is_about, window, center_x_px), timeout=3000)
+        qtbot.waitUntil(lambda: window._answers.are_all_there)
+        qtbot.waitUntil(partial(is_about, window, center_x_px))
 
 
 def test_bench_is_saved_with_what_is_in_force(
@@ -74,7 +74,7 @@ def test_bench_is_saved_with_what_is_in_force(
     saved = tmp_path / "mine.toml"
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(saved), ""))
     window.controls.exposure.setValue(40.0)
-    qtbot.waitUntil(lambda: window._status is not None and window._status.exposure_s == 0.04, timeout=3000)
+    qtbot.waitUntil(lambda: window._status is not None and window._status.exposure_s == 0.04)
     window.save_bench()
     bench = load_bench(saved)
     assert bench.lattice == bench_of(window).lattice
@@ -89,7 +89,7 @@ def test_bench_is_saved_with_what_is_in_force(
 def test_exposure_that_cannot_be_found_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     press(qtbot, window, Qt.Key.Key_X)  # the fake camera's light does not depend on its exposure
-    qtbot.waitUntil(lambda: window._answers.are_all_there, timeout=20_000)
+    qtbot.waitUntil(lambda: window._answers.are_all_there)
     window.update_text()
     assert window.messages._notice_colour.name() == "#f0b64a"
     assert camera.light.is_on
@@ -99,7 +99,7 @@ def test_exposure_that_cannot_be_found_is_told(live: tuple[MainWindow, FakeCamer
 def test_background_that_is_as_it_was_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     press(qtbot, window, Qt.Key.Key_B)
-    qtbot.waitUntil(lambda: "dark is still good" in window.messages.text.text(), timeout=10_000)
+    qtbot.waitUntil(lambda: "dark is still good" in window.messages.text.text())
     assert camera.light.is_on
 
 
@@ -112,7 +112,7 @@ def test_what_an_alarm_hides_is_not_agreed_to(live: tuple[MainWindow, FakeCamera
     window.messages.alarm("the disk is full")
     press(qtbot, window, Qt.Key.Key_Return)
     press(qtbot, window, Qt.Key.Key_Escape)  # dismisses the alarm alone
-    qtbot.waitUntil(window.messages.accept.isVisible, timeout=5000)
+    qtbot.waitUntil(window.messages.accept.isVisible)
     assert not answers
     press(qtbot, window, Qt.Key.Key_Escape)
     assert answers == [False]
