@@ -8,27 +8,26 @@ light first, and the failure is there to be read.
 
 from __future__ import annotations
 
-import math
-import queue
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from app.arrivals import Arrivals
+from app.command_queue import CommandQueue
 from app.config import Bench, write_bench
 from app.errors import InputError, RunError
 from app.instrument import Instrument, Reconstruction, Status
 from app.measurement import Counts, LightState, Measurement
 from app.recording.background import RecordingState
 from app.recording.recorder import Recorder
-from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled, RoutineError, next_frame
+from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled, next_frame
 from app.timing import Timings, short_turns
-from drivers.interface import BadValue, DeviceError, Devices, DeviceTimeout, Frame, FrameLost, Unsupported, WrongState
-from reconstruction.errors import ReconstructionError
+from drivers.interface import DeviceError, Devices, DeviceTimeout, Frame, FrameLost
 from reconstruction.threads import one_blas_thread
 
 T = TypeVar("T")
@@ -54,15 +53,11 @@ class Acquisition:
         sinks: tuple[Callable[[Measurement], None], ...] = (),
     ) -> None:
         self._bench, self._open_devices = bench, open_devices
-        self._commands: queue.Queue[tuple[Callable[[Instrument], None], Future[Any]]] = queue.Queue()
+        self._commands = CommandQueue()
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
-        self._ending = threading.Lock()  # so that no command slips in between the last look and the end
-        self._ended = False
-        self._counts = Counts()
-        self._next_index = 0
-        self._clock_lag_s = math.inf  # host's clock minus camera's
+        self._arrivals = Arrivals()
         self.timings = Timings()
         self._recorder = Recorder(self.timings)
         self._sinks = (self._recorder.take, *sinks)
@@ -99,7 +94,7 @@ class Acquisition:
     @property
     def counts(self) -> Counts:
         """What has become of the frames so far."""
-        return self._counts
+        return self._arrivals.counts
 
     @property
     def is_alive(self) -> bool:
@@ -108,24 +103,7 @@ class Acquisition:
 
     def submit(self, command: Callable[[Instrument], T]) -> Future[T]:
         """Have the worker execute `command` between two frames; its result or error comes by the future."""
-        future: Future[T] = Future()
-
-        def execute(instrument: Instrument) -> None:
-            if future.set_running_or_notify_cancel():
-                try:
-                    future.set_result(command(instrument))
-                except _HARMLESS as error:
-                    future.set_exception(error)
-                except BaseException as error:
-                    future.set_exception(error)
-                    raise
-
-        with self._ending:
-            if self._ended:
-                future.set_exception(WrongState(self.failure or "the acquisition has ended"))
-            else:
-                self._commands.put((execute, future))
-        return future
+        return self._commands.submit(command)
 
     def take_dark(self, frames: int) -> Future[None]:
         """Have a dark taken, with its progress shown as activity."""
@@ -202,7 +180,7 @@ class Acquisition:
     def _show_progress(self, frame: Frame, text: str, fraction: float) -> None:
         """Let a frame that a routine takes be seen; it is neither measured nor counted."""
         self.activity = Activity(text, fraction)
-        self._set_clock(frame)
+        self._arrivals.set_clock(frame)
         self.newest = self._measurement(frame, Reconstruction(None, text))
 
     def _work(self) -> None:
@@ -237,14 +215,11 @@ class Acquisition:
 
     def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
         """Execute what lies in the queue; `wait` a moment for something to come."""
-        try:
-            execute, _ = self._commands.get(block=wait, timeout=WAIT_SLICE_S)
-            while True:
-                execute(instrument)
-                self.status = instrument.status()
-                execute, _ = self._commands.get_nowait()
-        except queue.Empty:
-            return
+        execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)
+        while execute is not None:
+            execute(instrument)
+            self.status = instrument.status()
+            execute = self._commands.next()
 
     def _acquire(self, instrument: Instrument) -> None:
         """Take one frame, reconstruct it and pass it on."""
@@ -253,7 +228,8 @@ class Acquisition:
         except Cancelled:
             return
         made = instrument.measure(frame)
-        self._counts = replace(self._counts, reconstructed=self._counts.reconstructed + (made.wavefront is not None))
+        if made.wavefront is not None:
+            self._arrivals.count_reconstructed()
         measurement = self._measurement(frame, made)
         self.timings.note("to_result", measurement.latency_s)
         with self.timings.of("publish"):
@@ -267,39 +243,27 @@ class Acquisition:
     def _newest_frame(self, instrument: Instrument) -> Frame:
         """Wait for a frame; when it has lain in the camera for long, pass it over for the newest that is there."""
         camera, start_s = instrument.devices.camera, time.perf_counter()
-        frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.empty())
+        frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.is_empty)
         arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
         self.timings.note("wait", arrived_s - start_s)
         self.timings.note("copy", time.perf_counter() - arrived_s)
-        self._count(frame)
-        if self._age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
+        self._arrivals.count(frame)
+        if self._arrivals.age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
             with suppress(DeviceTimeout, FrameLost):  # there is no newer one
                 while True:
                     newer = camera.read(0.0)
                     self._publish(self._measurement(frame, instrument.pass_over(frame)))
                     frame = newer
-                    self._count(frame)
+                    self._arrivals.count(frame)
         return frame
 
-    def _count(self, frame: Frame) -> None:
-        """Count a frame that has arrived, and those that were lost before it."""
-        was_restarted = frame.index < self._next_index
-        lost = frame.index if was_restarted else frame.index - self._next_index
-        self._next_index = frame.index + 1
-        self._counts = replace(self._counts, acquired=self._counts.acquired + 1, lost=self._counts.lost + lost)
-        self._set_clock(frame)
-
-    def _set_clock(self, frame: Frame) -> None:
-        """Set the camera's clock by the frame that came the fastest."""
-        self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
-
     def _measurement(self, frame: Frame, made: Reconstruction) -> Measurement:
-        exposure_end_s = frame.camera_time_s + self._clock_lag_s
+        exposure_end_s = self._arrivals.exposure_end_s(frame)
         return Measurement(
             frame,
             made.wavefront,
             made.problem,
-            self._counts,
+            self._arrivals.counts,
             exposure_end_s,
             latency_s=time.perf_counter() - exposure_end_s,
             refinement=made.refinement,
@@ -309,32 +273,14 @@ class Acquisition:
             light=None if self.status is None else LightState(self.status.is_light_on, self.status.current_a),
         )
 
-    def _age_s(self, frame: Frame) -> float:
-        """Time since the end of the exposure."""
-        return time.perf_counter() - (frame.camera_time_s + self._clock_lag_s)
-
     def _end(self) -> None:
         """Finish what is being recorded; refuse all commands that nobody will execute any more."""
-        with self._ending:
-            self._ended = True
-        while not self._commands.empty():
-            _, future = self._commands.get()
-            if future.set_running_or_notify_cancel():
-                future.set_exception(WrongState(self.failure or "the acquisition has ended"))
+        self._commands.close(self.failure or "the acquisition has ended")
         self._recorder.close(self.failure)
         self.activity = Activity()
 
 
 _OLD_S = 0.1  # a frame that is older, and there are newer ones, is not reconstructed
-_HARMLESS = (
-    Cancelled,
-    RoutineError,
-    ReconstructionError,
-    InputError,
-    BadValue,
-    Unsupported,
-    WrongState,
-)  # the caller's business; the loop goes on
 
 
 def _facts(instrument: Instrument, command: str) -> dict[str, Any]:
