@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,13 @@ from app.recording.run_writer import RunWriter
 from reconstruction.threads import one_blas_thread
 
 
-def record(toml: Path, folder: Path, *settings: str, frames: int = 12) -> Recording:
-    """Record `frames` frames, from the first that is refined on if they are; return the finished recording."""
+def record(
+    toml: Path, folder: Path, *settings: str, frames: int = 12, before: int = 0, passed_over: Collection[int] = ()
+) -> Recording:
+    """Record `frames` frames, from the first that is refined on if they are; return the finished recording.
+
+    So many frames `before` are measured and not recorded; of those recorded, some are `passed_over`.
+    """
     bench = load_bench(toml, settings)
     with (
         one_blas_thread(),
@@ -41,12 +47,17 @@ def record(toml: Path, folder: Path, *settings: str, frames: int = 12) -> Record
         instrument.take_reference(4, progress=lambda *_: None, should_stop=lambda: False)
         devices.stage.set_sample_in(True)
         devices.camera.start()
+        for _ in range(before):
+            assert not instrument.measure(devices.camera.read(10)).problem
         deadline_s = time.monotonic() + 60
         while writer.frames < frames:
             assert time.monotonic() < deadline_s
             frame = devices.camera.read(10)
-            made = instrument.measure(frame)
-            assert not made.problem
+            if writer.frames in passed_over:
+                made = instrument.pass_over(frame)
+            else:
+                made = instrument.measure(frame)
+                assert not made.problem
             if not bench.reconstruction.refine or made.refinement.stage == "applied":
                 measurement = Measurement(
                     frame,

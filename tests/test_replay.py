@@ -255,6 +255,14 @@ def test_whatever_happened_meanwhile_happens_again(eventful: Recording) -> None:
     assert (made.frames, made.reconstructed, made.problem) == (8, 6, "no reference yet")
 
 
+def test_it_begins_where_it_began_though_the_first_frames_were_passed_over(small_toml: Path, tmp_path: Path) -> None:
+    recording = record(small_toml, tmp_path / "run", frames=4, before=1, passed_over=[0, 1])
+    assert [recording.start(index) is None for index in range(4)] == [True, True, False, False]
+    made = replayed(recording.folder, verify=True)
+    assert made.verification is not None
+    assert (made.verification.frames, made.verification.different) == (2, 0)
+
+
 @pytest.mark.parametrize("frame", [UNCALIBRATED, PASSED])
 def test_nothing_to_compare_is_no_proof(eventful: Recording, frame: int) -> None:
     with pytest.raises(RunError, match="there is nothing to compare"):

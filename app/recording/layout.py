@@ -10,7 +10,7 @@ RUN = "run.json"
 FRAMES = "frames.jsonl"
 STORE = "frames.zarr"
 PIXELS = "0"  # the array of frames within the store, as OME-NGFF names the finest of its scales
-BEFORE = -1  # in the place of a frame's index: the frame before the first
+BEFORE = -1  # in the place of a frame's index: one before the recording began
 
 
 def results_of(calibration: int | str) -> str:

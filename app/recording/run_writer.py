@@ -82,7 +82,7 @@ class RunWriter:
         """Write a frame and, when all of it can be read, acknowledge it."""
         index = self.frames
         calibration, bias = self._number_of_calibration(record), self._number_of_bias(record)
-        if index == 0 and record.start is not None:
+        if self._registered is None and record.start is not None:  # the frame before it is not in this recording
             write_array(start_file(self._folder), record.start)
             self._registered = BEFORE, record.start
         start = self._registered[0] if record.start is not None and self._registered is not None else None
