@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 from app.acquisition import Acquisition, Measurement
 from app.config import Bench
 from app.devices import open_devices
+from app.display import use_display
 from app.files import make_folder
 from app.replay.player import Player
 from app.results import result_dataset, write_results
@@ -28,8 +28,7 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
     the first wavefront and leaves `window.png`, `result.nc` and `run.json` in the folder `out`; without them it ends
     with an error.
     """
-    if not _has_display():
-        os.environ["QT_QPA_PLATFORM"] = "offscreen"
+    if not use_display():
         seconds = seconds or _UNATTENDED_S
     from app.gui.live import run_live
 
@@ -62,12 +61,3 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
         )
     sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
     return status
-
-
-def _has_display() -> bool:
-    """Whether a window could be shown."""
-    if os.environ.get("QT_QPA_PLATFORM"):
-        return os.environ["QT_QPA_PLATFORM"] != "offscreen"
-    if not sys.platform.startswith("linux"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

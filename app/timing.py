@@ -37,7 +37,7 @@ class Summary:
     """What there is to say of one stage."""
 
     count: int = 0  # since the beginning
-    p50_s: float = math.nan  # of the last few thousand
+    p50_s: float = math.nan  # of those that are remembered
     p99_s: float = math.nan  # likewise
     max_s: float = math.nan  # since the beginning
 
@@ -45,12 +45,12 @@ class Summary:
 class _Ring:
     """The times of one stage, written by one thread."""
 
-    def __init__(self) -> None:
-        self._times_s = np.zeros(_KEPT)
+    def __init__(self, kept: int) -> None:
+        self._times_s = np.zeros(kept)
         self._count, self._max_s = 0, -math.inf
 
     def note(self, seconds: float) -> None:
-        self._times_s[self._count % _KEPT] = seconds
+        self._times_s[self._count % len(self._times_s)] = seconds
         self._count += 1
         self._max_s = max(self._max_s, seconds)
 
@@ -81,14 +81,27 @@ def short_turns() -> Iterator[None]:
 
 
 class Timings:
-    """The times of all stages since the beginning."""
+    """The times of all stages since the beginning, of which the last `kept` of each are remembered."""
 
-    def __init__(self) -> None:
-        self._rings = {stage: _Ring() for stage in STAGES}
+    def __init__(self, kept: int = _KEPT) -> None:
+        self._rings = {stage: _Ring(kept) for stage in STAGES}
+        self._spans: tuple[Timings, ...] = ()
+
+    def begin_span(self, kept: int) -> Timings:
+        """Return times that begin now: whatever is noted here is noted there, too, until `end_span`."""
+        span = Timings(kept)
+        self._spans = (*self._spans, span)  # replaced, not changed: other threads go through it
+        return span
+
+    def end_span(self, span: Timings) -> None:
+        """Note nothing more in a span."""
+        self._spans = tuple(each for each in self._spans if each is not span)
 
     def note(self, stage: Stage, seconds: float) -> None:
         """Take note of how long a stage took."""
         self._rings[stage].note(seconds)
+        for span in self._spans:
+            span.note(stage, seconds)
 
     @contextmanager
     def of(self, stage: Stage) -> Iterator[None]:

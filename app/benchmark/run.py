@@ -19,7 +19,7 @@ from app.benchmark.southwell import bare_southwell
 from app.benchmark.stopwatch import Times, side_by_side
 from app.config import Bench
 from app.machine import machine_facts, versions
-from app.progress import Report, named
+from app.progress import Report, between, named
 from reconstruction.field_modes import LegendreModes
 from reconstruction.registration import RegistrationSettings
 from reconstruction.threads import one_blas_thread
@@ -188,4 +188,4 @@ def _forward(case: Case, budget_s: float, missing: dict[str, str]) -> Json:
 
 def _part(report: Report, first: float, last: float) -> Report:
     """The report of work that is the share from `first` to `last` of the whole."""
-    return named(lambda text, fraction: report(text, first + (last - first) * fraction), "timing")
+    return named(between(report, first, last), "timing")
