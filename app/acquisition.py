@@ -53,7 +53,7 @@ class Acquisition:
         sinks: tuple[Callable[[Measurement], None], ...] = (),
     ) -> None:
         self._bench, self._open_devices = bench, open_devices
-        self._commands = CommandQueue()
+        self._commands = CommandQueue(self._show_status)
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
@@ -102,7 +102,10 @@ class Acquisition:
         return self._thread.is_alive()
 
     def submit(self, command: Callable[[Instrument], T]) -> Future[T]:
-        """Have the worker execute `command` between two frames; its result or error comes by the future."""
+        """Have the worker execute `command` between two frames; its result or error comes by the future.
+
+        `status` tells of it by then.
+        """
         return self._commands.submit(command)
 
     def take_dark(self, frames: int) -> Future[None]:
@@ -192,7 +195,7 @@ class Acquisition:
                 closing(Instrument(devices, self._bench, self.timings)) as instrument,
             ):
                 self.activity = Activity()
-                self.status = instrument.status()
+                self._show_status(instrument)
                 while not self._stopping.is_set():
                     self._execute_commands(instrument, wait=not devices.camera.is_running)
                     if devices.camera.is_running:
@@ -218,8 +221,10 @@ class Acquisition:
         execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)
         while execute is not None:
             execute(instrument)
-            self.status = instrument.status()
             execute = self._commands.next()
+
+    def _show_status(self, instrument: Instrument) -> None:
+        self.status = instrument.status()
 
     def _acquire(self, instrument: Instrument) -> None:
         """Take one frame, reconstruct it and pass it on."""

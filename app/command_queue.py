@@ -6,6 +6,7 @@ import queue
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
 from typing import Any, TypeVar
 
 from app.errors import InputError
@@ -28,9 +29,13 @@ _HARMLESS = (
 
 
 class CommandQueue:
-    """Takes commands from any thread until it is closed; each one's result or error comes by its future."""
+    """Takes commands from any thread until it is closed; each one's result or error comes by its future.
 
-    def __init__(self) -> None:
+    What `afterwards` does of a command that ended nothing, is done before its future tells anybody.
+    """
+
+    def __init__(self, afterwards: Callable[[Instrument], None]) -> None:
+        self._afterwards = afterwards
         self._waiting: queue.Queue[tuple[Callable[[Instrument], None], Future[Any]]] = queue.Queue()
         self._ending = threading.Lock()  # so that no command slips in between the last look and the end
         self._refusal: str | None = None  # why no more are taken; None as long as they are
@@ -42,12 +47,12 @@ class CommandQueue:
         def execute(instrument: Instrument) -> None:
             if future.set_running_or_notify_cancel():
                 try:
-                    future.set_result(command(instrument))
-                except _HARMLESS as error:
-                    future.set_exception(error)
+                    tell = _answer(command, instrument, future)
+                    self._afterwards(instrument)
                 except BaseException as error:
                     future.set_exception(error)
                     raise
+                tell()
 
         with self._ending:
             if self._refusal is None:
@@ -80,3 +85,11 @@ class CommandQueue:
             _, future = self._waiting.get()
             if future.set_running_or_notify_cancel():
                 future.set_exception(WrongState(refusal))
+
+
+def _answer(command: Callable[[Instrument], T], instrument: Instrument, future: Future[T]) -> Callable[[], None]:
+    """Execute the command; return what tells its result, or its harmless error, to whoever waits for it."""
+    try:
+        return partial(future.set_result, command(instrument))
+    except _HARMLESS as error:
+        return partial(future.set_exception, error)
