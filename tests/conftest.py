@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
 from optics import SmallBench
+
+from app.devices import simulated_bench
+from simulated_devices.clock import ManualClock
 
 if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
     from gui_bench import FakeCamera
@@ -50,6 +54,12 @@ def small_toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bench") / "small.toml"
     path.write_text(SMALL_TOML)
     return path
+
+
+@pytest.fixture
+def no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The simulated bench has a clock that lets each frame be measured before the next begins."""
+    monkeypatch.setattr("app.devices.simulated_bench", partial(simulated_bench, clock=ManualClock()))
 
 
 @pytest.fixture
