@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test lint lock clean qt-libraries c-compiler
+.PHONY: help setup run test storms lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
@@ -23,6 +23,9 @@ run: setup ## the live window on the simulated bench
 
 test: setup c-compiler ## every test, without a screen
 	QT_QPA_PLATFORM=offscreen .venv/bin/python -m pytest
+
+storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, some twenty minutes
+	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-10000} .venv/bin/python tests/run_storms.py $(DRIVERS)
 
 lint: .venv/ready ## style, types, and who may import whom
 	.venv/bin/ruff check

@@ -1,52 +1,38 @@
-"""Commands and faults in any order: no hang, nothing but `DeviceError`, frames in order, a state that fits.
-
-`SVWFS_SEQUENCES=10000 pytest tests/test_simulated_storms.py` runs as many sequences instead of a few.
-"""
+"""Commands and faults in any order: no hang, nothing but `DeviceError`, frames in order, a state that fits."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import ClassVar, TypeVar
 
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import initialize, invariant, precondition, rule
+from storm import REFUSALS, Storm
 
 from drivers.camera import Camera, Region
-from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
 
-LONGEST_S = 5.0  # of one call beyond its own timeout, whatever happens meanwhile
-REFUSALS = (BadValue, Unsupported, WrongState)
 T = TypeVar("T")
 
 
-class CameraStorm(RuleBasedStateMachine):
-    """A subclass says what the device is and what can happen to it."""
+class CameraStorm(Storm):
+    """A subclass also says what time it is for the device: a call that waits too long is told from a busy computer.
 
-    device: Any = None
+    A call that does not come back at all is found by whoever runs the storm.
+    """
+
+    longest_s: ClassVar[float] = 5.0  # of one call beyond its own timeout, whatever happens meanwhile
     camera: Camera | None = None
     last_index: int = -1
     is_started: bool = False
-
-    def make(self) -> Any:
-        """Return a stand-in."""
-        raise NotImplementedError
 
     def open(self) -> Camera:
         """Open the driver over `self.device`."""
         raise NotImplementedError
 
-    def faults(self) -> st.SearchStrategy[Any]:
-        """What can happen, also several at once."""
-        raise NotImplementedError
-
-    def happen(self, fault: Any) -> None:
-        """Let it happen."""
-        raise NotImplementedError
-
-    def recover(self) -> None:
-        """Plug in again, take all faults away."""
+    def now(self) -> float:
+        """Seconds on the clock by which driver and device wait."""
         raise NotImplementedError
 
     @initialize(is_started=st.booleans())
@@ -60,26 +46,34 @@ class CameraStorm(RuleBasedStateMachine):
         if is_started:
             self.start()
 
-    def call(self, action: Callable[[Camera], T], *, timeout_s: float = 0.0) -> T | None:
+    def call(self, action: Callable[[Camera], T]) -> T | None:
         """Return what it returned, None where it failed as devices do."""
         assert self.camera is not None
-        start_s = time.monotonic()
         try:
-            return action(self.camera)
+            with self.in_time():
+                return action(self.camera)
         except Disconnected:
             assert self.camera.state == "lost"
             return None
         except DeviceError:
             return None
+
+    @contextmanager
+    def in_time(self, timeout_s: float = 0.0) -> Iterator[None]:
+        """Around a call that must not take longer than that."""
+        start_s = self.now()
+        try:
+            yield
         finally:
-            assert time.monotonic() - start_s < LONGEST_S + timeout_s
+            assert self.now() - start_s < self.longest_s + timeout_s
 
     @precondition(lambda self: self.camera is not None)
     @rule()
     def start(self) -> None:
         assert self.camera is not None
         try:
-            self.camera.start()
+            with self.in_time():
+                self.camera.start()
         except WrongState:
             assert self.is_started
         except DeviceError:
@@ -104,7 +98,8 @@ class CameraStorm(RuleBasedStateMachine):
         assert self.camera is not None
         for _ in range(count):
             try:
-                frame = self.camera.read(timeout_s)
+                with self.in_time(timeout_s if 0 <= timeout_s < float("inf") else 0.0):
+                    frame = self.camera.read(timeout_s)
             except BadValue:
                 assert not 0 <= timeout_s < float("inf")
             except WrongState:
@@ -234,6 +229,7 @@ class CameraStorm(RuleBasedStateMachine):
             assert state in {"running" if self.is_started else "stopped", "lost"}
 
     def teardown(self) -> None:
+        super().teardown()
         if self.camera is not None:
             with suppress(DeviceError):
                 self.camera.close()

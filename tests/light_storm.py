@@ -1,46 +1,28 @@
-"""Commands and faults in any order: no hang, nothing but `DeviceError`, no wrong answer, and never lit by mistake.
-
-`SVWFS_SEQUENCES=10000 pytest tests/test_dc4100.py -k Storm` runs as many sequences instead of a few.
-"""
+"""Commands and faults in any order: no hang, nothing but `DeviceError`, no wrong answer, and never lit by mistake."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+from hypothesis.stateful import initialize, precondition, rule
+from storm import REFUSALS, Storm
 
-from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
+from drivers.errors import DeviceError, Disconnected
 from drivers.interface import LightSource
 from simulated_devices.clock import ManualClock
 
-_SEQUENCES = os.environ.get("SVWFS_SEQUENCES")
-STORM = settings(
-    max_examples=int(_SEQUENCES or 30),
-    derandomize=_SEQUENCES is None,  # the few are always the same; the many, each time others
-    stateful_step_count=20,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-)
 LONGEST_S = 4.0  # of one call, whatever happens meanwhile
 LOST_S = 2.0  # to find that the device is gone
-REFUSALS = (BadValue, Unsupported, WrongState)
 T = TypeVar("T")
 
 
-class LightStorm(RuleBasedStateMachine):
-    """A subclass says what the device is, what can happen to it, and what is true of it."""
+class LightStorm(Storm):
+    """A subclass also says what is true of the light."""
 
-    device: Any
     light: LightSource | None
-
-    def make(self) -> Any:
-        """Return a stand-in."""
-        raise NotImplementedError
 
     def open(self) -> LightSource:
         """Open the driver over `self.device`."""
@@ -52,10 +34,6 @@ class LightStorm(RuleBasedStateMachine):
     def true_maximum_a(self) -> float:
         raise NotImplementedError
 
-    def happen(self, fault: Any) -> None:
-        """Let a fault come with the next call."""
-        raise NotImplementedError
-
     def is_calm(self) -> bool:
         """No fault is waiting, and the device is there."""
         raise NotImplementedError
@@ -64,9 +42,6 @@ class LightStorm(RuleBasedStateMachine):
         """Plug in again, take all faults away."""
         self.device.faults.clear()
         self.device.refuses_next = False
-
-    def faults(self) -> st.SearchStrategy[Any]:
-        raise NotImplementedError
 
     @initialize()
     def begin(self) -> None:
@@ -154,6 +129,7 @@ class LightStorm(RuleBasedStateMachine):
             assert not self.device.is_lit
 
     def teardown(self) -> None:
+        super().teardown()
         if getattr(self, "light", None) is not None:
             self.recover()
             assert self.light is not None

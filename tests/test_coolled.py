@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from device_contract import LightFaultContract
 from hypothesis.stateful import rule
-from light_storm import STORM
 from serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to
+from storm import storm_settings
 
 from drivers.coolled import CoolLED, CoolLEDSettings
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, Unsupported
@@ -274,4 +274,4 @@ class Storm(SerialStorm):
 
 
 TestStorm = Storm.TestCase
-TestStorm.settings = STORM
+TestStorm.settings = storm_settings()

@@ -10,7 +10,8 @@ import pytest
 from device_contract import LightFaultContract
 from hypothesis import strategies as st
 from hypothesis.stateful import rule
-from light_storm import STORM, LightStorm
+from light_storm import LightStorm
+from storm import storm_settings
 from usb_stand_in import Bus, Plug
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
@@ -381,4 +382,4 @@ class Storm(LightStorm):
 
 
 TestStorm = Storm.TestCase
-TestStorm.settings = STORM
+TestStorm.settings = storm_settings()

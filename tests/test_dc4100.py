@@ -16,8 +16,8 @@ import serial
 from device_contract import LightFaultContract
 from hypothesis import strategies as st
 from hypothesis.stateful import rule
-from light_storm import STORM
 from serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to
+from storm import storm_settings
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.serial_line import Wire
@@ -513,4 +513,4 @@ class Storm(SerialStorm):
 
 
 TestStorm = Storm.TestCase
-TestStorm.settings = STORM
+TestStorm.settings = storm_settings()

@@ -13,8 +13,8 @@ from camera_storm import CameraStorm
 from conftest import SMALL_TOML
 from hypothesis import strategies as st
 from hypothesis.stateful import precondition, rule
-from light_storm import STORM
 from recordings import record
+from storm import storm_settings
 
 from app.recording.camera import RecordedCamera
 from app.recording.reader import Recording
@@ -41,6 +41,7 @@ class Folder:
         self._keeper = tempfile.TemporaryDirectory()
         self.path, self._away = Path(self._keeper.name) / "run", Path(self._keeper.name) / "away"
         self.close = self._keeper.cleanup
+        self.clock = ManualClock()
         self.restore()
 
     def vanish(self) -> None:
@@ -69,9 +70,11 @@ class RecordedCameraStorm(CameraStorm):
         return Folder()
 
     def open(self) -> Camera:
-        clock = ManualClock()
-        recording = Recording(self.device.path)
+        recording, clock = Recording(self.device.path), self.device.clock
         return RecordedCamera(recording, range(FRAMES), pace="own", repeat=True, now=clock.now, sleep=clock.sleep)
+
+    def now(self) -> float:
+        return float(self.device.clock.now())
 
     def faults(self) -> st.SearchStrategy[Any]:
         return st.sampled_from(["vanish", "spoil_calibration"]) | st.integers(0, FRAMES - 1)
@@ -98,4 +101,4 @@ class RecordedCameraStorm(CameraStorm):
 
 
 TestRecordedCamera = RecordedCameraStorm.TestCase
-TestRecordedCamera.settings = STORM
+TestRecordedCamera.settings = storm_settings()

@@ -9,8 +9,9 @@ from typing import Any
 
 from camera_storm import CameraStorm
 from hypothesis import strategies as st
-from light_storm import STORM, LightStorm
+from light_storm import LightStorm
 from simulated_scene import SimulatedCameraFaults, SimulatedLightFaults, open_bench
+from storm import storm_settings
 
 from drivers.interface import Camera, LightSource
 from simulated_devices.bench import SimulatedBench
@@ -35,6 +36,9 @@ class SimulatedCameraStorm(CameraStorm):
         camera = SimulatedCamera(self.device)
         self.hand = SimulatedCameraFaults(camera)
         return camera
+
+    def now(self) -> float:
+        return float(self.device.clock.now())
 
     def faults(self) -> st.SearchStrategy[Any]:
         return st.sampled_from(["unplug", "stall", "refuse_next"]) | st.integers(1, 20)
@@ -91,6 +95,6 @@ class SimulatedLightStorm(LightStorm):
 
 
 TestSimulatedCamera = SimulatedCameraStorm.TestCase
-TestSimulatedCamera.settings = STORM
+TestSimulatedCamera.settings = storm_settings()
 TestSimulatedLight = SimulatedLightStorm.TestCase
-TestSimulatedLight.settings = STORM
+TestSimulatedLight.settings = storm_settings()
