@@ -131,21 +131,31 @@ class Acquisition:
             lambda instrument, **how: instrument.check_background(frames, **how),
         )
 
-    def start_recording(self, folder: Path, *, command: str = "live", frames: int | None = None) -> Future[None]:
+    def start_recording(
+        self, folder: Path, *, command: str = "live", frames: int | None = None, may_rename: bool = False
+    ) -> Future[None]:
         """Record every frame from now on into a folder: `frames` of them, or until the recording is stopped.
+
+        Where the folder is there already, `may_rename` has another one beside it made; `recording` tells which.
 
         The future has an `InputError` when the folder, or the time, is not free for it. What happens later, a full disk
         for one, is told by `recording`; the frames go on all the same.
         """
-        return self.submit(lambda instrument: self._recorder.start(folder, _facts(instrument, command), frames=frames))
+        return self.submit(
+            lambda instrument: self._recorder.start(
+                folder, _facts(instrument, command), frames=frames, may_rename=may_rename
+            )
+        )
 
     def stop_recording(self) -> None:
         """End the recording that is under way, if any; it is finished soon after."""
         self._recorder.stop()
 
-    def keep_recent(self, folder: Path, *, command: str = "live") -> Future[None]:
-        """Write the last ten seconds as a recording, whether or not one is under way."""
-        return self.submit(lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, command)))
+    def keep_recent(self, folder: Path, *, command: str = "live", may_rename: bool = False) -> Future[None]:
+        """Write the last ten seconds as a recording, whether or not one is under way; see `start_recording`."""
+        return self.submit(
+            lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, command), may_rename=may_rename)
+        )
 
     def free_minutes(self, folder: Path) -> float:
         """How long could be recorded into a folder at the rate of now; see `Recorder.free_minutes`."""

@@ -15,9 +15,9 @@ from app.errors import InputError, Interrupted, RunError
 from app.measured import Measured, write_measured
 from app.person import ask
 from app.progress import Report
+from app.recording.folder import check_free
 from app.recording.layout import RUN
 from app.recording.reader import Recording
-from app.recording.run_writer import check_free
 from app.start_up import FRAMES, calibrate, watch_sample
 from app.streams.publisher import stream_sinks
 from drivers.interface import DeviceError

@@ -37,9 +37,9 @@ class RecordingControl:
             self._messages.tell(f"recordings go to {self.folder}")
 
     def start(self, acquisition: Acquisition) -> None:
-        """Record from now on, into a folder named by the time of day."""
+        """Record from now on, into a folder named by the time of day, and a number if there is one of this second."""
         self._messages.alarm("")
-        self._answers.expect(acquisition.start_recording(self._new_folder()))
+        self._answers.expect(acquisition.start_recording(self._new_folder(), may_rename=True))
 
     def stop(self, acquisition: Acquisition) -> None:
         """Record no more."""
@@ -47,7 +47,7 @@ class RecordingControl:
 
     def keep(self, acquisition: Acquisition) -> None:
         """Write the last seconds as a recording."""
-        self._answers.expect(acquisition.keep_recent(self._new_folder("-kept")))
+        self._answers.expect(acquisition.keep_recent(self._new_folder("-kept"), may_rename=True))
 
     def _new_folder(self, suffix: str = "") -> Path:
         return self.folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"

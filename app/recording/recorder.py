@@ -14,8 +14,8 @@ from app.errors import InputError
 from app.files import nearest
 from app.measurement import Measurement
 from app.recording.background import BackgroundRecording, RecordingState
+from app.recording.folder import check_free, new_folder
 from app.recording.record import Record
-from app.recording.run_writer import check_free
 from app.timing import Timings
 
 RECENT_S = 10.0
@@ -47,15 +47,20 @@ class Recorder:
             if self._recording is not None:
                 self._recording.take(record)
 
-    def start(self, folder: Path, facts: Mapping[str, Any], *, frames: int | None = None) -> None:
+    def start(
+        self, folder: Path, facts: Mapping[str, Any], *, frames: int | None = None, may_rename: bool = False
+    ) -> None:
         """Record into a folder from the next measurement on, `frames` of them or until it is stopped.
 
-        `InputError` when the folder holds a recording, or one is under way.
+        `InputError` when the folder holds a recording, or one is under way. With `may_rename` a number is put after a
+        name that is taken; `state` tells the folder.
         """
-        check_free(folder)
+        if not may_rename:
+            check_free(folder)
         with self._changing:
             if self._recording is not None and self._recording.state.stage in {"recording", "finishing"}:
                 raise InputError(f"{self._recording.state.folder}: is still being recorded")
+            folder = new_folder(folder) if may_rename else folder
             self._recording = BackgroundRecording(folder, facts, self._timings, frames=frames)
 
     def stop(self, problem: str = "") -> None:
@@ -63,14 +68,16 @@ class Recorder:
         if self._recording is not None:
             self._recording.stop(problem)
 
-    def keep_recent(self, folder: Path, facts: Mapping[str, Any]) -> None:
-        """Write the last seconds as a recording, whether or not one is under way."""
-        check_free(folder)
+    def keep_recent(self, folder: Path, facts: Mapping[str, Any], *, may_rename: bool = False) -> None:
+        """Write the last seconds as a recording, whether or not one is under way; see `start`."""
+        if not may_rename:
+            check_free(folder)
         with self._changing:
             if self._kept is not None and self._kept.state.stage == "finishing":
                 raise InputError(f"{self._kept.state.folder}: is still being written")
             if not self._recent:
                 raise InputError("there is no frame yet that could be kept")
+            folder = new_folder(folder) if may_rename else folder
             self._kept = BackgroundRecording(folder, facts, Timings(), records=tuple(self._recent))
             self._kept.stop()
 

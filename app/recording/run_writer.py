@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Generic, TypeVar
 
 import zarr
 from numpy.typing import NDArray
 
 from app.calibration import Calibration
 from app.errors import InputError, RunError
-from app.files import make_folder, nearest
+from app.files import make_folder
+from app.recording.folder import check_free
 from app.recording.frame_array import FrameArray, Separator
 from app.recording.frame_line import FrameLine
 from app.recording.kept_calibration import write_array, write_calibration
@@ -34,22 +35,9 @@ from app.recording.record import Record
 from app.run_facts import now, software_facts, write_record
 from reconstruction.geometry import Floats
 
+T = TypeVar("T")
+
 _LENSLET = ("lenslet_row", "lenslet_column")
-
-
-def check_free(folder: Path) -> None:
-    """Raise `InputError` when no recording can begin in the folder: it holds one, or it can be no folder for one."""
-    try:
-        for name in (RUN, FRAMES, STORE):
-            if (folder / name).exists():
-                raise InputError(f"{folder}: holds a recording already: {name}")
-        there = nearest(folder)
-        if not there.is_dir():
-            raise InputError(f"{there}: is no folder")
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be used: {error.strerror or error}") from error
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{there}: nothing may be written there")
 
 
 class RunWriter:
@@ -68,12 +56,18 @@ class RunWriter:
             **facts,
             **software_facts(),
         }
-        write_record(folder / RUN, self._run)
-        self._lines = (folder / FRAMES).open("xb", buffering=0)
-        lock(self._lines)
+        self._lines = _claim(folder)
+        try:
+            write_record(folder / RUN, self._run)
+        except BaseException:
+            self._lines.close()
+            (folder / FRAMES).unlink()
+            raise
         self._arrays: dict[str, FrameArray] = {}
-        self._calibrations: list[Calibration] = []
-        self._biases: list[Floats] = []
+        self._calibrations = _Numbered[Calibration](
+            lambda number, calibration: write_calibration(calibration_folder(folder, number), calibration)
+        )
+        self._biases = _Numbered[Floats](lambda number, bias: write_array(bias_file(folder, number), bias))
         self._registered: tuple[int, Floats] | None = None  # the last frame that was: its index and displacement
         self._acknowledged = 0  # bytes of all lines
         self.frames = self.reconstructed = self.lost = self.bytes = 0
@@ -81,7 +75,7 @@ class RunWriter:
     def write(self, record: Record) -> None:
         """Write a frame and, when all of it can be read, acknowledge it."""
         index = self.frames
-        calibration, bias = self._number_of_calibration(record), self._number_of_bias(record)
+        calibration, bias = self._calibrations.number_of(record.calibration), self._biases.number_of(record.bias)
         if self._registered is None and record.start is not None:  # the frame before it is not in this recording
             write_array(start_file(self._folder), record.start)
             self._registered = BEFORE, record.start
@@ -149,22 +143,33 @@ class RunWriter:
         except RunError as error:
             raise RunError(f"the recording has ended with frame {index}, {name}: {error}") from error
 
-    def _number_of_calibration(self, record: Record) -> int | None:
-        """The number of the frame's calibration, which is written when it is a new one."""
-        if record.calibration is None:
-            return None
-        if not self._calibrations or self._calibrations[-1] is not record.calibration:
-            write_calibration(calibration_folder(self._folder, len(self._calibrations)), record.calibration)
-            self._calibrations.append(record.calibration)
-        return len(self._calibrations) - 1
 
-    def _number_of_bias(self, record: Record) -> int | None:
-        if record.bias is None:
+class _Numbered(Generic[T]):
+    """Things of which each frame has one, the same for many: written once, when a new one comes, by its number."""
+
+    def __init__(self, write: Callable[[int, T], None]) -> None:
+        self._write = write
+        self._newest: T | None = None
+        self._count = 0
+
+    def number_of(self, thing: T | None) -> int | None:
+        """The number by which a frame's line calls it; None where there is none."""
+        if thing is None:
             return None
-        if not self._biases or self._biases[-1] is not record.bias:
-            write_array(bias_file(self._folder, len(self._biases)), record.bias)
-            self._biases.append(record.bias)
-        return len(self._biases) - 1
+        if thing is not self._newest:
+            self._write(self._count, thing)
+            self._newest, self._count = thing, self._count + 1
+        return self._count - 1
+
+
+def _claim(folder: Path) -> IO[bytes]:
+    """Make the file of lines: of two programs that begin in one folder at once, this refuses the second."""
+    try:
+        lines = (folder / FRAMES).open("xb", buffering=0)
+    except FileExistsError as error:
+        raise InputError(f"{folder}: holds a recording already: {FRAMES}") from error
+    lock(lines)
+    return lines
 
 
 def _line(record: Record, index: int, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
