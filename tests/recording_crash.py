@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from patience import HANG_S
 
 from app.acquisition import Acquisition
 from app.config import Bench, load_bench
@@ -30,7 +31,6 @@ from app.start_up import start_up
 from drivers.interface import Devices, Frame
 
 _TOLD = struct.Struct("<qId")  # the camera's index of a frame, checksum of its pixels, time of arrival in s
-_WITHIN_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def kill_one(bench: str, settings: tuple[str, ...], folder: Path, *, after_s: fl
     os.close(writing)
     told = b""
     try:
-        deadline_s = time.monotonic() + _WITHIN_S
+        deadline_s = time.monotonic() + HANG_S
         lines = folder / "frames.jsonl"
         while not (lines.exists() and lines.stat().st_size):
             assert program.poll() is None
@@ -102,7 +102,7 @@ def record(bench: Bench, folder: Path, pipe: int) -> None:
     acquisition.start()
     for step in (*start_up(acquisition, 4), acquisition.start_recording(folder)):
         step.result()
-    time.sleep(_WITHIN_S)
+    time.sleep(HANG_S)
 
 
 def main() -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import zarr
 from numpy.typing import NDArray
+from patience import HANG_S
 
 from app.config import load_bench, write_bench
 from app.devices import open_devices
@@ -49,7 +50,7 @@ def record(
         devices.camera.start()
         for _ in range(before):
             assert not instrument.measure(devices.camera.read(10)).problem
-        deadline_s = time.monotonic() + 60
+        deadline_s = time.monotonic() + HANG_S
         while writer.frames < frames:
             assert time.monotonic() < deadline_s
             frame = devices.camera.read(10)

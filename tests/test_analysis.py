@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from gui_bench import BENCH, FIELD, SENSOR
 from optics import converged
+from patience import HANG_S
 
 from app.gui.analysis import Analysis, Analyst, Quantity, Question, analyse
 from reconstruction.displacement import diagonal_covariance
@@ -46,7 +47,7 @@ def analyst() -> Iterator[Analyst]:
 
 
 def wait(analyst: Analyst) -> Analysis:
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + HANG_S
     while time.monotonic() < deadline_s:
         answer = analyst.answer()
         if answer is not None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import HANG_S, wait_until
 
 from app.acquisition import Acquisition, Measurement
 from app.calibration import Calibration
@@ -27,17 +27,12 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
     acquisition.start()
     try:
         for step in start_up(acquisition, 4):
-            step.result(90)
-        deadline_s = time.monotonic() + 90
-        while not enough(measurements):
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+            step.result(HANG_S)
+        wait_until(lambda: enough(measurements))
         # The same settings, another calibration.
-        acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(90)
+        acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(HANG_S)
         before = len(measurements)
-        while sum(not one.problem for one in measurements[before:]) < 3:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.01)
+        wait_until(lambda: sum(not one.problem for one in measurements[before:]) >= 3)
     finally:
         acquisition.close()
     return measurements

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import tifffile
 import xarray as xr
+from patience import HANG_S, wait_until
 
 from app import start_up
 from app.cli import main
@@ -181,13 +182,10 @@ def test_ctrl_c_writes_what_was_measured_and_says_so(tmp_path: Path, small_toml:
     process = subprocess.Popen(  # noqa: S603 - our own program
         [*command, "--frames", "100000", "--out", str(tmp_path / "m")], stderr=subprocess.PIPE, text=True
     )
-    deadline_s = time.monotonic() + 60
-    while not (tmp_path / "m" / "frames.jsonl").exists():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.1)
+    wait_until((tmp_path / "m" / "frames.jsonl").exists)
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
+    _, errors = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
     said = re.search(r"svwfs: stopped: (\d+) of 100000 frames are in", errors)
     assert said is not None

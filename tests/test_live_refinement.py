@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from optics import FIELD, SmallBench
+from patience import HANG_S, wait_until
 
 from app.config import Bench
 from app.live_refinement import LiveRefinement, RefinementState
@@ -40,7 +41,7 @@ def until(refinement: LiveRefinement, reconstructor: Reconstructor, frame: NDArr
     """Show a frame every 20 ms until the stage is reached; return how many seconds that took."""
     displacement, begin_s = reconstructor.register(frame), time.monotonic()
     while refinement.refine(displacement, time.monotonic())[1].stage != stage:
-        assert time.monotonic() - begin_s < 60
+        assert time.monotonic() - begin_s < HANG_S
         time.sleep(0.02)
     return time.monotonic() - begin_s
 
@@ -92,11 +93,7 @@ def test_its_thread_ends(small_bench: SmallBench, reconstructor: Reconstructor) 
     refinement = LiveRefinement(bench_of(small_bench), reconstructor)
     until(refinement, reconstructor, small_bench.reference, "applied")
     refinement.close()
-    for _ in range(100):
-        if not any(thread.name == "refinement" for thread in threading.enumerate()):
-            return
-        time.sleep(0.1)
-    raise AssertionError("the thread goes on")
+    wait_until(lambda: not any(thread.name == "refinement" for thread in threading.enumerate()))
 
 
 def test_a_model_that_cannot_be_made_is_told(

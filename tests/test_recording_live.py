@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import HANG_S, wait_until
 from recording_crash import kill_one
 
 from app.acquisition import Acquisition
@@ -33,7 +34,7 @@ class Live:
         self.acquisition = Acquisition(load_bench(toml, settings), self._open, sinks=(self.measurements.append,))
         self.acquisition.start()
         for step in start_up(self.acquisition, 4):
-            step.result(90)
+            step.result(HANG_S)
 
     def _open(self, bench: Bench, progress: Callable[[float], None]) -> Devices:
         devices = open_devices(bench, progress)
@@ -42,7 +43,7 @@ class Live:
         return devices
 
     def until_refined(self) -> None:
-        self.until(lambda: bool(self.measurements) and self.measurements[-1].refinement.stage == "applied")
+        wait_until(lambda: bool(self.measurements) and self.measurements[-1].refinement.stage == "applied")
 
     @property
     def recording(self) -> RecordingState:
@@ -50,16 +51,9 @@ class Live:
         assert state is not None
         return state
 
-    @staticmethod
-    def until(condition: Callable[[], bool]) -> None:
-        deadline_s = time.monotonic() + 90
-        while not condition():
-            assert time.monotonic() < deadline_s
-            time.sleep(0.005)
-
     def stop(self) -> None:
         self.acquisition.stop_recording()
-        self.until(lambda: self.recording.stage in {"finished", "ended early"})
+        wait_until(lambda: self.recording.stage in {"finished", "ended early"})
 
 
 @pytest.fixture
@@ -90,12 +84,12 @@ def assert_made_again(recording: Recording) -> None:
 def test_every_frame_is_recorded_and_made_again_bit_for_bit(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live("reconstruction.refine=true")
     live.until_refined()
-    live.acquisition.start_recording(tmp_path / "r").result(60)
-    live.until(lambda: live.recording.frames > 10)
-    live.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.3)).result(60)
-    live.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(60)
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 10)
+    live.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.3)).result(HANG_S)
+    live.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(HANG_S)
     live.until_refined()
-    live.until(lambda: live.recording.frames > 30)
+    wait_until(lambda: live.recording.frames > 30)
     live.stop()
     recording = Recording(tmp_path / "r")
     lines = [recording.line(index) for index in range(len(recording))]
@@ -134,11 +128,11 @@ def test_gaps_and_frames_that_were_passed_over_are_recorded(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = make_live("camera.exposure_s=0.0139")
-    live.acquisition.start_recording(tmp_path / "r").result(60)
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     live.camera.inject(LoseFrames(5))
-    live.until(lambda: live.recording.frames > 5)
+    wait_until(lambda: live.recording.frames > 5)
     measure_slowly(monkeypatch)
-    live.until(lambda: live.recording.frames > 50)
+    wait_until(lambda: live.recording.frames > 50)
     live.stop()
     recording = Recording(tmp_path / "r")
     lines = [recording.line(index) for index in range(len(recording))]
@@ -154,10 +148,10 @@ def test_frames_that_were_passed_over_are_refined_later_as_the_one_before(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = make_live("camera.exposure_s=0.0139", "reconstruction.refine=true")
-    live.until(lambda: any(each.refinement.stage == "applied" for each in live.measurements))
+    wait_until(lambda: any(each.refinement.stage == "applied" for each in live.measurements))
     measure_slowly(monkeypatch)
-    live.acquisition.start_recording(tmp_path / "r").result(60)
-    live.until(lambda: live.recording.frames > 50)
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 50)
     live.stop()
     recording = Recording(tmp_path / "r")
     lines = [recording.line(index) for index in range(len(recording))]
@@ -177,10 +171,10 @@ def test_a_lost_camera_leaves_a_readable_recording_that_says_why(
     make_live: Callable[..., Live], tmp_path: Path
 ) -> None:
     live = make_live()
-    live.acquisition.start_recording(tmp_path / "r").result(60)
-    live.until(lambda: live.recording.frames > 5)
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 5)
     live.camera.inject(Unplug())
-    live.until(lambda: not live.acquisition.is_alive)
+    wait_until(lambda: not live.acquisition.is_alive)
     recording = Recording(tmp_path / "r")
     assert recording.is_complete
     assert "camera" in recording.ended_early
@@ -191,12 +185,12 @@ def test_a_lost_camera_leaves_a_readable_recording_that_says_why(
 
 def test_the_last_seconds_can_be_kept_while_it_records(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live()
-    live.until(lambda: len(live.measurements) > 20)
-    live.acquisition.start_recording(tmp_path / "r").result(60)
-    live.acquisition.keep_recent(tmp_path / "kept").result(60)
+    wait_until(lambda: len(live.measurements) > 20)
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    live.acquisition.keep_recent(tmp_path / "kept").result(HANG_S)
     with pytest.raises(InputError, match="holds a recording already"):
-        live.acquisition.keep_recent(tmp_path / "r").result(60)
-    live.until(lambda: live.recording.frames > 5)
+        live.acquisition.keep_recent(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 5)
     live.acquisition.close()  # which finishes both
     for name in ("kept", "r"):
         recording = Recording(tmp_path / name)

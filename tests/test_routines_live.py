@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from optics import SmallBench, at_views
+from patience import HANG_S
 
 from app.acquisition import Acquisition
 from app.config import load_bench
@@ -37,11 +38,11 @@ class Live:
         return self.devices
 
     def do(self, command: Callable[[Instrument], object]) -> None:
-        self.acquisition.submit(command).result(60)
+        self.acquisition.submit(command).result(HANG_S)
 
     @property
     def status(self) -> Status:
-        return self.acquisition.submit(lambda instrument: instrument.status()).result(60)
+        return self.acquisition.submit(lambda instrument: instrument.status()).result(HANG_S)
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def live(small_toml: Path) -> Iterator[Live]:
 
 def started(live: Live) -> None:
     for step in start_up(live.acquisition, 4):
-        step.result(60)
+        step.result(HANG_S)
     assert live.status.warning == ""
 
 
@@ -80,7 +81,7 @@ def test_an_exposure_that_cannot_be_found_is_told_and_the_loop_goes_on(small_tom
     dim = Live(small_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
     try:
         with pytest.raises(RoutineError, match="lamp plugged in"):
-            dim.acquisition.auto_expose().result(60)
+            dim.acquisition.auto_expose().result(HANG_S)
         status = dim.status
         assert (status.is_light_on, status.current_a, status.exposure_s) == (False, 0.0, 0.02)
         assert dim.acquisition.is_alive
@@ -97,7 +98,7 @@ def test_a_search_can_be_cancelled(small_toml: Path) -> None:
         threading.Event().wait(0.3)
         live.acquisition.cancel()
         with pytest.raises(Cancelled):
-            future.result(5)
+            future.result(HANG_S)
         assert (live.status.exposure_s, live.status.is_light_on) == (9.0, False)
     finally:
         live.acquisition.close()
@@ -115,7 +116,7 @@ def test_a_camera_that_stalls_in_a_search_ends_all_with_the_light_off(
     monkeypatch.setattr(light, "close", lambda: was_off.append(not light.is_on))
     monkeypatch.setattr(camera, "read", _no_frame)
     with pytest.raises(DeviceTimeout):
-        live.acquisition.auto_expose().result(60)
+        live.acquisition.auto_expose().result(HANG_S)
     live.acquisition.close()
     assert was_off == [True]
 
@@ -126,15 +127,15 @@ def _no_frame(_timeout_s: float) -> None:
 
 def test_the_background_is_checked_by_command(live: Live) -> None:
     with pytest.raises(RoutineError, match="no dark yet"):
-        live.acquisition.check_background(4).result(60)
+        live.acquisition.check_background(4).result(HANG_S)
     started(live)
-    check = live.acquisition.check_background(4).result(60)
+    check = live.acquisition.check_background(4).result(HANG_S)
     assert check.is_good
     assert "still good" in check.verdict
     assert (live.status.is_light_on, live.status.is_running) == (True, True)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
     with pytest.raises(RoutineError, match=r"the dark was taken at 20.0 ms: take it again"):
-        live.acquisition.check_background(4).result(60)
+        live.acquisition.check_background(4).result(HANG_S)
 
 
 def test_start_up_finds_the_exposure_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,12 +149,12 @@ def test_start_up_finds_the_exposure_before_dark_and_reference(live: Live, monke
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
     live.do(lambda instrument: instrument.devices.stage.set_sample_in(True))
     for step in start_up(live.acquisition, 4, auto_expose=True):
-        step.result(60)
+        step.result(HANG_S)
     status = live.status
     assert with_sample == [False]
     assert (status.warning, status.dark, status.reference) == ("", "good", "good")
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
-    reference = live.acquisition.submit(lambda instrument: instrument.reference).result(5)
+    reference = live.acquisition.submit(lambda instrument: instrument.reference).result(HANG_S)
     assert reference is not None
     assert np.percentile(reference.mean, 99.5) / 65535 == pytest.approx(0.68, abs=0.08)
 

@@ -12,6 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 import pytest
+from patience import HANG_S, wait_until
 from simulated_scene import DRIFTING, LATTICE, STILL, open_bench
 
 from simulated_devices.background import BackgroundRendering, render_missing
@@ -36,12 +37,13 @@ def bench(cache_folder: Path) -> Iterator[SimulatedBench]:
 def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
     bench = open_bench(cache_folder / "drifting", DRIFTING)
     try:
-        deadline = time.monotonic() + 30
-        while bench.states_rendered < 4 and time.monotonic() < deadline:
-            time.sleep(0.05)
+
+        def all_are_rendered() -> bool:
             bench.clock.sleep(0.25)
             bench.current_state(bench.clock.now())
-        assert bench.states_rendered == 4
+            return bench.states_rendered == 4
+
+        wait_until(all_are_rendered)
         seen = []
         for _ in range(12):
             bench.clock.sleep(0.1)
@@ -72,7 +74,7 @@ def test_the_background_process_comes_to_a_quiet_end(
 ) -> None:
     scene = replace(bench._scene, simulation=DRIFTING)
     process = BackgroundRendering(scene, "square", tmp_path)
-    assert process._process.wait(60) == 0
+    assert process._process.wait(HANG_S) == 0
     process.close()
     assert capfd.readouterr().err == ""
     cache = ImageCache(tmp_path, scene)
@@ -85,7 +87,7 @@ def test_a_cache_that_cannot_be_written_keeps_nothing_and_the_bench_goes_on(
     (tmp_path / "file").write_text("no folder")
     bench = open_bench(tmp_path / "file", DRIFTING)
     assert bench._background is not None
-    assert bench._background._process.wait(60) == 0
+    assert bench._background._process.wait(HANG_S) == 0
     bench.clock.sleep(10.0)
     bench.change(is_light_on=True, is_sample_in=True)
     bench.clock.sleep(1.0)

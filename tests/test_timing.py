@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
+from patience import HANG_S
 
 from app.acquisition import Acquisition
 from app.config import load_bench
@@ -32,6 +33,20 @@ def test_percentiles_of_the_last_thousands_and_the_maximum_of_all() -> None:
     assert summary.max_s == 7.0
 
 
+def test_a_span_holds_what_was_noted_from_its_begin_to_its_end() -> None:
+    timings = Timings()
+    timings.note("register", 7.0)
+    span = timings.begin_span(10_000)
+    for index in range(6_000):  # more than are remembered otherwise
+        timings.note("register", float(index < 3_500))
+    timings.end_span(span)
+    timings.note("register", 9.0)
+    summary = span.summary()["register"]
+    assert (summary.count, summary.p50_s, summary.max_s) == (6_000, 1.0, 1.0)
+    assert timings.summary()["register"].max_s == 9.0
+    assert timings.summary()["register"].p50_s == 0.0
+
+
 def test_what_fails_is_not_timed() -> None:
     timings = Timings()
     with timings.of("register"):
@@ -45,9 +60,9 @@ def test_every_stage_of_the_worker_is_timed(small_toml: Path) -> None:
     acquisition = Acquisition(load_bench(small_toml), open_devices)
     acquisition.start()
     for step in start_up(acquisition, 3):
-        step.result(timeout=30)
+        step.result(HANG_S)
     while acquisition.is_alive and acquisition.timings.summary()["publish"].count < 5:
-        acquisition.submit(lambda _: None).result(10)
+        acquisition.submit(lambda _: None).result(HANG_S)
     acquisition.close()
     summary = acquisition.timings.summary()
     worker = [stage for stage in STAGES if stage not in {"record", "draw", "to_screen"}]
