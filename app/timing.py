@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+
+from reconstruction.process_setting import ProcessSetting
 
 Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
@@ -65,19 +67,22 @@ class _Ring:
 _TURN_S = 0.0005
 
 
-@contextmanager
-def short_turns() -> Iterator[None]:
+def short_turns() -> AbstractContextManager[None]:
     """Let Python's threads take turns every half millisecond instead of every five, while a `with` lasts.
 
     A thread asks for its turn after each call of the operating system; with a busy window beside it, writing a frame,
-    ten such calls, would take up to 50 ms instead of 5.
+    ten such calls, would take up to 50 ms instead of 5. Several acquisitions may ask for it, and end in any order.
     """
+    return _short_turns.wanted()
+
+
+def _shorten_turns() -> Callable[[], object]:
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(_TURN_S)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before_s)
+    return lambda: sys.setswitchinterval(before_s)
+
+
+_short_turns = ProcessSetting(_shorten_turns)
 
 
 class Timings:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from functools import cache
-from threading import RLock
 
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped] # ships no types
+
+from reconstruction.process_setting import ProcessSetting
 
 
 @cache
@@ -17,41 +18,19 @@ def worker_pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="reconstruction")
 
 
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
+def one_blas_thread() -> AbstractContextManager[None]:
     """Let BLAS work in one thread while a `with` lasts, in all of the process: live, and wherever live is repeated.
 
     Its own threads wait for one another at full speed: on a busy computer that takes half a second for a decomposition
     of 30 ms, and frames are lost. And in one thread sums are always added in the same order. Several threads may ask
     for it; whoever is the last to leave, and nobody before, takes the limit away.
     """
-    _limit.enter()
-    try:
-        yield
-    finally:
-        _limit.leave()
+    return _one_blas_thread.wanted()
 
 
-class _SharedLimit:
-    """BLAS's limit, and how many ask for it; the library's own would end with the first of them that leaves."""
-
-    def __init__(self) -> None:
-        self._changing = RLock()  # also when, in the middle of it, a forgotten generator leaves in the same thread
-        self._asking = 0
-        self._limits: threadpool_limits | None = None
-
-    def enter(self) -> None:
-        with self._changing:
-            self._asking += 1
-            if self._limits is None:
-                self._limits = threadpool_limits(1, user_api="blas")
-
-    def leave(self) -> None:
-        with self._changing:
-            self._asking -= 1
-            if not self._asking and self._limits is not None:
-                self._limits.restore_original_limits()
-                self._limits = None
+def _limit_blas() -> Callable[[], object]:
+    limit: Callable[[], object] = threadpool_limits(1, user_api="blas").restore_original_limits
+    return limit
 
 
-_limit = _SharedLimit()
+_one_blas_thread = ProcessSetting(_limit_blas)
