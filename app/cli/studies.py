@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from tempfile import gettempdir
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from app.cli.options import BenchOption, SeedsOption, SetOption, load
-from app.errors import RunError
+from app.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from app.config import Bench
+
+_LIVE_BENCH = "live_demo"
+_LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
 
 
 def selftest() -> None:
@@ -43,10 +50,40 @@ def benchmark(
     *,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write all numbers as JSON.")] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Fail if a ratio is 20 % worse than the one committed.")
+        bool,
+        typer.Option(
+            "--check", help="Fail if a ratio is 20 % worse than the one committed; with --live, if a limit is missed."
+        ),
     ] = False,
+    live: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Measure the live path for so long instead: window open, recording on; 60, or 600."
+        ),
+    ] = None,
+    record_in: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="With --live: where the recording lies until it is removed.")
+    ] = None,
+    no_record: Annotated[bool, typer.Option("--no-record", help="With --live: record nothing.")] = False,
+    bench: Annotated[
+        str | None,
+        typer.Option("--bench", "-b", metavar="TOML", help=f"With --live: another simulated bench than {_LIVE_BENCH}."),
+    ] = None,
+    setting: SetOption = None,
 ) -> None:
-    """How fast it is beside SimpleITK, OpenCV, scikit-image, pyrtcao and HCIPy (svwfs[peers]); some minutes."""
+    """How fast it is beside SimpleITK, OpenCV, scikit-image, pyrtcao and HCIPy (svwfs[peers]); some minutes.
+
+    With --live it measures instead how the window keeps up with a camera of 70 frames/s: what becomes of the frames,
+    how old they are when they are shown, how steady memory and disk are; then the same without window and recording.
+    Nothing is refined meanwhile, unless --set reconstruction.refine=true says so.
+    """
+    if live is not None:
+        settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
+        loaded = load(bench or _LIVE_BENCH, list(settings))
+        _benchmark_live(loaded, live, None if no_record else record_in or Path(gettempdir()), json=json, check=check)
+        return
+    if bench or setting or record_in or no_record:
+        raise InputError("--bench, --set, --record-in and --no-record say how --live SECONDS is measured: give it, too")
     from app.benchmark.baseline import load_baseline, worsened
     from app.benchmark.output import print_benchmark, write_benchmark
     from app.benchmark.run import Plan, run_benchmark
@@ -60,3 +97,21 @@ def benchmark(
     print_benchmark(result)
     if check and (said := worsened(result["ratios"], load_baseline())):
         raise RunError("slower beside the peers than before: " + "; ".join(said))
+
+
+def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, json: Path | None, check: bool) -> None:
+    """Measure the live path under a progress bar, print and write what was found; `check` it if asked to."""
+    from app.benchmark.live.output import live_json, missed, print_live
+    from app.benchmark.live.plan import LivePlan
+    from app.benchmark.output import write_benchmark
+    from app.live_benchmark import live_benchmark
+    from app.report import progress_bar
+
+    plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
+    with progress_bar() as report:
+        figures = live_benchmark(plan, report)
+    if json is not None:
+        write_benchmark(live_json(figures), json)
+    print_live(figures)
+    if check and (said := missed(figures)):
+        raise RunError("missed: " + "; ".join(said))
