@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +16,13 @@ from test_cli import run
 from app.acquisition import Acquisition
 from app.config import write_bench
 from app.errors import InputError
-from app.measurement import Counts, Measurement
+from app.instrument import Instrument, Reconstruction
+from app.measurement import PASSED_OVER, Counts, Measurement
 from app.recording.reader import Recording
 from app.recording.record import Record
 from app.recording.run_writer import RunWriter
 from app.replay.player import Player
+from drivers.interface import Frame
 from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.threads import one_blas_thread
 from reconstruction.wavefront import rms
@@ -50,8 +53,18 @@ def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
     return Recording(folder)
 
 
-def test_each_frame_is_shown_by_its_own_calibration(changing: Recording) -> None:
-    """Also when they come round again; nothing is taken anew."""
+@pytest.mark.parametrize("behind_s", [0.0, 0.5])
+def test_each_frame_is_shown_by_its_own_calibration(
+    changing: Recording, monkeypatch: pytest.MonkeyPatch, behind_s: float
+) -> None:
+    """Also when they come round again, and when the computer is behind; nothing is taken anew."""
+    measure = Instrument.measure
+
+    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(behind_s)
+        return measure(instrument, frame)
+
+    monkeypatch.setattr(Instrument, "measure", slowly)
     player = Player(changing.folder)
     seen: list[Measurement] = []
     acquisition = Acquisition(player.bench, player.open_devices, (player.take, seen.append))
@@ -73,6 +86,8 @@ def test_each_frame_is_shown_by_its_own_calibration(changing: Recording) -> None
         next(index for index in range(FRAMES) if np.array_equal(measurement.frame.pixels, changing.pixels(index)))
         for measurement in seen
     ]
+    if behind_s:
+        assert any(measurement.problem == PASSED_OVER for measurement in seen)
     assert which[: 2 * FRAMES] == [*range(FRAMES), *range(FRAMES)]
     for index, measurement in zip(which, seen, strict=True):
         assert measurement.calibration is not None

@@ -53,6 +53,7 @@ class RecordedCamera(Camera):
         self._pixel_pitch_m = recording.bench.sensor.pixel_pitch_m
         self.line = recording.line(frames[0])  # of the recorded frame that was read last, at first of the first
         self.is_lit = self.is_sample_in = False
+        self.in_force: int | None = None  # the calibration that frames are measured by: those of another wait for it
 
     @property
     def name(self) -> str:
@@ -141,8 +142,11 @@ class RecordedCamera(Camera):
     def _absence(self) -> str:
         """Why no frame comes any more; empty when one does."""
         if self.is_lit and self.is_sample_in:
-            has_ended = self._position == len(self._frames)
-            return f"{self.name} has ended: its {len(self._frames)} frames have been shown" if has_ended else ""
+            if self._position == len(self._frames):
+                return f"{self.name} has ended: its {len(self._frames)} frames have been shown"
+            number = self._recording.line(self.next_frame).calibration
+            waits = None not in {number, self.in_force} and number != self.in_force
+            return "the next frame waits for its calibration" if waits else ""
         what = "reference" if self.is_lit else "dark"
         return "" if self._average() is not None else f"{self.name} holds no {what}"
 

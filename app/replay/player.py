@@ -36,7 +36,7 @@ class Player:
         first = next((number for number in numbers if number is not None), None)
         if first is None:
             raise InputError(f"{folder}: these frames have no calibration: there is nothing to reconstruct them with")
-        self._first = self._in_force = first
+        self._first = self._asked = first
         self.bench = self._calibration(first).bench
 
     def open_devices(self, _bench: Bench, _progress: Callable[[float], None]) -> Devices:
@@ -47,17 +47,20 @@ class Player:
 
     def begin(self, acquisition: Acquisition) -> tuple[Future[None], ...]:
         """Have the recorded calibration used and the camera started, in place of taking dark and reference."""
-        self._acquisition, self._in_force = acquisition, self._first
+        self._acquisition, self._asked = acquisition, self._first
         used = self._use(acquisition, self._first)
         return (used, acquisition.submit(_show))
 
     def take(self, _: Measurement) -> None:
-        """Look, between two frames, whether the next one has another calibration, and have it used."""
+        """Look, between two frames, whether the next one has another calibration, and have it used.
+
+        That frame waits until it is: else a computer that is behind would take it before.
+        """
         if self._camera is None or self._acquisition is None:
             return
         number = self._recording.line(self._camera.next_frame).calibration
-        if number is not None and number != self._in_force:
-            self._in_force = number
+        if number is not None and number != self._asked:
+            self._asked = number
             self._use(self._acquisition, number)
 
     def _calibration(self, number: int) -> Calibration:
@@ -65,7 +68,12 @@ class Player:
         return recorded if self._change is None else self._change(recorded)
 
     def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
-        return acquisition.submit(lambda instrument: instrument.use(self._calibration(number)))
+        def use(instrument: Instrument) -> None:
+            if self._camera is not None:
+                self._camera.in_force = number
+            instrument.use(self._calibration(number))
+
+        return acquisition.submit(use)
 
 
 def _show(instrument: Instrument) -> None:
