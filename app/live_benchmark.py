@@ -24,11 +24,12 @@ def live_benchmark(plan: LivePlan, report: Report) -> LiveFigures:
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
     lasting_s = (plan.warm_up_s + plan.seconds, warm_up_s + plan.without_window_s)
     middle = lasting_s[0] / sum(lasting_s)
+    in_window = named(between(report, 0.0, middle), "window" if is_seen else "unseen window")
     with stream_sinks(plan.bench) as sinks:
-        with recording_folder(plan, report) as folder:
+        with recording_folder(plan, in_window) as folder:
             with_window = Course(
                 plan.bench,
-                named(between(report, 0.0, middle), "window" if is_seen else "unseen window"),
+                in_window,
                 warm_up_s=plan.warm_up_s,
                 seconds=plan.seconds,
                 memory_s=plan.memory_s,

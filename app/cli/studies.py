@@ -71,10 +71,9 @@ def benchmark(
     ] = None,
     setting: SetOption = None,
 ) -> None:
-    """How fast it is beside SimpleITK, OpenCV, scikit-image, pyrtcao and HCIPy (svwfs[peers]); some minutes.
+    """How fast it is beside SimpleITK, OpenCV, scikit-image, pyrtcao and HCIPy (the extra peers); some minutes.
 
-    With --live it measures instead how the window keeps up with a camera of 70 frames/s: what becomes of the frames,
-    how old they are when they are shown, how steady memory and disk are; then the same without window and recording.
+    With --live it measures instead how the window keeps up with 70 frames/s, then the rate without window and disk.
     Nothing is refined meanwhile, unless --set reconstruction.refine=true says so.
     """
     if live is not None:
