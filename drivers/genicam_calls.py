@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from drivers.errors import Disconnected
 
 T = TypeVar("T")
+_LAST_LOOK_S = 0.2
 
 
 class PatientCalls:
@@ -32,10 +33,10 @@ class PatientCalls:
 
     def make(self, call: Callable[[], T], patience_s: float) -> T:
         """Return what the call returns or raise what it raises; `Disconnected` if that takes too long."""
-        try:
-            return self.submit(call).result(patience_s)
-        except TimeoutError as error:
-            raise Disconnected(f"the camera did not answer for {patience_s:.1f} s: is it connected and on?") from error
+        future = self.submit(call)
+        if wait((future,), patience_s).not_done and not comes_now(future):
+            raise Disconnected(f"the camera did not answer for {patience_s:.1f} s: is it connected and on?")
+        return future.result()
 
     def end(self) -> None:
         """Let the thread end after the calls that were submitted."""
@@ -48,3 +49,8 @@ class PatientCalls:
                 future.set_result(call())
             except BaseException as error:  # noqa: BLE001 - whoever waits for it gets it
                 future.set_exception(error)
+
+
+def comes_now(future: Future[Any]) -> bool:
+    """Whether an overdue answer comes after all, as where it was this computer that stood still, not the camera."""
+    return bool(wait((future,), _LAST_LOOK_S).done)

@@ -8,7 +8,7 @@ from concurrent.futures import Future, wait
 from typing import Any, Final
 
 from drivers.errors import Busy, DeviceError, Disconnected
-from drivers.genicam_calls import PatientCalls
+from drivers.genicam_calls import PatientCalls, comes_now
 from drivers.genicam_library import PACKET_SOCKET_DISABLED, SOCKET_BUFFER_FIXED, Aravis
 from drivers.genicam_settings import GenicamSettings
 
@@ -140,7 +140,7 @@ class GenicamConnection:
         elif self._sign_of_life.done():
             self._sign_of_life.result()  # raises what the library said
             self._sign_of_life = None
-        elif now_s - self._asked_s > PATIENCE_S:
+        elif now_s - self._asked_s > PATIENCE_S and not comes_now(self._sign_of_life):
             raise Disconnected(f"no frames, and no answer for {PATIENCE_S} s: is the camera connected and on?")
 
     def close(self) -> None:

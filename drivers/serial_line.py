@@ -28,6 +28,7 @@ except ImportError:  # Windows
     TerminalError = OSError  # type: ignore[misc, assignment] # nothing else is raised there
 
 _SLICE_S = 0.02  # the longest that one call of the port may wait
+_LAST_LOOK_S = 0.05  # of the time for an answer, anew where this computer stood still meanwhile
 _QUIET_S = 0.1  # a pause as long as this between answers is silence
 _WRITE_S = 1.0
 _FAULTS = (OSError, TerminalError, ValueError, TypeError)  # pyserial's own are among OSError; a port that is gone
@@ -145,12 +146,13 @@ class SerialLine:
         self._is_in_step = True
 
     def _await(self, pattern: re.Pattern[str], what: str) -> re.Match[str]:
-        until = self._clock() + self._dialect.timeout_s
         other = ""
-        while (line := self._read_line(until)) is not None:
-            if line and (match := pattern.fullmatch(line)):
-                return match
-            other = line or other
+        for patience_s in (self._dialect.timeout_s - _LAST_LOOK_S, _LAST_LOOK_S):
+            until = self._clock() + patience_s
+            while (line := self._read_line(until)) is not None:
+                if line and (match := pattern.fullmatch(line)):
+                    return match
+                other = line or other
         if other:
             raise DeviceError(f"{self.where} answered {what} with {other[:60]!r}: a bad cable, or another device?")
         raise DeviceTimeout(

@@ -154,3 +154,26 @@ def test_half_a_command_does_not_spoil_the_next(device: Counter, clock: ManualCl
         line.command("set 1234")
     line.command("off")
     assert device.received[-1] == "off"
+
+
+class Halting(MemoryPort):
+    """A port of a computer that stands still for two seconds after each command."""
+
+    def __init__(self, device: LineDevice, clock: ManualClock) -> None:
+        super().__init__(device, clock)
+        self._halting = clock
+
+    def write(self, data: bytes, /) -> int:
+        count = super().write(data)
+        self._halting.sleep(2.0)
+        return count
+
+
+def test_a_computer_that_stood_still_hears_what_came_meanwhile(device: Counter, clock: ManualClock) -> None:
+    line = SerialLine("COM7", DIALECT, Wire(lambda _port, **_settings: Halting(device, clock), clock.now))
+    assert [ask(line, "a?"), ask(line, "b?")] == ["a1", "b1"]
+    device.faults.append(LineFault("late", delay_s=2.03))
+    assert ask(line, "a?") == "a2"
+    device.faults.append(LineFault("silence"))
+    with pytest.raises(DeviceTimeout):
+        ask(line, "a?")
