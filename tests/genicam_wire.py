@@ -16,6 +16,8 @@ import time
 from contextlib import suppress
 from typing import Final, Self
 
+from patience import HANG_S
+
 FAKE_CAMERA: Final = "arv-fake-gv-camera-0.8"
 SERIAL: Final = "SVWFS-TEST"
 HERE: Final = "127.0.0.2"
@@ -47,7 +49,7 @@ class Peer:
             except OSError as error:
                 raise AssertionError("another GigE Vision camera runs on this machine: UDP port 3956") from error
         self._process = subprocess.Popen([FAKE_CAMERA, "-i", "lo", "-s", SERIAL, *options])  # noqa: S603 - ours
-        deadline_s = time.monotonic() + 20
+        deadline_s = time.monotonic() + HANG_S
         while not _answers():
             assert self._process.poll() is None
             assert time.monotonic() < deadline_s
@@ -70,7 +72,7 @@ class Peer:
     def leave_running() -> None:
         """Start the acquisition in nobody's name, as a program leaves it that was killed."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-            asking.settimeout(5)
+            asking.settimeout(HANG_S)
             asking.sendto(struct.pack(">HHHHII", 0x4201, 0x0082, 8, 1, _ACQUISITION, 1), _GVCP)
             assert asking.recv(1024)[:4] == bytes.fromhex("00000083")
 
