@@ -153,7 +153,7 @@ class CameraStorm(Storm):
         def action(camera: Camera) -> None:
             values = getattr(camera.capabilities, f"{what}s")
             before, wanted = getattr(camera, what), values[choice] if choice < len(values) else 99
-            if what == "trigger" and wanted != "internal":
+            if what == "trigger" and wanted not in {"internal", "software"}:
                 return  # nobody is there to trigger it
             try:
                 getattr(camera, f"set_{what}")(wanted)

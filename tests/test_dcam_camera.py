@@ -20,6 +20,7 @@ from drivers.interface import (
     DeviceTimeout,
     Disconnected,
     Frame,
+    FrameLost,
     Range,
     Region,
     Unsupported,
@@ -30,6 +31,7 @@ from simulated_devices.dcam.stand_in import Plug, StandIn, pattern
 SENSOR = Region(0, 0, 512, 512)
 EM_PROPERTIES = (0x00400310, 0x00200220, 0x00200250, 0x00200260, 0x00200270, 0x00200290, 0x002002A0, 0x002002B0)
 INVALIDVALUE, OUTOFRANGE = 0x80000821, 0x80000822
+LOSTFRAME, NOTREADY = 0x80000301, 0x80000103
 
 
 @pytest.fixture
@@ -103,6 +105,19 @@ class TestDcamCameraAtLeisure(CameraContract):
     @pytest.fixture
     def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
         return lambda: open_camera(stand_in, amplifier="normal", binning=2, region=Region(16, 32, 128, 256))
+
+    @pytest.fixture
+    def camera(self, reopen: Callable[[], DcamCamera]) -> Iterator[DcamCamera]:
+        with reopen() as camera:
+            yield camera
+
+
+class TestDcamCameraTriggeredByWhoReads(CameraContract):
+    """Nobody else fires the software trigger."""
+
+    @pytest.fixture
+    def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
+        return lambda: open_camera(stand_in, trigger="software", region=Region(16, 32, 128, 256))
 
     @pytest.fixture
     def camera(self, reopen: Callable[[], DcamCamera]) -> Iterator[DcamCamera]:
@@ -583,6 +598,18 @@ def test_an_unplugged_camera_is_lost_and_opens_anew(stand_in: StandIn, how: Plug
         assert again.read(1.0).index == 0
 
 
+@pytest.mark.parametrize("first", Plug)
+@pytest.mark.parametrize("second", Plug)
+def test_whoever_waits_sees_a_plug_that_is_pulled_twice(stand_in: StandIn, first: Plug, second: Plug) -> None:
+    """The stand-in once waited for ever for the second moment, which was past."""
+    with open_camera(stand_in) as camera:
+        camera.start()
+        stand_in.unplug(first)
+        stand_in.unplug(second, after_s=0.05)
+        with pytest.raises(Disconnected):
+            read_patiently(camera)
+
+
 @pytest.mark.parametrize("how", [Plug.TOLD, Plug.HALFWAY])
 @pytest.mark.parametrize("command", ["set_exposure", "start", "set_amplifier", "stop", "properties"])
 def test_a_camera_that_goes_in_the_middle_of_a_command_is_lost(stand_in: StandIn, how: Plug, command: str) -> None:
@@ -612,8 +639,7 @@ def test_an_external_trigger_makes_a_frame(stand_in: StandIn) -> None:
         assert camera.read(1.0).index == 0
         with pytest.raises(DeviceTimeout):
             camera.read(1.0)
-        with pytest.raises(WrongState, match="software"):
-            camera.fire_trigger()
+        assert stand_in.calls("dcamcap_firetrigger") == 0
 
 
 def test_a_change_before_a_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
@@ -632,14 +658,53 @@ def test_an_exposure_that_pulses_make_is_warned_of(stand_in: StandIn) -> None:
         assert camera.warnings() == ("the trigger's pulses make the exposure, not the time that is set",)
 
 
-def test_a_software_trigger_makes_a_frame(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_with_the_software_trigger_each_read_makes_its_frame(stand_in: StandIn, camera: DcamCamera) -> None:
+    """So that whoever measures or looks needs not know that somebody has to trigger."""
     camera.set_trigger("software")
-    with pytest.raises(WrongState, match="while the camera runs"):
-        camera.fire_trigger()
     camera.start()
     for index in range(3):
-        camera.fire_trigger()
-        assert camera.read(1.0).index == index
-    with pytest.raises(DeviceTimeout):
-        camera.read(1.0)
+        stand_in.advance(10.0)  # nothing is taken meanwhile
+        asked_s = stand_in.now()
+        frame = camera.read(1.0)
+        assert frame.index == index
+        np.testing.assert_array_equal(frame.pixels, pattern(index, SENSOR))
+        assert frame.camera_time_s == pytest.approx(asked_s + camera.exposure_s, abs=2e-6)
     assert stand_in.calls("dcamcap_firetrigger") == 3
+
+
+def test_a_software_trigger_is_fired_once_for_a_frame_that_takes_long(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="software", exposure_s=0.5, readout_speed=2) as camera:
+        camera.start()
+        for timeout_s in (0.0, 0.1, 0.2):
+            with pytest.raises(DeviceTimeout):
+                camera.read(timeout_s)
+        camera.set_exposure(0.1)  # holds from the next one on
+        assert [camera.read(1.0).exposure_s for _ in range(3)] == [0.5, 0.1, 0.1]
+        assert stand_in.calls("dcamcap_firetrigger") == 3
+
+
+def test_a_software_trigger_is_fired_again_for_a_frame_that_was_lost(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="software") as camera:
+        camera.start()
+        assert camera.read(1.0).index == 0
+        stand_in.lose(2)
+        assert camera.read(1.0).index == 3
+        stand_in.fail("dcambuf_copyframe", LOSTFRAME)
+        with pytest.raises(FrameLost):
+            camera.read(1.0)
+        assert camera.read(1.0).index == 5
+
+
+def test_a_camera_that_takes_no_software_trigger_times_out(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="software") as camera:
+        camera.start()
+        stand_in.fail("dcamcap_firetrigger", NOTREADY, times=2)
+        assert camera.read(1.0).index == 0  # asked again, it does
+        stand_in.stall()
+        for _ in range(2):
+            with pytest.raises(DeviceTimeout):
+                camera.read(0.5)
+        camera.stop()
+        stand_in.unplug()
+        with pytest.raises(Disconnected):
+            camera.start()

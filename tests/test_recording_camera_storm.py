@@ -16,9 +16,10 @@ from hypothesis.stateful import precondition, rule
 from recordings import record
 from storm import storm_settings
 
+from app.errors import InputError
 from app.recording.camera import RecordedCamera
 from app.recording.reader import Recording
-from drivers.interface import Camera
+from drivers.interface import Camera, Disconnected
 from simulated_devices.clock import ManualClock
 
 FRAMES = 6
@@ -70,8 +71,12 @@ class RecordedCameraStorm(CameraStorm):
         return Folder()
 
     def open(self) -> Camera:
-        recording, clock = Recording(self.device.path), self.device.clock
-        return RecordedCamera(recording, range(FRAMES), pace="own", repeat=True, now=clock.now, sleep=clock.sleep)
+        clock = self.device.clock
+        try:
+            recording = Recording(self.device.path)
+            return RecordedCamera(recording, range(FRAMES), now=clock.now, sleep=clock.sleep)
+        except InputError as error:  # as the program tells it: there is no camera yet
+            raise Disconnected(str(error)) from error
 
     def now(self) -> float:
         return float(self.device.clock.now())

@@ -15,7 +15,7 @@ from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
 from app.recording_settings import Pace
 from app.routines import Average
-from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Disconnected, Frame, Range
+from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Disconnected, Frame, FrameLost, Range
 
 _LONGEST_GAP_S = 1.0  # beyond an exposure, in which nothing was recorded: as while a new reference was taken
 _LATE_S = 1.0  # when nobody has read for so long, the recording waits
@@ -28,7 +28,8 @@ class RecordedCamera(Camera):
     When it is stopped and started it goes on where it was. It sees what the light and the stage let it see: the frames
     with the light on and the sample in, else frames whose average is the dark, or the reference, that belongs to the
     next frame. At the fastest pace a frame comes as soon as it is waited for, and its time on the camera's clock is
-    when it would have come.
+    when it would have come. A frame whose pixels are missing or damaged is lost; a folder that cannot be read any more,
+    as on a disk or a share that is gone, is a camera that was unplugged.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class RecordedCamera(Camera):
         self._count = 0  # since the start, lost ones included: the index of the next frame
         self._due_s = 0.0  # when the next one comes
         self._averaged = lru_cache(maxsize=2)(AveragedFrames)
-        self._shape = recording.pixels(frames[0]).shape
+        self._shape = recording.frame_shape
         self._pixel_pitch_m = recording.bench.sensor.pixel_pitch_m
         self.line = recording.line(frames[0])  # of the recorded frame that was read last, at first of the first
         self.is_lit = self.is_sample_in = False
@@ -106,45 +107,47 @@ class RecordedCamera(Camera):
 
     def _play(self) -> Frame:
         """Return the next of the recorded frames, and find out which one follows, and when."""
+        damage = None
         try:
             frame = self._recording.frame(self.next_frame)
-            before = self._recording.line(self.next_frame)
-            self._position += 1
-            if self._repeat:
-                self._position %= len(self._frames)
-            after = self._recording.line(self.next_frame)
-        except InputError as error:
-            raise Disconnected(str(error)) from error
+        except InputError as error:  # or the folder is gone, as its line tells now
+            damage = error
+        before = self._line()
+        self._position += 1
+        if self._repeat:
+            self._position %= len(self._frames)
+        after = self._line()
         self.line, self._allowed = before, None  # other frames may have been taken otherwise
         follows = after.index > before.index
         gap_s = after.host_time_s - before.host_time_s if follows else after.exposure_s
-        return self._played(
-            frame,
-            gap_s=min(max(gap_s, 0.0), after.exposure_s + _LONGEST_GAP_S),
-            lost=after.lost if follows else 0,
+        index, due_s = self._pass(
+            gap_s=min(max(gap_s, 0.0), after.exposure_s + _LONGEST_GAP_S), lost=after.lost if follows else 0
         )
+        if damage is not None:
+            raise FrameLost(str(damage)) from damage
+        return replace(frame, index=index, camera_time_s=due_s, host_time_s=self._now())
 
     def _show(self, average: Average) -> Frame:
         """Return the next of the frames that have an average."""
         pixels = self._averaged(average, self.capabilities.full_scale).pixels(self._count)
-        frame = Frame(pixels, self._count, self._due_s, self._now(), average.exposure_s, average.em_gain)
-        return self._played(frame, gap_s=average.exposure_s, lost=0)
+        index, due_s = self._pass(gap_s=average.exposure_s, lost=0)
+        return Frame(pixels, index, due_s, self._now(), average.exposure_s, average.em_gain)
 
-    def _played(self, frame: Frame, *, gap_s: float, lost: int) -> Frame:
-        """Count a frame that comes now, after which there is a gap, and some are lost."""
-        played = replace(frame, index=self._count, camera_time_s=self._due_s, host_time_s=self._now())
+    def _pass(self, *, gap_s: float, lost: int) -> tuple[int, float]:
+        """Go on behind a frame, to that after a gap and so many lost ones; return its index and when it was due."""
+        passed = self._count, self._due_s
         self._count += 1 + lost
         if self._pace == "own":
             self._due_s = max(self._due_s, self._now() - _LATE_S)
         self._due_s += gap_s
-        return played
+        return passed
 
     def _absence(self) -> str:
         """Why no frame comes any more; empty when one does."""
         if self.is_lit and self.is_sample_in:
             if self._position == len(self._frames):
                 return f"{self.name} has ended: its {len(self._frames)} frames have been shown"
-            number = self._recording.line(self.next_frame).calibration
+            number = self._line().calibration
             waits = None not in {number, self.in_force} and number != self.in_force
             return "the next frame waits for its calibration" if waits else ""
         what = "reference" if self.is_lit else "dark"
@@ -159,9 +162,16 @@ class RecordedCamera(Camera):
 
     def _calibration(self) -> Calibration | None:
         """The one that belongs to the next frame."""
+        number = self._line().calibration
         try:
-            number = self._recording.line(self.next_frame).calibration
             return None if number is None else self._recording.calibration(number)
+        except InputError as error:
+            raise Disconnected(str(error)) from error
+
+    def _line(self) -> FrameLine:
+        """What there is to say of the next frame; whether the recording is there at all."""
+        try:
+            return self._recording.line(self.next_frame)
         except InputError as error:
             raise Disconnected(str(error)) from error
 
@@ -172,8 +182,8 @@ class RecordedCamera(Camera):
     def _read_exposure(self) -> float:
         return self._taken().exposure_s
 
-    def _set_exposure(self, exposure_s: float) -> float:
-        return exposure_s  # no other is allowed
+    def _set_exposure(self, exposure_s: float) -> float:  # noqa: ARG002 - no other is allowed
+        return self._read_exposure()
 
     def _read_em_gain(self) -> float:
         return self._taken().em_gain

@@ -104,12 +104,13 @@ class FrameArray:
         chunk = self._chunk(index)
         try:
             values = np.fromfile(chunk, self._type)
+            size = chunk.stat().st_size
         except FileNotFoundError:
             return None
         except OSError as error:
             raise InputError(f"{chunk}: cannot be read: {error.strerror or error}") from error
-        if chunk.stat().st_size != self._bytes:
-            raise InputError(f"{chunk}: is damaged: {chunk.stat().st_size} bytes instead of {self._bytes}")
+        if size != self._bytes:
+            raise InputError(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}")
         return values.reshape(self.shape).astype(self._type.newbyteorder("="), copy=False)
 
     def is_whole(self, index: int) -> bool:

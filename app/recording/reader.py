@@ -37,6 +37,7 @@ from drivers.interface import Frame
 from reconstruction.geometry import Floats
 
 _PIECE = 1 << 20  # bytes read at once
+_TELLS = "svwfs recover tells which frames are whole"
 
 
 class Recording:
@@ -100,9 +101,10 @@ class Recording:
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
-            raise InputError(f"{self.folder / FRAMES}: line {index + 1} is damaged") from error
+            raise InputError(f"{self.folder / FRAMES}: line {index + 1} is damaged; {_TELLS}") from error
         if line.index != index:
-            raise InputError(f"{self.folder / FRAMES}: line {index + 1} is of frame {line.index} instead of {index}")
+            said = f"line {index + 1} is of frame {line.index} instead of {index}"
+            raise InputError(f"{self.folder / FRAMES}: {said}; {_TELLS}")
         return line
 
     def pixels(self, index: int) -> NDArray[np.uint16]:
@@ -113,14 +115,28 @@ class Recording:
         pixels.flags.writeable = False
         return pixels
 
+    @property
+    def frame_shape(self) -> tuple[int, ...]:
+        """Rows and columns of all frames, whether or not they are whole."""
+        pixels = self._array(PIXELS)
+        if pixels is None:
+            raise InputError(f"{self.folder}: the pixels of all frames are missing")
+        return pixels.shape
+
     def is_whole(self, index: int) -> bool:
         """Whether all pixels of a frame are there; they are, unless a power cut took them."""
         pixels = self._array(PIXELS)
         return pixels is not None and pixels.is_whole(index)
 
-    def end_of(self, frames: int) -> int:
-        """Where the lines of so many frames end in `frames.jsonl`, bytes."""
-        return self._ends[frames]
+    def has_results(self, line: FrameLine) -> bool:
+        """Whether what was found live is there, if anything was."""
+        if line.calibration is None or line.problem:
+            return True
+        group = results_of(line.calibration)
+        displacement, coefficients = self._array(f"{group}/displacement"), self._array(f"{group}/coefficients")
+        if displacement is None or not displacement.is_whole(line.index):
+            return False
+        return coefficients is None or coefficients.is_whole(line.index)  # None: of the zonal method
 
     def frame(self, index: int) -> Frame:
         """A frame as it left the camera."""
@@ -155,7 +171,11 @@ class Recording:
         line = self.line(index)
         if line.start is None:
             return None
-        return _load(start_file(self.folder)) if line.start == BEFORE else self.displacement(line.start)
+        if line.start == BEFORE:
+            return _load(start_file(self.folder))
+        if line.calibration is None:
+            return None
+        return self._read(f"{results_of(line.calibration)}/displacement", line.start)  # of the same, always
 
     def _result(self, name: str, index: int) -> Floats | None:
         calibration = self.line(index).calibration

@@ -72,13 +72,6 @@ class DcamCamera(Camera):
         with self._talking():
             return reasons_for_mistrust(self._values, has_em_gain=has_em_gain(self._values))
 
-    def fire_trigger(self) -> None:
-        """Let one exposure begin, with the software trigger and while running."""
-        if not self.is_running or self.trigger != "software":
-            raise WrongState('an exposure can be triggered while the camera runs with trigger = "software"')
-        with self._talking():
-            self._library.call("dcamcap_firetrigger", self._handle, 0)
-
     def _set_up(self, settings: DcamSettings) -> None:
         if self._values.get_or(Id.IMAGE_PIXELTYPE, ids.PIXELTYPE_MONO16) != ids.PIXELTYPE_MONO16:
             raise Unsupported("only cameras that give one 16-bit number per pixel can be used")
@@ -222,7 +215,7 @@ class DcamCamera(Camera):
             self._settings.ring_frames,
             (self._read_exposure(), self._read_em_gain()),
             self._clock,
-            is_triggered=self._read_trigger() != "internal",
+            trigger=self._read_trigger(),
         )
         try:
             capture.begin()

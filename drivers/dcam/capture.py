@@ -40,7 +40,7 @@ class Capture:
     """A capture: begun, read from, stopped, ended.
 
     The number of a frame is the library's count of transferred frames, and those lost before their transfer, which
-    the camera's own count of its frames tells.
+    the camera's own count of its frames tells. With the software trigger, whoever waits for a frame lets it begin.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Capture:
         in_force: tuple[float, float],
         clock: Callable[[], float],
         *,
-        is_triggered: bool,
+        trigger: str,
     ) -> None:
         self._library = values.library
         self._handle = values.handle
@@ -59,7 +59,8 @@ class Capture:
         self._shape = shape
         self._ring_frames = ring_frames
         self._clock = clock
-        self._exposing = 0 if is_triggered else 1  # frames that are mostly under way
+        self._is_fired_here = trigger == "software"
+        self._is_exposing = trigger == "internal"  # a frame is under way, as far as is known
         self._in_force = deque([InForce(0, *in_force)])
         self._next = 0  # in the library's count
         self._lost = 0  # before their transfer
@@ -104,13 +105,13 @@ class Capture:
 
         The DCAM-API does not tell what each frame was taken with. Where a trigger is awaited, none is being exposed.
         """
-        first = self._transferred().nFrameCount + self._lost + self._exposing
+        first = self._transferred().nFrameCount + self._lost + self._is_exposing
         if self._in_force[-1].first_index == first:
             self._in_force.pop()
         self._in_force.append(InForce(first, exposure_s, em_gain))
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the oldest frame not yet read, or wait for it.
+        """Return the oldest frame not yet read, or wait for it; the software trigger is fired for it, once.
 
         Raises `WrongState` when the capture has ended by itself or was aborted: it is to be ended then.
         """
@@ -119,12 +120,28 @@ class Capture:
             frame = self._oldest()
             if frame is not None:
                 return frame
+            if self._is_fired_here and not self._is_exposing:
+                self._fire()
             remaining_s = deadline_s - self._clock()
             if remaining_s <= 0:
                 self._check_alive()
                 raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
             self._wait(min(remaining_s, _SLICE_S))
         raise WrongState("the camera is being closed")
+
+    def _fire(self) -> None:
+        """Let an exposure begin; a camera that cannot take the trigger yet is asked again."""
+        try:
+            self._library.call("dcamcap_firetrigger", self._handle, 0)
+        except WrongState:
+            self._ask_at_once()
+        else:
+            self._is_exposing = True
+
+    def _ask_at_once(self) -> None:
+        """Ask the camera whether it lives, however short its silence was."""
+        self._seen_alive_s = -math.inf
+        self._check_alive()
 
     def _wait(self, duration_s: float) -> None:
         """Wait for the next event, at most so long."""
@@ -135,10 +152,15 @@ class Capture:
             self._check_alive()
         except FrameLost:
             self._is_loss_told = True
+            self._note_end()
         else:
             if asked.eventhappened & _STOPPED:
-                self._seen_alive_s = -math.inf
-                self._check_alive()
+                self._ask_at_once()
+
+    def _note_end(self) -> None:
+        """Note that the exposure is over that was begun here."""
+        if self._is_fired_here:
+            self._is_exposing = False
 
     def _check_alive(self) -> None:
         """Ask a camera that has been silent whether it is there and capturing."""
@@ -163,6 +185,7 @@ class Capture:
             self._next = told.nFrameCount - self._ring_frames // 2
         number = self._next
         self._next += 1  # also when its copying fails
+        self._note_end()
         slot = (told.nNewestFrameIndex - (told.nFrameCount - 1 - number)) % self._ring_frames
         pixels, copied = self._copy(slot)
         host_time_s = self._clock()

@@ -15,6 +15,7 @@ from drivers.device import Property
 from drivers.errors import BadValue, DeviceError, Disconnected
 
 _TEXT_BYTES = 256
+_KNOWN_ATTRIBUTES = sum(Attribute)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ class Properties:
         told = sized(PropertyAttribute, iProp=identifier)
         self.library.call("dcamprop_getattr", self.handle, byref(told))
         unsigned = told.attribute & 0xFFFFFFFF
-        attribute = Attribute(unsigned & sum(Attribute))
+        attribute = Attribute(unsigned & _KNOWN_ATTRIBUTES)
         return Limits(
             Range(told.valuemin, told.valuemax),
             told.valuestep if attribute & Attribute.HASSTEP else 0.0,

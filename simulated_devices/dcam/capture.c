@@ -107,13 +107,14 @@ int32_t dcamcap_transferinfo(HDCAM h, DCAMCAP_TRANSFERINFO *param) {
     return leave(code);
 }
 
-/* Waits itself until the camera can take a trigger. */
+/* Waits itself until the camera can take a trigger; one that has come to a standstill never can. */
 int32_t dcamcap_firetrigger(HDCAM h, int32_t iKind) {
     (void)iKind;
     int32_t code = enter_camera(F_dcamcap_firetrigger, h);
     if (code < 0) return leave(code);
     if (value_of(h, TRIGGERSOURCE) != TRIGGERSOURCE_SOFTWARE) return leave(NOTSUPPORT);
     while (h->is_capturing && world.plug == PLUGGED && !isinf(h->exposure_end_s)) {
+        if (world.is_stalled) return leave(NOTREADY);
         pass_time(h->exposure_end_s, INFINITY);
         follow_time();
     }

@@ -9,11 +9,11 @@ World world = {.lock = PTHREAD_MUTEX_INITIALIZER};
 #define NAMED(name) #name,
 static const char *const NAMES[] = {EACH_FUNCTION(NAMED)};
 
-/* Bring the cameras up to now, and pull the plug if it is time. */
+/* Bring the cameras up to now, and pull the plug if it is time, also one that was pulled in another way. */
 void follow_time(void) {
     double moment_s = now_s();
     for (int i = 0; i < CAMERAS; i++) advance(&world.cameras[i]);
-    if (world.plug == PLUGGED && moment_s >= world.unplug_at_s) {
+    if (moment_s >= world.unplug_at_s) {
         world.plug = world.plug_then;
         world.unplug_at_s = INFINITY;
     }
