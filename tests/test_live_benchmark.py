@@ -21,6 +21,7 @@ from gui_bench import BENCH, FakeCamera, make_measurement, opener
 from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication
 
+import app.live_benchmark
 from app import cli
 from app.benchmark.live import course
 from app.benchmark.live.course import Course, Span
@@ -406,3 +407,31 @@ def test_the_command_refuses_what_cannot_be(
         cli.main()
     assert ended.value.code == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("late_s", "status"), [(0.02, 0), (0.04, 1)])
+def test_the_command_measures_70_frames_a_second_prints_writes_and_checks(
+    late_s: float, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plans: list[LivePlan] = []
+
+    def measured(planned: LivePlan, _report: object) -> LiveFigures:
+        plans.append(planned)
+        return figures_of(span_of(late_s=late_s))
+
+    monkeypatch.setattr(app.live_benchmark, "live_benchmark", measured)
+    options = ["--live", "60", "--record-in", str(tmp_path), "--json", str(tmp_path / "live.json"), "--check"]
+    monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", *options, "--set", "camera.em_gain=8"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == status
+    (planned,) = plans
+    camera = planned.bench.camera_model
+    assert 1 / camera.exposure_s == pytest.approx(70, abs=0.1)
+    assert (camera.rows, camera.columns) == (512, 512)
+    assert (camera.em_gain, planned.bench.reconstruction.refine) == (8, False)
+    assert (planned.seconds, planned.record_in) == (60, tmp_path)
+    assert json.loads((tmp_path / "live.json").read_text())["live"]["limits"]["share"]["is_met"]
+    said = capsys.readouterr()
+    assert "frames acquired" in said.out
+    assert said.err == ("" if status == 0 else "svwfs: missed: to_result_p99_s is 0.04, asked 99 % < 30 ms\n")

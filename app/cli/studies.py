@@ -109,8 +109,8 @@ def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, jso
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
     with progress_bar() as report:
         figures = live_benchmark(plan, report)
+    print_live(figures)
     if json is not None:
         write_benchmark(live_json(figures), json)
-    print_live(figures)
     if check and (said := missed(figures)):
         raise RunError("missed: " + "; ".join(said))

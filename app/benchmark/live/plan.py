@@ -84,6 +84,6 @@ def recording_folder(plan: LivePlan, report: Report) -> Iterator[Path | None]:
     try:
         yield folder / "recording"
     finally:
-        report("removing the recording", 1.0)
         with ended_by(lambda *_: None):  # a second Ctrl-C must not leave half of it
+            report("removing the recording", 1.0)
             shutil.rmtree(folder)
