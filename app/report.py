@@ -59,9 +59,12 @@ def print_measurement(measured: Measured, out: Path) -> None:
 
 def print_recovered(found: Recovered, folder: Path) -> None:
     """Print what was found in a recording, and whether anything had to be done."""
-    typer.echo(f"{folder}: {'was complete' if found.was_complete else 'is complete now'}: {found.summary}")
-    if found.left_out:
-        typer.echo(f"{folder}: {found.left_out}")
+    stands = "was complete" if found.was_complete else "is complete now"
+    damaged = ", but damaged" if found.damage else ""
+    typer.echo(f"{folder}: {stands}{damaged}: {found.summary}")
+    for said in (*found.damage, found.readable, found.put_aside):
+        if said:
+            typer.echo(f"{folder}: {said}")
 
 
 def print_replay(made: Replay) -> None:

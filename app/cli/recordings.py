@@ -18,7 +18,8 @@ def recover(
 ) -> None:
     """Finish a recording whose program was killed, or whose computer lost its power, before it could.
 
-    Nothing that can be read is changed or lost. A recording that is complete stays as it is.
+    It tells what is damaged, of a complete recording, too, and which frames are whole. Nothing that can be read is
+    changed or lost: lines that are damaged are put aside, into frames.damaged.jsonl.
     """
     from app.recording.recover import recover as run
     from app.report import print_recovered, progress_bar

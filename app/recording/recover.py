@@ -1,34 +1,39 @@
-"""Finishes a recording whose program died before it could."""
+"""Finishes a recording whose program died before it could, and says what of a recording is damaged."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
-from app.errors import InputError, RunError
+from app.errors import RunError
 from app.files import appearing_whole
+from app.recording.damage import Examined, examine, frames_in_words, ranges_of
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.layout import FRAMES, PIXELS, RUN, STORE, results_of
+from app.recording.line_places import LinePlaces, find_lines
 from app.recording.lock import lock
 from app.recording.reader import Recording
 from app.run_facts import now, write_record
 
 _WHY = "recovered: the program ended before it could finish the recording"
-_REST = "frames.damaged.jsonl"
 
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
     """What was found in a recording."""
 
-    was_complete: bool  # then nothing has been done
+    was_complete: bool  # then nothing has been done, but for lines that did not stand where they belong
     frames: int
     reconstructed: int
     lost: int  # by the camera, in gaps
     gaps: int
-    left_out: str  # what could not be kept, and where it lies; empty when all could
+    damage: tuple[str, ...]  # a sentence for each kind; empty when all is whole
+    whole: Sequence[int]  # frames whose line and pixels can be read
+    put_aside: str  # what no longer is in `frames.jsonl`, and where it is; empty when all still is
 
     @property
     def summary(self) -> str:
@@ -36,67 +41,100 @@ class Recovered:
         text = f"{self.frames} frames, {self.reconstructed} of them reconstructed live"
         return text + (f"; the camera lost {self.lost} in {self.gaps} gaps" if self.lost else "; no gaps")
 
+    @property
+    def readable(self) -> str:
+        """Which frames are whole, in words, and how a command is told to take them; empty when all are."""
+        if len(self.whole) == self.frames:
+            return ""
+        if not self.whole:
+            return "no frame is whole"
+        longest = max(ranges_of(self.whole), key=len)
+        chosen = f"{longest.start}:{longest.stop}"
+        return f"whole: {frames_in_words(self.whole)}; replay, export and report take them with --frames {chosen}"
+
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
     """Finish a recording: arrays as long as there are frames, `run.json` complete. Nothing that was read is lost.
 
-    `InputError` when the folder holds no recording, or it is still being recorded.
+    Damaged frames in the middle stay among the others, which all can be read; at the end of one that was not complete
+    their lines are put aside. `InputError` when the folder holds no recording, or it is still being recorded.
     """
     recording = Recording(folder)
-    if not (folder / FRAMES).exists():
-        _write((folder / FRAMES).touch)
-    with (folder / FRAMES).open("rb+") as lines:
-        lock(lines)
-        recording.refresh()
-        found = _count(recording, progress)
-        if found.was_complete:
-            return found
-        counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
-        _write(lambda: _cut(recording, found.frames))
-        for path in (folder / STORE / PIXELS, *sorted((folder / STORE).glob(results_of("*") + "/*"))):
-            if is_array(path):
-                FrameArray(path).set_length(found.frames)
-        why = recording.ended_early or _WHY
-        ended = {"complete": True, "ended": now(), "ended_early": why, "frames": counts}
-        write_record(folder / RUN, {**recording.run, **ended})
-    if found.left_out:
-        return replace(found, left_out=f"{found.left_out}: their lines are in {_REST}")
-    return found
-
-
-def _count(recording: Recording, progress: Callable[[float], None]) -> Recovered:
-    """Look at every frame, up to the first that is not whole: after a power cut a line may have outlived its frame."""
-    total = len(recording)
-    frames = reconstructed = lost = gaps = 0
-    left_out = ""
-    for index in range(total):
-        try:
-            line = recording.line(index)
-            fault = "" if recording.is_whole(index) else f"the pixels of frame {index} are not whole"
-        except InputError as error:
-            fault = str(error)
-        if fault:
-            left_out = f"{fault}; left out with the {total - index - 1} frames after it"
-            break
-        frames, reconstructed = frames + 1, reconstructed + (not line.problem)
-        lost, gaps = lost + line.lost, gaps + (line.lost > 0)
-        progress((index + 1) / total)
-    return Recovered(recording.is_complete, frames, reconstructed, lost, gaps, left_out)
-
-
-def _cut(recording: Recording, frames: int) -> None:
-    """Leave the lines of so many frames; whatever follows but a half line goes into a file of its own."""
-    path = recording.folder / FRAMES
-    kept = recording.end_of(frames)
-    if recording.end_of(len(recording)) > kept:
-        with path.open("rb") as lines, appearing_whole(recording.folder / _REST) as temporary:
-            lines.seek(kept)
-            temporary.write_bytes(lines.read())
-    os.truncate(path, kept)
-
-
-def _write(change: Callable[[], None]) -> None:
+    path = folder / FRAMES
     try:
-        change()
+        if not path.exists():
+            path.touch()
+        mode = "rb" if recording.is_complete else "rb+"  # what is complete may lie where nothing can be written
+        with path.open(mode) as file:
+            lock(file)
+            recording.refresh()
+            was_complete = recording.is_complete
+            lines = find_lines(path)
+            frames = _length(recording, lines)
+            examined = examine(recording, lines, frames, progress)
+            put_aside = _put_in_place(lines, frames, is_complete=was_complete)
+            if not was_complete:
+                _finish(recording, frames, examined)
     except OSError as error:
-        raise RunError(f"{error.filename}: cannot be written: {error.strerror or error}") from error
+        raise RunError(f"{error.filename or folder}: {error.strerror or error}") from error
+    return Recovered(
+        was_complete,
+        frames,
+        examined.reconstructed,
+        examined.lost,
+        examined.gaps,
+        examined.damage,
+        examined.whole,
+        put_aside,
+    )
+
+
+def _length(recording: Recording, lines: LinePlaces) -> int:
+    """How many frames there are: up to the last that is whole; after a power cut a line may have outlived its frame."""
+    if recording.is_complete:
+        recorded = recording.run.get("frames", {}).get("recorded")
+        return recorded if isinstance(recorded, int) else len(recording)
+    return max((index + 1 for index in lines.spans if recording.is_whole(index)), default=0)
+
+
+def _put_in_place(lines: LinePlaces, frames: int, *, is_complete: bool) -> str:
+    """Have each line where it belongs, and nothing after them; whatever was there but a half line is put aside."""
+    path, end = lines.path, lines.end_in_place(frames)
+    if end is None:
+        aside = _aside(path)
+        with appearing_whole(aside) as temporary:
+            shutil.copyfile(path, temporary)
+        with appearing_whole(path) as temporary, temporary.open("wb") as file:
+            file.writelines(lines.in_place(frames))
+        return f"{FRAMES} as it was is in {aside.name}; in the new one every line stands where it belongs"
+    if is_complete:
+        return ""
+    said = ""
+    with path.open("rb") as file:
+        file.seek(end)
+        rest = file.read()
+    if left_out := rest.count(b"\n"):
+        aside = _aside(path)
+        with appearing_whole(aside) as temporary:
+            temporary.write_bytes(rest)
+        said = f"the lines after the last whole frame, {left_out} of them, are in {aside.name}"
+    os.truncate(path, end)
+    return said
+
+
+def _aside(path: Path) -> Path:
+    """A name that is free, for what is put aside."""
+    names = chain(["damaged"], (f"damaged-{number}" for number in count(2)))
+    return next(each for name in names if not (each := path.with_suffix(f".{name}{path.suffix}")).exists())
+
+
+def _finish(recording: Recording, frames: int, examined: Examined) -> None:
+    """Make the arrays as long as there are frames, and say in `run.json` that it is complete."""
+    store = recording.folder / STORE
+    for path in (store / PIXELS, *sorted(store.glob(results_of("*") + "/*"))):
+        if is_array(path):
+            FrameArray(path).set_length(frames)
+    counts = {"recorded": frames, "reconstructed": examined.reconstructed, "lost": examined.lost}
+    why = recording.ended_early or _WHY
+    ended = {"complete": True, "ended": now(), "ended_early": why, "frames": counts}
+    write_record(recording.folder / RUN, {**recording.run, **ended})
