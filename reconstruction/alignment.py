@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.compilation import compiled
 from reconstruction.geometry import Floats
-from reconstruction.kernel import Scratch, compiled, look, warp_polynomials, warp_value
+from reconstruction.kernel import Scratch, look, warp_polynomials, warp_value
 from reconstruction.spline import Image
 
 LOST_PX = np.float32(1e6)  # the last step of a fit that has run away

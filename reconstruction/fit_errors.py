@@ -6,12 +6,12 @@ is that of pixels without interpolation. The residual holds all of the noise, an
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.compilation import compiled
 from reconstruction.displacement import Mask
 from reconstruction.geometry import Floats
 from reconstruction.lenslet_fits import Fits
@@ -54,38 +54,59 @@ class FitErrors:
 
     def __call__(self, fits: Fits) -> Errors:
         """Say how wrong the fits are; of those that ran away it may say anything."""
-        per_pixel, per_light, known = self._template.per_pixel, self._template.per_light, np.ones(len(fits.gain))
+        template, lenslets = self._template, len(fits.gain)
+        errors = Errors(
+            np.empty_like(template.per_pixel.covariance), np.empty(lenslets), np.empty(lenslets), np.ones(lenslets)
+        )
+        noise = (np.nan, np.nan)
+        if self._noise is not None:
+            noise = self._noise.counts_per_light, self._noise.read_noise_counts**2
+        prepared = *noise, self._of_reference, self._reference_power
+        _propagate(fits, np.arange(lenslets), template.per_pixel, template.per_light, *prepared, errors)
         careful = np.flatnonzero(fits.careful)
         if careful.size:
-            of_pixel, of_light, known[careful] = self._template.without(careful, fits.masked[careful])
-            per_pixel, per_light = _with(per_pixel, careful, of_pixel), _with(per_light, careful, of_light)
-        power_pixel, power_light = fits.noise_power.T
-        with np.errstate(all="ignore"):
-            if self._noise is None:
-                variance = fits.square / (power_pixel * per_pixel.square - per_pixel.fitted)
-                return Errors(
-                    _scaled(per_pixel.covariance, variance), np.full_like(variance, np.nan), fits.square, known
-                )
+            per_pixel, per_light, errors.known[careful] = template.without(careful, fits.masked[careful])
+            _propagate(fits, careful, per_pixel, per_light, *prepared, errors)
+        return errors
+
+
+@compiled
+def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by their place
+    fits: Fits,
+    lenslets: NDArray[np.intp],
+    per_pixel: Propagated,
+    per_light: Propagated,
+    shot: float,
+    read: float,
+    of_reference: float,
+    reference_power: Floats,
+    errors: Errors,
+) -> None:
+    """Fill in what is wrong with the fits of some lenslets (K,), of which `per_pixel` and `per_light` tell.
+
+    `shot`, the variance (counts^2) of each count of light, and `read`, that of each pixel, are NaN where they are not
+    known; the reference has the share `of_reference` of them, weakened by interpolation to `reference_power` (L, 2).
+    """
+    for k in range(lenslets.size):
+        lenslet = lenslets[k]
+        gain, square, power = fits.gain[lenslet], fits.square[lenslet], fits.noise_power[lenslet]
+        still = reference_power[lenslet]
+        of_pixels, of_light, expected = 0.0, 0.0, 0.0
+        if np.isnan(shot):
+            of_pixels = square / (power[0] * per_pixel.square[k] - per_pixel.fitted[k])
+            errors.chi_square[lenslet] = np.nan
+        else:
             # Of the frame, raised by the gain to the brightness of the reference, and of the reference itself.
-            shot, read = self._noise.counts_per_light, self._noise.read_noise_counts**2
-            shot_frame, read_frame = shot * fits.gain, read * fits.gain**2
-            shot_reference, read_reference = shot * self._of_reference, read * self._of_reference
-            covariance = _scaled(per_light.covariance, shot_frame + shot_reference)
-            covariance += _scaled(per_pixel.covariance, read_frame + read_reference)
-            still_pixel, still_light = self._reference_power.T
-            expected = shot_frame * (power_light * per_light.square - per_light.fitted)
-            expected += read_frame * (power_pixel * per_pixel.square - per_pixel.fitted)
-            expected += shot_reference * (still_light * per_light.square - per_light.fitted)
-            expected += read_reference * (still_pixel * per_pixel.square - per_pixel.fitted)
-            return Errors(covariance, fits.square / expected, fits.square - expected, known)
-
-
-def _scaled(covariance: Floats, factor: Floats) -> Floats:
-    return np.asarray(covariance * factor[:, None, None, None, None])
-
-
-def _with(every: Propagated, lenslets: NDArray[np.intp], some: Propagated) -> Propagated:
-    """Replace what is known of some lenslets (K,)."""
-    covariance, square, fitted = every.covariance.copy(), every.square.copy(), every.fitted.copy()
-    covariance[lenslets], square[lenslets], fitted[lenslets] = some.covariance, some.square, some.fitted
-    return replace(every, covariance=covariance, square=square, fitted=fitted)
+            shot_frame, read_frame = shot * gain, read * gain * gain
+            shot_reference, read_reference = shot * of_reference, read * of_reference
+            of_pixels, of_light = read_frame + read_reference, shot_frame + shot_reference
+            left_pixels = read_frame * power[0] + read_reference * still[0]
+            left_light = shot_frame * power[1] + shot_reference * still[1]
+            expected = left_pixels * per_pixel.square[k] - of_pixels * per_pixel.fitted[k]
+            expected += left_light * per_light.square[k] - of_light * per_light.fitted[k]
+            errors.chi_square[lenslet] = square / expected
+        errors.unexplained[lenslet] = square - expected
+        to = errors.covariance[lenslet].reshape(-1)
+        pixels, light = per_pixel.covariance[k].reshape(-1), per_light.covariance[k].reshape(-1)
+        for n in range(to.size):
+            to[n] = of_pixels * pixels[n] + of_light * light[n]

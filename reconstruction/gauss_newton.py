@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from reconstruction.alignment import View
+from reconstruction.compilation import compiled
 from reconstruction.displacement import Displacement, Mask, Outcome
 from reconstruction.field_modes import LegendreModes, PolynomialModes
 from reconstruction.fit_errors import FitErrors
@@ -81,7 +82,7 @@ class GaussNewton:
 
         errors = self._errors(fits)
         found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < self._unexplained)
-        found &= ~self._stands_out(errors.unexplained, fits.square, found)
+        found &= ~_stands_out(errors.unexplained, fits.square, self._unexplained, found)
         spoilt = errors.known < _INFORMATION_LEFT
         return judged(
             reference,
@@ -98,19 +99,6 @@ class GaussNewton:
                 Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
         )
-
-    def _stands_out(self, unexplained: Floats, square: Floats, found: Mask) -> Mask:
-        """Which lenslets (L,) show something that most do not, as when a part of the cell is covered.
-
-        `unexplained` (L,) of the residual's `square` (L,), counts^2, is more than its noise; `found` (L,) have a match.
-        """
-        if not found.any():
-            return np.zeros_like(found)
-        with np.errstate(invalid="ignore", divide="ignore"):  # of lenslets that are not lit at all
-            per_contrast = _MISFIT**2 / self._unexplained
-            share, noise = unexplained * per_contrast, (square - unexplained) * per_contrast
-            usual = np.median(np.maximum(share[found], 0.0))
-            return np.asarray(share > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise)
 
     def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
         """Fit the lenslets, shared among threads, to a frame of which the spline coefficients are given."""
@@ -152,3 +140,20 @@ class GaussNewton:
         if start is None or start.coefficients.size != np.prod(shape):
             return np.full((shape[0], 2, shape[1]), np.nan, np.float32)
         return np.ascontiguousarray(np.swapaxes(start.coefficients.reshape(shape), 1, 2), np.float32)
+
+
+@compiled
+def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Mask) -> Mask:
+    """Which lenslets (L,) show something that most do not, as when a part of the cell is covered.
+
+    `unexplained` (L,) of the residual's `square` (L,), counts^2, is more than its noise, and must be less than
+    `at_most` (L,) in any case; `found` (L,) have a match.
+    """
+    out = np.zeros_like(found)
+    if found.any():
+        share = unexplained * (_MISFIT**2 / at_most)
+        usual = np.median(np.maximum(share[found], 0.0))
+        for lenslet in range(found.size):
+            noise = (square[lenslet] - unexplained[lenslet]) * (_MISFIT**2 / at_most[lenslet])
+            out[lenslet] = share[lenslet] > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise
+    return out

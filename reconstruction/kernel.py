@@ -4,46 +4,24 @@ A warp is a pair of cubic polynomials of the normalised position (u, v) in the w
 
     1, u, v, u^2, uv, v^2, u^3, u^2 v, u v^2, v^3
 
-for x and for y: so positions and their derivatives cost a few operations a pixel. All compiled code releases the
-interpreter's lock, so that threads can share the lenslets.
+for x and for y: so positions and their derivatives cost a few operations a pixel.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.compilation import compiled
 from reconstruction.geometry import Floats
 from reconstruction.spline import Image
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-_COMPILED_FILES = ("kernel", "alignment", "search", "lenslet_fits")
-_SOURCES = hashlib.sha256(
-    b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _COMPILED_FILES)
-).hexdigest()
 
 MONOMIALS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))  # powers of u and v
 _ONE, _TWO, _THREE, _HALF = np.float32(1.0), np.float32(2.0), np.float32(3.0), np.float32(0.5)
 _SIXTH, _TWO_THIRDS = np.float32(1 / 6), np.float32(2 / 3)
 _NEXT, _NEXT_BUT_ONE, _LAST = np.uint64(1), np.uint64(2), np.uint64(3)  # columns of a 4 x 4 neighbourhood
-
-
-def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile with Numba on the first call and keep the result on disk; a typed face for an untyped decorator."""
-    dispatcher: Any = numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")(
-        function
-    )
-    # Numba looks for changes in the function's own file alone, but keeps with it what it calls in the others.
-    dispatcher._cache._cache_file._source_stamp = _SOURCES  # noqa: SLF001 - there is no public way to say so
-    return cast("Callable[P, R]", dispatcher)
 
 
 class Scratch(NamedTuple):

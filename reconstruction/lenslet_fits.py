@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.alignment import LOST_PX, Grid, State, View, settle
+from reconstruction.compilation import compiled
 from reconstruction.geometry import Floats
-from reconstruction.kernel import Scratch, compiled, new_scratch
+from reconstruction.kernel import Scratch, new_scratch
 from reconstruction.search import Search, best_shift
 from reconstruction.spline import Image
 

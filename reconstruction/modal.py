@@ -21,15 +21,13 @@ from scipy import ndimage
 
 from reconstruction.displacement import Mask
 from reconstruction.errors import ReconstructionError
+from reconstruction.evidence import likeliest
 from reconstruction.geometry import Floats
 from reconstruction.pupil_modes import PupilModes
 from reconstruction.whitening import Whitening
 
 _PRIOR_EXPONENT = 5.0
 _UNSEEN = 1e-12  # singular value over the largest, below which it is rounding
-# Tried for prior over noise, both as variances: roughly first, then every quarter of a decade about the best.
-_PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
-_BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,31 +37,25 @@ class _Equations:
     G is (lenslet x xy, pupil_mode - 1); all without the piston.
     """
 
-    root_weight: Floats  # W, (k, lenslet x xy)
-    scale: Floats  # S: the prior's n^-5, or 1 without it; (pupil_mode - 1,)
+    weight: Floats  # W^2, (k, lenslet x xy)
     singular: Floats  # (k, pupil_mode - 1), m
-    vt: Floats  # (k, pupil_mode - 1, pupil_mode - 1)
+    square: Floats  # of them, over the largest of all, (k, pupil_mode - 1)
+    scaled: Floats  # vt S, with S the prior's n^-5, or 1 without it; (k, pupil_mode - 1, pupil_mode - 1)
+    # The same over the singular values; 0 where the slopes show nothing of a singular vector.
+    over_singular: Floats
     gradients: Floats  # G
-    near: Mask  # valid lenslets and those next to one, (lenslet_row, lenslet_column)
+    known: Mask  # where the wavefront is known, (lenslet_row, lenslet_column); elsewhere it would be invented
+    values: Floats  # of the modes there, less their means, (pupil_mode - 1, known lenslet)
 
-    def along(self, data: Floats) -> Floats:
-        """Weighted data (k, lenslet x xy) along the singular vectors, (k, pupil_mode - 1)."""
+    def along(self, weighted: Floats) -> Floats:
+        """Data (k, lenslet x xy) times W^2, along the singular vectors: (k, pupil_mode - 1)."""
         # u = W G S vt^T / singular, of which only G is large, and shared by all combinations.
-        carried = (data * self.root_weight) @ self.gradients * self.scale
-        along = (carried[:, None] @ np.swapaxes(self.vt, 1, 2))[:, 0]
-        return np.divide(along, self.singular, out=np.zeros_like(along), where=self._is_seen)
-
-    @property
-    def _is_seen(self) -> Mask:
-        """Which singular vectors the slopes show at all, (k, pupil_mode - 1)."""
-        return np.asarray(self.singular > _UNSEEN * self.singular[:, :1])
+        return np.asarray(np.matvec(self.over_singular, weighted @ self.gradients))
 
     def inverse(self, gain: Floats) -> Floats:
         """The estimator of each combination with the `gain` (k, pupil_mode - 1): (k, pupil_mode - 1, lenslet x xy)."""
-        scaled = self.scale[:, None] * np.swapaxes(self.vt, 1, 2)
-        per_singular = np.divide(gain, self.singular, out=np.zeros_like(gain), where=self._is_seen)
-        square = (scaled * per_singular[:, None]) @ np.swapaxes(scaled, 1, 2)
-        return np.asarray((square @ self.gradients.T) * self.root_weight[:, None] ** 2)
+        square = np.swapaxes(self.scaled, 1, 2) @ (gain[..., None] * self.over_singular)
+        return np.asarray((square @ self.gradients.T) * self.weight[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +63,6 @@ class ModalSolution:
     """The dual-orthogonal coefficients of one wavefront; error bars are computed when they are asked for."""
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston, which slopes do not show
-    known: Mask  # where it is known, (lenslet_row, lenslet_column); elsewhere it would be invented
-    _modes: PupilModes
     _whitening: Whitening
     _equations: _Equations
     _gain: Floats  # 1 / singular, or less where the prior holds: (combination, pupil_mode - 1)
@@ -81,17 +71,23 @@ class ModalSolution:
     _valid: Mask  # of which lenslets these are, (lenslet_row, lenslet_column)
     _covariance_of_slopes: Floats  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
 
+    @property
+    def known(self) -> Mask:
+        """Where the wavefront is known, (lenslet_row, lenslet_column); elsewhere it would be invented."""
+        return self._equations.known
+
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, where the field modes have the values (..., field_mode); see `wavefront.Solution`."""
-        phase = np.tensordot(field_modes @ self.coefficients.T, self._modes.values[:, self.known], axes=1)
+        phase = field_modes @ (self.coefficients[1:].T @ self._equations.values)
+        if phase.shape[-1] == self.known.size:
+            return phase.reshape(*phase.shape[:-1], *self.known.shape)
         wavefront = np.full((*phase.shape[:-1], *self.known.shape), np.nan)
-        wavefront[..., self.known] = phase - phase.mean(axis=-1, keepdims=True)
+        wavefront[..., self.known] = phase
         return wavefront
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront`, rad, the same shape."""
-        values = self._modes.values[1:, self.known]
-        values = values - values.mean(axis=1, keepdims=True)
+        values = self._equations.values
         flat = field_modes.reshape(-1, field_modes.shape[-1])
         sigma = np.full((len(flat), *self.known.shape), np.nan)
         for view, at in enumerate(np.einsum("vq,vs->vqs", flat, flat)):
@@ -133,9 +129,9 @@ class ModalSolution:
                 passed_on = np.einsum("pla,lab->plb", by_lenslet, noise[k, m]).reshape(pupil_modes, -1)
                 covariance[k, m] = passed_on @ inverse[m].T
                 covariance[m, k] = covariance[k, m].T
-        scaled = self._equations.scale[:, None] * np.swapaxes(self._equations.vt, 1, 2)
+        scaled = self._equations.scaled
         left = self._prior_variance[:, None] * (1 - self._gain * self._equations.singular) ** 2
-        held_back = (scaled * left[:, None]) @ np.swapaxes(scaled, 1, 2)
+        held_back = np.swapaxes(scaled, 1, 2) @ (left[..., None] * scaled)
         covariance[np.arange(combinations), np.arange(combinations)] += held_back
         flat = covariance.reshape(combinations, -1)
         half_way = (back @ flat).reshape(combinations, combinations, -1)
@@ -164,8 +160,6 @@ class ModalSolver:
         self._gradients = gradients.reshape(len(gradients), -1)  # (pupil_mode without piston, lenslet x xy), 1/m
         self._scale = modes.degree[1:] ** -_PRIOR_EXPONENT if is_smooth else np.ones(len(gradients))
         self._equations = lru_cache(maxsize=16)(self._decompose)  # of this solver's own
-        equal = np.ones(modes.inside.shape)
-        self._equations(modes.inside.tobytes(), equal.tobytes())  # says at once if all lenslets cannot tell them apart
 
     def __call__(
         self, slopes: Floats, covariance: Floats, valid: Mask, *, weights: Floats | None = None
@@ -179,20 +173,20 @@ class ModalSolver:
         weights = np.ones(valid.shape) if weights is None else np.asarray(weights, np.float64)
         equations = self._equations(valid.tobytes(), weights.tobytes())
         measured = np.swapaxes(slopes[valid], 1, 2).reshape(-1, slopes.shape[2])
-        data = equations.root_weight * (self._whitening.forward @ measured.T)
-        along = equations.along(data)
+        data = self._whitening.forward @ measured.T
+        weighted = data * equations.weight
+        along = equations.along(weighted)
         if self._is_smooth:
-            ratio, noise = _likeliest(equations.singular, along, np.sum(data**2, axis=1), data.shape[1])
+            total = np.vecdot(data, weighted)
+            ratio, noise = likeliest(equations.square, along, total, data.shape[1])
+            ratio = ratio / np.max(equations.singular) ** 2
             gain = ratio[:, None] * equations.singular / (1 + ratio[:, None] * equations.singular**2)
-            # What the neighbours say of a lost lenslet is worth saying; further away it would be invented.
-            prior_variance, known = ratio * noise, self._modes.inside & equations.near
+            prior_variance = ratio * noise
         else:
-            gain, prior_variance, known = 1 / equations.singular, np.zeros(len(along)), valid
-        coefficients = equations.scale * ((gain * along)[:, None] @ equations.vt)[:, 0]
+            gain, prior_variance = 1 / equations.singular, np.zeros(len(along))
+        coefficients = np.vecmat(gain * along, equations.scaled)
         return ModalSolution(
             np.concatenate([np.zeros((1, len(along))), (self._whitening.back @ coefficients).T]),
-            known,
-            self._modes,
             self._whitening,
             equations,
             gain,
@@ -218,26 +212,19 @@ class ModalSolver:
                 f"{np.count_nonzero(valid)} valid lenslets cannot tell {modes + 1} pupil modes apart:"
                 " lower pupil_modes, or leave it out"
             )
-        lattice = valid.reshape(self._modes.inside.shape)
-        near = ndimage.binary_dilation(lattice, structure=np.ones((3, 3), np.bool_))
-        return _Equations(root_weight, self._scale, singular, vt, gradients, near)
-
-
-def _likeliest(singular: Floats, along: Floats, total: Floats, count: int) -> tuple[Floats, Floats]:
-    """The likeliest ratio of prior to noise variance of each combination, and the noise variance: (combination,) each.
-
-    `along` (combination, p) are the `count` data along the singular vectors, `total` (combination,) their sums of
-    squares. Under the prior, component p has the variance noise (1 + ratio singular_p^2), all others only noise;
-    for a given ratio the likeliest noise follows in closed form, so that only the ratio is searched for.
-    """
-    square, energy = (singular / np.max(singular)) ** 2, along**2
-    beyond = np.maximum(total - np.sum(energy, axis=1), 0.0)
-    decades = np.zeros((1, len(total)))
-    for tried in (_PRIOR_DECADES, _BETWEEN_DECADES):
-        around = decades + tried[:, None]  # (ratio, combination)
-        spread = 1 + 10.0 ** around[..., None] * square  # (ratio, combination, p)
-        noise = np.maximum((np.sum(energy / spread, axis=2) + beyond) / count, np.finfo(float).tiny)
-        evidence = -count / 2 * np.log(noise) - np.sum(np.log(spread), axis=2) / 2
-        best = np.argmax(evidence, axis=0), np.arange(len(total))
-        decades = around[best]
-    return 10.0**decades / np.max(singular) ** 2, noise[best]
+        known = valid.reshape(self._modes.inside.shape)
+        if self._is_smooth:  # what the neighbours say of a lost lenslet is worth saying; further away it is invented
+            known = self._modes.inside & ndimage.binary_dilation(known, structure=np.ones((3, 3), np.bool_))
+        values = self._modes.values[1:, known]
+        is_seen = singular > _UNSEEN * singular[:, :1]
+        scaled = vt * self._scale
+        return _Equations(
+            weight=root_weight**2,
+            singular=singular,
+            square=(singular / np.max(singular)) ** 2,
+            scaled=scaled,
+            over_singular=np.divide(scaled, singular[..., None], out=np.zeros_like(scaled), where=is_seen[..., None]),
+            gradients=gradients,
+            known=known,
+            values=values - values.mean(axis=1, keepdims=True),
+        )

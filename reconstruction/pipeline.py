@@ -15,6 +15,7 @@ from reconstruction.bad_pixels import find_bad_pixels
 from reconstruction.displacement import Displacement, Estimator, Mask, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Floats, Lattice, Sensor, require
+from reconstruction.lenslet_weights import lenslet_weights, mean_variance
 from reconstruction.modal import ModalSolver
 from reconstruction.noise import CameraNoise
 from reconstruction.pupil_modes import PupilBasis, pupil_modes
@@ -22,7 +23,7 @@ from reconstruction.registration import RegistrationSettings, Warp, prepare_regi
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 from reconstruction.wavefront import Solution, Wavefront
-from reconstruction.whitening import SYSTEMATIC_PX, whitening
+from reconstruction.whitening import whitening
 from reconstruction.zonal import ZonalSolution
 
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
@@ -67,7 +68,10 @@ class Reconstructor:
         single frame, where it is known; the reference is the mean of `reference_frames` frames.
         """
         self.frame_shape = reference.shape[0], reference.shape[-1]
-        self._dark = None if dark is None else _checked(dark, "dark", reference.shape)
+        self._dark = None
+        if dark is not None:
+            _check(dark, "dark", reference.shape)
+            self._dark = _finite(dark, "dark")
         self._full_scale = full_scale
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
         self._reference_frames = reference_frames
@@ -77,13 +81,15 @@ class Reconstructor:
         own = self._prepare(light, registration)
         # What the registration makes of the reference itself tells how certain each lenslet is, and of what.
         self.whitening = whitening(own.covariance)
-        self._expected = _mean_variance(own)  # (lenslet_row, lenslet_column), px^2; NaN where it is not known
+        self._expected = _mean_variance(own)  # (L,), px^2; NaN where it is not known
         self._usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
         self._modal = None
         if reconstruction.method == "modal":
             count = reconstruction.pupil_modes
             modes = pupil_modes(sensor, reconstruction.basis, count)
             self._modal = ModalSolver(modes, self.whitening, is_smooth=count is None)
+        if own.valid.any():
+            self.solve(own)  # says at once if the lenslets cannot tell the modes apart, and spares it the first frame
 
     def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
         """Measure the wavefront that a frame (row, column), counts, shows against the reference.
@@ -143,19 +149,11 @@ class Reconstructor:
         return own
 
     def weights_of(self, displacement: Displacement) -> Floats:
-        """How much each lenslet counts: as the reference lets expect, less where this frame's shows less.
-
-        Less means in steps of four, so that what the weights determine need not be computed anew for every frame.
-        """
+        """How much each lenslet counts, (lenslet_row, lenslet_column); see `lenslet_weights`."""
         if self.noise is None:
             return np.ones(displacement.valid.shape)
-        weights = np.zeros(displacement.valid.shape)
-        known = displacement.valid & np.isfinite(self._expected)
-        if known.any():
-            ratio = _mean_variance(displacement)[known] / self._expected[known]
-            steps = np.round(np.log(ratio / np.median(ratio)) / np.log(4.0))
-            weights[known] = self._usual / self._expected[known] * 4.0 ** -np.maximum(steps, 0.0)
-        return weights
+        weights = lenslet_weights(_mean_variance(displacement), self._expected, float(self._usual))
+        return weights.reshape(displacement.valid.shape)
 
     def _cut(self, light: Image) -> ReferenceSubimages:
         return ReferenceSubimages(
@@ -170,39 +168,49 @@ class Reconstructor:
 
     def _light(self, image: Counts, what: str) -> tuple[Image, Mask]:
         """Check an image; return its counts above the dark or the background, and where it is saturated."""
-        light = _checked(image, what, self.frame_shape)
-        saturated = self._saturated(image)
+        light, saturated = self._above_dark(image, what), self._saturated(image)
         if np.count_nonzero(saturated) > _SATURATED_FRACTION * image.size:
             raise ReconstructionError(
                 f"the {what} is saturated: shorten the exposure or lower the light's current", image=what
             )
-        light -= self._dark if self._dark is not None else np.float32(np.percentile(light, _BACKGROUND_PERCENT))
         return light, saturated
+
+    def _above_dark(self, image: Counts, what: str) -> Image:
+        """Check an image; return a float32 of its own."""
+        _check(image, what, self.frame_shape)
+        if self._dark is not None and np.issubdtype(image.dtype, np.integer):
+            return np.subtract(image, self._dark, dtype=np.float32)
+        light = _finite(image, what)
+        light -= self._dark if self._dark is not None else np.float32(np.percentile(light, _BACKGROUND_PERCENT))
+        return light
 
     def _saturated(self, image: Counts) -> Mask:
         """Which pixels of an image (row, column) are at full scale."""
-        if np.issubdtype(image.dtype, np.integer) and math.isfinite(self._full_scale):
+        if not math.isfinite(self._full_scale):
+            return np.zeros(image.shape, np.bool_)
+        if np.issubdtype(image.dtype, np.integer):
             return np.asarray(image >= math.ceil(self._full_scale))  # seven times as quick as with a broken number
         return np.asarray(image >= self._full_scale)
 
 
 def _mean_variance(displacement: Displacement) -> Floats:
-    """Variance of a lenslet's displacement, mean over its coefficients, px^2, (lenslet_row, lenslet_column).
-
-    That of what is systematic is part of it: a method may find no noise at all, of the reference against itself.
-    """
-    variance: Floats = np.mean(displacement.variance, axis=(2, 3)) + SYSTEMATIC_PX**2
-    return variance
+    """Variance of every lenslet's displacement, px^2, (L,); see `lenslet_weights.mean_variance`."""
+    covariance = displacement.covariance
+    return mean_variance(covariance.reshape(-1, *covariance.shape[2:]))
 
 
-def _checked(image: Counts, what: str, shape: tuple[int, ...]) -> Image:
-    """Return an image as a float32 of its own if it is a finite one of the right shape, else say what it is."""
+def _check(image: Counts, what: str, shape: tuple[int, ...]) -> None:
+    """Refuse what is no image of the right shape, and say what it is."""
     if image.ndim != 2 or image.shape != shape:
         raise ReconstructionError(
             f"the {what} has {_size(image.shape)} pixels, but the reference has {_size(shape)}", image=what
         )
     if not (np.issubdtype(image.dtype, np.integer) or np.issubdtype(image.dtype, np.floating)):
         raise ReconstructionError(f"the {what} holds {image.dtype} values: grey counts are needed", image=what)
+
+
+def _finite(image: Counts, what: str) -> Image:
+    """Return an image as a float32 of its own; refuse numbers that are not finite."""
     with np.errstate(over="ignore"):  # too large a number becomes infinite, and is refused as that
         light = image.astype(np.float32)
     if not np.issubdtype(image.dtype, np.integer) and not np.isfinite(light).all():

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from reconstruction.alignment import View
-from reconstruction.kernel import Scratch, compiled, look
+from reconstruction.compilation import compiled
+from reconstruction.kernel import Scratch, look
 from reconstruction.spline import Image
 from reconstruction.subimages import ReferenceSubimages
 

@@ -119,7 +119,8 @@ class ReferenceSubimages:
         """
         if modes not in self._at_outline:
             self._at_outline[modes] = modes.values(*self._field_outline.T)
-        edge_px = displacement @ self._at_outline[modes] + self.half_width_px * self._field_outline.T
+        moved_px = displacement.reshape(-1, modes.count) @ self._at_outline[modes]  # one product is quicker than L
+        edge_px = moved_px.reshape(len(displacement), 2, -1) + self.half_width_px * self._field_outline.T
         farthest_px = np.abs(edge_px).max(axis=(1, 2))
         allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
         return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)

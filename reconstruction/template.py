@@ -9,6 +9,7 @@ by the inverse of its variance: A = (J W J^T)^-1 J W.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,7 @@ _NOTHING = 1e-12
 _AT_ONCE = 64  # lenslets whose numbers fit into the processor's cache
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Propagated:
+class Propagated(NamedTuple):
     """What noise of a given variance per pixel does to the fits of L lenslets with Q field modes."""
 
     covariance: Floats  # of the displacement coefficients, (L, Q, xy, Q, xy)
