@@ -26,8 +26,9 @@ from app.measurement import Counts, LightState, Measurement
 from app.recording.background import RecordingState
 from app.recording.recorder import Recorder
 from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled, next_frame
+from app.sensor_area import SensorArea
 from app.timing import Timings, short_turns
-from drivers.interface import DeviceError, Devices, DeviceTimeout, Frame, FrameLost
+from drivers.interface import DeviceError, Devices, DeviceTimeout, Frame, FrameLost, WrongState
 from reconstruction.threads import one_blas_thread
 
 T = TypeVar("T")
@@ -130,6 +131,23 @@ class Acquisition:
             f"checking the background, {frames} frames",
             lambda instrument, **how: instrument.check_background(frames, **how),
         )
+
+    def read_out(self, area: SensorArea) -> Future[SensorArea]:
+        """Have another part of the sensor read out; see `Instrument.read_out`.
+
+        It is refused while a recording is under way: one recording's frames are all alike. For the same reason the
+        last seconds begin anew.
+        """
+
+        def command(instrument: Instrument) -> SensorArea:
+            if self.recording is not None and self.recording.stage == "recording":
+                raise WrongState("a recording is under way, and its frames must all be alike: stop it first")
+            before, taken = SensorArea.of(instrument.devices.camera), instrument.read_out(area)
+            if taken != before:
+                self._recorder.forget_recent()
+            return taken
+
+        return self.submit(command)
 
     def start_recording(
         self, folder: Path, *, command: str = "live", frames: int | None = None, may_rename: bool = False

@@ -8,9 +8,9 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
 import cattrs
 import tomli_w
@@ -29,7 +29,11 @@ from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.registration import RegistrationSettings
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 T = TypeVar("T")
+Settings = TypeVar("Settings", bound="DataclassInstance")
 
 CameraSettings: TypeAlias = SimulatedCameraSettings | DcamSettings | GenicamSettings | RecordingSettings
 LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings
@@ -126,6 +130,12 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
         faults.sort(key=lambda fault: not fault.startswith(_UNKNOWN))  # a misspelt key, then what it leaves missing
         sentence, _, path = faults[0].rpartition(" @ $")
         raise InputError(f"{name}: {path.lstrip('.')}{': ' if path else ''}{sentence}") from error
+
+
+def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:
+    """Change those of the values that the settings of this driver have."""
+    known = {field.name for field in dataclasses.fields(settings)}
+    return dataclasses.replace(settings, **{name: value for name, value in values.items() if name in known})
 
 
 def write_bench(bench: Bench) -> str:

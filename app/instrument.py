@@ -5,12 +5,12 @@ It has no thread of its own; whoever holds it owns the devices. `Status` is the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Literal, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from app.calibration import Calibration, surveyed
-from app.config import Bench
+from app.config import Bench, with_known
 from app.live_refinement import LiveRefinement, RefinementState
 from app.measurement import PASSED_OVER
 from app.routines import (
@@ -26,6 +26,7 @@ from app.routines import (
     take_dark,
     take_reference,
 )
+from app.sensor_area import SensorArea, moved, moved_lattice, set_area
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
@@ -35,10 +36,6 @@ from reconstruction.lattice import Survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-T = TypeVar("T", bound="DataclassInstance")
 Standing = Literal["missing", "doubtful", "good"]  # of a dark or a reference
 
 
@@ -51,6 +48,7 @@ class Status:
     light_name: str
     capabilities: CameraCapabilities
     is_running: bool
+    area: SensorArea
     exposure_s: float
     amplifier: str
     readout_speed: int
@@ -78,8 +76,8 @@ class Status:
         return replace(
             self.bench,
             lattice=self.lattice,
-            camera=_with_known(self.bench.camera, camera),
-            light=_with_known(self.bench.light, {"current_a": self.current_a}),
+            camera=with_known(self.bench.camera, camera),
+            light=with_known(self.bench.light, {"current_a": self.current_a}),
         )
 
 
@@ -150,6 +148,7 @@ class Instrument:
             light_name=light.name,
             capabilities=camera.capabilities,
             is_running=camera.is_running,
+            area=SensorArea(now.region, now.binning),
             exposure_s=camera.exposure_s,
             amplifier=camera.amplifier,
             readout_speed=camera.readout_speed,
@@ -203,7 +202,36 @@ class Instrument:
         """Find the lenslets in the reference; nothing is changed by it."""
         if self._reference is None:
             raise WrongState("the lattice is found in the reference: take one first")
-        return surveyed(self._bench, self._dark, self._reference, self.devices.camera.capabilities.full_scale)
+        now = Circumstances.of(self.devices)
+        if not _fits(self._reference_taken, now):
+            raise WrongState(self._doubt_of_reference(now))
+        dark = self._dark if _fits(self._dark_taken, now) else None
+        return surveyed(self._bench, dark, self._reference, self.devices.camera.capabilities.full_scale)
+
+    def read_out(self, area: SensorArea) -> SensorArea:
+        """Have the camera, stopped for it, read out another part of its sensor; return what it really took.
+
+        The lattice goes along. Dark and reference are of no use until they are taken again, or the area is as before.
+        """
+        camera, before = self.devices.camera, SensorArea.of(self.devices.camera)
+        whole = camera.capabilities.sensor
+        was_running = camera.is_running
+        camera.stop()
+        try:
+            taken = set_area(camera, area)
+            try:
+                bench = moved(self._bench, before, taken, whole)
+                lattice = None if self._lattice is None else moved_lattice(self._lattice, before, taken)
+            except BadValue:
+                set_area(camera, before)
+                raise
+        finally:
+            if was_running and camera.state == "stopped":
+                camera.start()
+        if taken != before:
+            self._bench, self._lattice = bench, lattice
+            self._prepare()
+        return taken
 
     def change_settings(self, change: Callable[[Bench], Bench]) -> None:
         """Replace the settings of registration and reconstruction by what `change` makes of the bench."""
@@ -252,11 +280,15 @@ class Instrument:
         self.close()
         if self._reference is None:
             return
-        camera, bench = self.devices.camera, self._bench
+        camera, bench, now = self.devices.camera, self._bench, Circumstances.of(self.devices)
+        if not _fits(self._reference_taken, now):
+            self._problem = self._doubt_of_reference(now)
+            return
+        dark = self._dark if _fits(self._dark_taken, now) else None
         was_running = camera.is_running
         camera.stop()
         try:
-            calibration = Calibration.of(bench, self._dark, self._reference, camera.capabilities.full_scale)
+            calibration = Calibration.of(bench, dark, self._reference, camera.capabilities.full_scale)
             self._lattice = calibration.lattice
             self._reconstructor = calibration.reconstructor()
             self._calibration = calibration
@@ -281,6 +313,11 @@ def _as_averaged(now: Circumstances, average: Average) -> Circumstances:
     return replace(now, exposure_s=average.exposure_s, em_gain=average.em_gain, amplifier=average.amplifier)
 
 
+def _fits(taken: Circumstances | None, now: Circumstances) -> bool:
+    """Whether what was taken then has the pixels of the frames of now."""
+    return taken is not None and taken.shows_same_pixels(now)
+
+
 def _doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit: bool) -> str:
     if taken is None:
         return f"no {what} yet: the background is a guess"
@@ -292,9 +329,3 @@ def _standing(average: Average | None, doubt: str) -> Standing:
     if average is None:
         return "missing"
     return "doubtful" if doubt else "good"
-
-
-def _with_known(settings: T, values: Mapping[str, object]) -> T:
-    """Change those of the values that the settings of this driver have."""
-    known = {field.name for field in fields(settings)}
-    return replace(settings, **{name: value for name, value in values.items() if name in known})

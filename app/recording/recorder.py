@@ -81,6 +81,12 @@ class Recorder:
             self._kept = BackgroundRecording(folder, facts, Timings(), records=tuple(self._recent))
             self._kept.stop()
 
+    def forget_recent(self) -> None:
+        """Keep nothing of what came until now: frames that come from now on are of another kind."""
+        with self._changing:
+            self._recent.clear()
+            self._recent_bytes = 0
+
     def close(self, problem: str) -> None:
         """End and finish whatever is being written; `problem` is why, if it is early."""
         self.stop(problem)

@@ -40,12 +40,16 @@ class Circumstances:
             mask=devices.stage.mask,
         )
 
+    def shows_same_pixels(self, now: Circumstances) -> bool:
+        """Whether its frames have the same pixels of the sensor as those of now."""
+        return (self.region, self.binning) == (now.region, now.binning)
+
     def differs(self, now: Circumstances, *, is_lit: bool) -> str:
         """What of it has changed, by the words after "was taken"; empty if nothing. Only what `is_lit` shows the mask.
 
         What spoils more comes first.
         """
-        if (self.region, self.binning) != (now.region, now.binning):
+        if not self.shows_same_pixels(now):
             return "of another part of the sensor, or with another binning"
         if is_lit and self.mask != now.mask:
             return f"with the mask {self.mask}"
