@@ -12,6 +12,7 @@ from app.acquisition import Acquisition
 from app.config import Bench
 from app.devices import open_devices
 from app.errors import InputError, Interrupted, RunError
+from app.instrument import Instrument
 from app.measured import Measured, write_measured
 from app.person import ask
 from app.progress import Report
@@ -32,7 +33,8 @@ def measure(
 
     Dark and reference are means of `average` frames each; with `auto_expose` the exposure is found before them.
     Whatever ends it early, Ctrl-C among others, the results of what has been recorded are written first. A device that
-    fails is a `RunError`, a bench that cannot be, or a folder that holds a recording, is an `InputError`.
+    fails, or a reference of no use, is a `RunError`; a bench that cannot be, or a folder that holds a recording, is an
+    `InputError`.
     """
     check_free(out)
     is_stopped, fault = False, ""
@@ -72,12 +74,26 @@ def measure(
 
 
 def _calibrate(acquisition: Acquisition, bench: Bench, average: int, report: Report, *, auto_expose: bool) -> None:
-    """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample."""
+    """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample.
+
+    A reference that no frame could be reconstructed with is told at once, before the sample is moved.
+    """
     if bench.is_worked_by_hand:
         ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
     _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, report)
+    while problem := acquisition.submit(_problem).result():
+        said = f"the reference is of no use: {problem}"
+        if not bench.is_worked_by_hand:
+            raise RunError(said)
+        ask(f"{said}; see to light, mask and focus, the sample out of the beam")
+        _wait([acquisition.take_reference(average)], acquisition, report)
     if bench.is_worked_by_hand:
         ask("put the sample into the beam")
+
+
+def _problem(instrument: Instrument) -> str:
+    """Why no frame can be reconstructed with dark and reference; empty when it can."""
+    return "" if instrument.calibration is not None else instrument.status().warning
 
 
 def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, report: Report) -> None:

@@ -6,12 +6,13 @@ import io
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from device_contract import StageContract
 from gui_bench import BENCH, FakeCamera, opener
 
 from app.acquisition import Acquisition
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.measure import measure
 from app.start_up import start_up
 from drivers.genicam_settings import GenicamSettings
@@ -83,6 +84,49 @@ def test_measure_asks_for_what_a_person_must_do(
     assert person.saw[1] == (True, False)  # dark and reference were taken before the second
     asked = capsys.readouterr().err.splitlines()
     assert [line.split(",")[0] for line in asked] == ["take the sample out of the beam", "put the sample into the beam"]
+
+
+class Mender(Person):
+    """Finds at the second time what kept the light from the camera."""
+
+    def __init__(self, camera: FakeCamera, presses: int) -> None:
+        super().__init__(camera, presses)
+        self._image = camera._images[0]
+        camera._images[0] = np.zeros_like(self._image)
+
+    def readline(self) -> str:
+        if len(self.saw) == 2:
+            self._camera._images[0] = self._image
+        return super().readline()
+
+
+def test_measure_tells_at_once_of_a_reference_of_no_use_and_takes_another(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
+) -> None:
+    person = Mender(camera, presses=4)
+    monkeypatch.setattr("sys.stdin", person)
+    monkeypatch.setattr("app.measure.open_devices", opener(camera))
+    measured = measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    assert measured.reconstructed == 3
+    assert [is_sample_in for _, is_sample_in in person.saw] == [False] * 4
+    first, *told, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("take the sample out of the beam")
+    assert len(told) == 2
+    assert all(line.startswith("the reference is of no use: ") for line in told)
+    assert all("the sample out of the beam, then press Enter" in line for line in told)
+    assert last.startswith("put the sample into the beam")
+
+
+def test_measure_on_a_bench_with_motors_ends_with_a_reference_of_no_use(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    camera = FakeCamera()
+    camera._images[0] = np.zeros_like(camera._images[0])
+    monkeypatch.setattr("app.measure.open_devices", opener(camera))
+    with pytest.raises(RunError, match="the reference is of no use: "):
+        measure(BENCH, 3, tmp_path / "m", lambda *_: None)
+    assert not camera.light.shines
+    assert not (tmp_path / "m").exists()
 
 
 @pytest.mark.parametrize("presses", [0, 1])
