@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from drivers.errors import WrongState
-from drivers.stage import Stage
+from drivers.stage import OneMaskStage
 
 
-class ManualStage(Stage):
+class ManualStage(OneMaskStage):
     """Knows where the sample is because it was told, and refuses what only a person can do."""
 
     def __init__(self, mask: str) -> None:
         """`mask` is the one that is in; the sample is out until somebody says otherwise."""
-        super().__init__()
-        self._mask = mask
+        super().__init__(mask)
         self._is_in = False
 
     @property
@@ -24,15 +23,6 @@ class ManualStage(Stage):
         """Take note that a person has moved the sample."""
         with self._talking():
             self._is_in = sample_in
-
-    def _read_masks(self) -> tuple[str, ...]:
-        return (self._mask,)
-
-    def _read_mask(self) -> str:
-        return self._mask
-
-    def _set_mask(self, mask: str) -> None:
-        """There is no other."""
 
     def _is_sample_in(self) -> bool:
         return self._is_in

@@ -67,3 +67,20 @@ class Stage(Device):
 
     @abstractmethod
     def _set_sample_in(self, *, sample_in: bool) -> None: ...
+
+
+class OneMaskStage(Stage):
+    """A stage with one mask, which stays in."""
+
+    def __init__(self, mask: str) -> None:
+        super().__init__()
+        self._mask = mask
+
+    def _read_masks(self) -> tuple[str, ...]:
+        return (self._mask,)
+
+    def _read_mask(self) -> str:
+        return self._mask
+
+    def _set_mask(self, mask: str) -> None:
+        """There is no other."""

@@ -7,7 +7,8 @@ from contextlib import ExitStack
 from app.recording.camera import RecordedCamera
 from app.recording.reader import Recording
 from app.recording_settings import Pace
-from drivers.interface import Devices, LightSource, Range, Stage
+from drivers.interface import Devices, LightSource, Range
+from drivers.stage import OneMaskStage
 
 
 def recorded_devices(recording: Recording, frames: range, *, pace: Pace = "own", repeat: bool = True) -> Devices:
@@ -51,26 +52,17 @@ class RecordedLight(LightSource):
         """There is nothing to let go of."""
 
 
-class RecordedStage(Stage):
+class RecordedStage(OneMaskStage):
     """Decides whether the camera sees the recorded frames, or a reference."""
 
     def __init__(self, camera: RecordedCamera, mask: str) -> None:
-        super().__init__()
-        self._camera, self._mask = camera, mask
+        super().__init__(mask)
+        self._camera = camera
 
     @property
     def name(self) -> str:
         """What it is."""
         return "as recorded"
-
-    def _read_masks(self) -> tuple[str, ...]:
-        return (self._mask,)
-
-    def _read_mask(self) -> str:
-        return self._mask
-
-    def _set_mask(self, mask: str) -> None:
-        """There is no other."""
 
     def _is_sample_in(self) -> bool:
         return self._camera.is_sample_in
