@@ -8,6 +8,7 @@ light first, and the failure is there to be read.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -64,6 +65,7 @@ class Acquisition:
         self._sinks = (self._recorder.take, *sinks)
         self.newest: Measurement | None = None  # the mailbox: written by the worker, read by anybody
         self.status: Status | None = None  # None until the devices are open
+        self._asked_s = -math.inf  # when, for the status
         self.activity = Activity("opening the devices")
         self.error: Exception | None = None  # why the worker has ended, when it was not asked to
 
@@ -226,6 +228,8 @@ class Acquisition:
                 self._show_status(instrument)
                 while not self._stopping.is_set():
                     self._execute_commands(instrument, wait=not devices.camera.is_running)
+                    if time.monotonic() > self._asked_s + _STATUS_INTERVAL_S:
+                        self._show_status(instrument)
                     if devices.camera.is_running:
                         self._acquire(instrument)
         except Cancelled:
@@ -252,7 +256,7 @@ class Acquisition:
             execute = self._commands.next()
 
     def _show_status(self, instrument: Instrument) -> None:
-        self.status = instrument.status()
+        self.status, self._asked_s = instrument.status(), time.monotonic()
 
     def _acquire(self, instrument: Instrument) -> None:
         """Take one frame, reconstruct it and pass it on."""
@@ -276,19 +280,23 @@ class Acquisition:
     def _newest_frame(self, instrument: Instrument) -> Frame:
         """Wait for a frame; when it has lain in the camera for long, pass it over for the newest that is there."""
         camera, start_s = instrument.devices.camera, time.perf_counter()
-        frame = next_frame(camera, lambda: self._stopping.is_set() or not self._commands.is_empty)
+        frame = next_frame(camera, self._is_wanted)
         arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
         self.timings.note("wait", arrived_s - start_s)
         self.timings.note("copy", time.perf_counter() - arrived_s)
         self._arrivals.count(frame)
         if self._arrivals.age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
             with suppress(DeviceTimeout, FrameLost):  # there is no newer one
-                while True:
+                while not self._is_wanted() and time.perf_counter() < arrived_s + _PASSING_OVER_S:
                     newer = camera.read(0.0)
                     self._publish(self._measurement(frame, instrument.pass_over(frame)))
                     frame = newer
                     self._arrivals.count(frame)
         return frame
+
+    def _is_wanted(self) -> bool:
+        """Whether something else is to be done than to wait for frames."""
+        return self._stopping.is_set() or not self._commands.is_empty
 
     def _measurement(self, frame: Frame, made: Reconstruction) -> Measurement:
         exposure_end_s = self._arrivals.exposure_end_s(frame)
@@ -313,6 +321,8 @@ class Acquisition:
         self.activity = Activity()
 
 
+_STATUS_INTERVAL_S = 1.0  # the devices are asked so often: also a light's plug may be pulled, or its knob turned
+_PASSING_OVER_S = 0.5  # and no longer, where frames come faster than they can be passed over
 _OLD_S = 0.1  # a frame that is older, and there are newer ones, is not reconstructed
 
 

@@ -21,6 +21,7 @@ from app.routines import Cancelled
 from app.start_up import start_up
 from drivers.interface import BadValue, Devices, Disconnected, Frame, WrongState
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
+from simulated_devices.light import SimulatedLight
 
 
 class Running:
@@ -285,3 +286,40 @@ def test_when_frames_come_too_fast_the_newest_is_taken_and_the_others_are_counte
     # Had the others been kept, each measurement would be 0.19 s older than the one before.
     assert min(measurement.latency_s for measurement in measured[-4:]) < measured[first + 2].latency_s + 1.0
     assert running.newest is last
+
+
+def test_when_frames_cannot_even_be_passed_over_some_are_measured_and_a_stop_is_heard(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure, pass_over = Instrument.measure, Instrument.pass_over
+
+    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(0.2)
+        return measure(instrument, frame)
+
+    def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(0.03)
+        return pass_over(instrument, frame)
+
+    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    try:
+        running.begin()
+        monkeypatch.setattr(Instrument, "measure", slowly)
+        monkeypatch.setattr(Instrument, "pass_over", more_slowly_than_they_come)
+        wait_until(lambda: running.measurements[-1].problem == PASSED_OVER)
+        first = running.acquisition.counts.reconstructed
+        wait_until(lambda: running.acquisition.counts.reconstructed >= first + 2)
+        assert running.acquisition.submit(_is_dark).result(HANG_S) is False
+    finally:
+        running.acquisition.close(HANG_S)
+    assert not running.acquisition.is_alive
+
+
+def test_a_light_that_somebody_turns_off_by_hand_is_seen(running: Running) -> None:
+    running.begin()
+    assert running.devices is not None
+    light = running.devices.light
+    assert isinstance(light, SimulatedLight)
+    light._bench.change(is_light_on=False)  # at its front, where no command comes from
+    wait_until(lambda: running.acquisition.status is not None and not running.acquisition.status.is_light_on)
+    assert running.acquisition.is_alive
