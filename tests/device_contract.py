@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Protocol
 
 import pytest
+from patience import HANG_S, own_time
 
 from drivers import camera_contract, light_contract, stage_contract
 from drivers.camera_contract import CAMERA_CHECKS
@@ -33,7 +34,9 @@ from drivers.light_contract import LIGHT_CHECKS
 from drivers.stage_contract import STAGE_CHECKS
 
 AT_ONCE_S = 2.0  # within which a pulled plug must be told
+BY_HAND = "the light may still be on: switch it off by hand"
 _PAUSE_S = 0.03
+_SLICE_S = 0.1
 
 
 class CameraFaults(Protocol):
@@ -104,19 +107,21 @@ class CameraFaultContract(CameraContract):
     def test_unplugged_in_the_middle_of_a_frame(self, camera: Camera, faults: CameraFaults) -> None:
         camera.set_exposure(min(1.0, camera.capabilities.exposure_range_s.maximum))
         camera.start()
-        pulled_s = _after_a_pause(faults.unplug)
-        with pytest.raises(Disconnected):
-            _read_for(camera, 10.0)
-        assert time.monotonic() - pulled_s() < AT_ONCE_S
+        with own_time() as elapsed_s:
+            pulled_s = _after_a_pause(faults.unplug, elapsed_s)
+            with pytest.raises(Disconnected):
+                _read(camera)
+            assert elapsed_s() - pulled_s() < AT_ONCE_S
         _expect_state(camera, "lost")
         camera.close()
 
     def test_unplugged_in_the_middle_of_a_command(self, camera: Camera, faults: CameraFaults) -> None:
         allowed = camera.capabilities.exposure_range_s
-        pulled_s = _after_a_pause(faults.unplug)
-        with pytest.raises(Disconnected):
-            _repeat_for(10.0, lambda: camera.set_exposure(allowed.minimum))
-        assert time.monotonic() - pulled_s() < AT_ONCE_S
+        with own_time() as elapsed_s:
+            pulled_s = _after_a_pause(faults.unplug, elapsed_s)
+            with pytest.raises(Disconnected):
+                _repeat(lambda: camera.set_exposure(allowed.minimum))
+            assert elapsed_s() - pulled_s() < AT_ONCE_S
         camera.close()
 
     def test_plugged_in_again_it_can_be_opened_anew(
@@ -125,7 +130,7 @@ class CameraFaultContract(CameraContract):
         camera.start()
         faults.unplug()
         with pytest.raises(Disconnected):
-            _read_for(camera, 10.0)
+            _read(camera)
         faults.plug_in()
         with pytest.raises(Disconnected):  # nobody knows what it forgot meanwhile
             camera.stop()
@@ -139,7 +144,7 @@ class CameraFaultContract(CameraContract):
         assert _whole_frame(camera).index == 0
         faults.stall()
         with pytest.raises(DeviceTimeout):
-            _read_for(camera, 10.0)
+            _read(camera)
         _expect_state(camera, "running")
         camera.stop()
         _expect_state(camera, "stopped")
@@ -149,10 +154,16 @@ class CameraFaultContract(CameraContract):
         camera.set_exposure(min(max(0.05, allowed.minimum), allowed.maximum))
         camera.start()
         assert _whole_frame(camera).index == 0
-        faults.lose_frames(3)
-        indexes = [0, *(_whole_frame(camera).index for _ in range(8))]
-        assert all(later > earlier for earlier, later in pairwise(indexes))
-        assert indexes[-1] - 8 == 3
+        last = 0
+        for _ in range(10):
+            faults.lose_frames(3)
+            indexes = [last, *(_whole_frame(camera).index for _ in range(8))]
+            assert all(later > earlier for earlier, later in pairwise(indexes))
+            lost, last = indexes[-1] - last - 8, indexes[-1]
+            assert lost >= 3
+            if lost == 3:  # a busy computer may lose some more, but not each time
+                return
+        raise AssertionError("more frames are missing than were lost, each time")
 
     def test_a_refused_setting_leaves_the_one_before(self, camera: Camera, faults: CameraFaults) -> None:
         allowed = camera.capabilities.exposure_range_s
@@ -212,13 +223,42 @@ class LightFaultContract(LightContract):
         light.close()
         light.close()
 
+    @pytest.mark.parametrize("question", ["is_on", "current_a"])
+    def test_unplugged_while_lit_it_is_to_be_switched_off_by_hand(
+        self, light: LightSource, faults: LightFaults, question: str
+    ) -> None:
+        light.set_on(True)
+        faults.unplug()
+        with pytest.raises(Disconnected, match=BY_HAND):
+            getattr(light, question)
+        with pytest.raises(Disconnected, match=BY_HAND):  # whoever asks
+            light.set_on(False)
+        light.close()
+
+    def test_unplugged_while_lit_and_closed_it_is_to_be_switched_off_by_hand(
+        self, light: LightSource, faults: LightFaults
+    ) -> None:
+        light.set_on(True)
+        faults.unplug()
+        with pytest.raises(Disconnected, match=BY_HAND):
+            light.close()
+        light.close()
+
+    def test_unplugged_while_dark_nobody_needs_to_run(self, light: LightSource, faults: LightFaults) -> None:
+        faults.unplug()
+        with pytest.raises(Disconnected) as lost:
+            _ = light.is_on
+        assert BY_HAND not in str(lost.value)
+        light.close()
+
     def test_unplugged_in_the_middle_of_a_command(self, light: LightSource, faults: LightFaults) -> None:
         light.set_on(True)
         allowed = light.current_range_a
-        pulled_s = _after_a_pause(faults.unplug)
-        with pytest.raises(Disconnected):
-            _repeat_for(10.0, lambda: (light.set_current(allowed.minimum), light.set_current(allowed.maximum)))
-        assert time.monotonic() - pulled_s() < AT_ONCE_S
+        with own_time() as elapsed_s:
+            pulled_s = _after_a_pause(faults.unplug, elapsed_s)
+            with pytest.raises(Disconnected):
+                _repeat(lambda: (light.set_current(allowed.minimum), light.set_current(allowed.maximum)))
+            assert elapsed_s() - pulled_s() < AT_ONCE_S
         light.close()
 
     def test_plugged_in_again_it_can_be_opened_anew_and_is_off(
@@ -257,12 +297,12 @@ class StageContract:
         stage_contract.check_closes_for_good(stage)
 
 
-def _after_a_pause(happen: Callable[[], None]) -> Callable[[], float]:
-    """Let it happen from another thread, a moment later; the result tells when it did."""
+def _after_a_pause(happen: Callable[[], None], clock: Callable[[], float]) -> Callable[[], float]:
+    """Let it happen from another thread, a moment later; the result tells when it did, by that clock."""
     happened_s: list[float] = []
 
     def act() -> None:
-        happened_s.append(time.monotonic())
+        happened_s.append(clock())
         happen()
 
     timer = threading.Timer(_PAUSE_S, act)
@@ -281,14 +321,14 @@ def _expect_state(camera: Camera, state: CameraState) -> None:
 
 def _expect_within(kind: type[DeviceError], call: Callable[[], object]) -> None:
     """Expect the error, and that it does not come late."""
-    start_s = time.monotonic()
-    with pytest.raises(kind):
-        call()
-    assert time.monotonic() - start_s < AT_ONCE_S
+    with own_time() as elapsed_s:
+        with pytest.raises(kind):
+            call()
+        assert elapsed_s() < AT_ONCE_S
 
 
-def _repeat_for(duration_s: float, call: Callable[[], object]) -> None:
-    """Call again and again, so that another thread gets its turn in the middle of a call.
+def _repeat(call: Callable[[], object]) -> None:
+    """Call again and again until it fails, so that another thread gets its turn in the middle of a call.
 
     A thread that now and then lets go of the interpreter for a moment otherwise starves the others for seconds: they
     ask for their turn only when nobody has let go for a whole switch interval.
@@ -296,25 +336,26 @@ def _repeat_for(duration_s: float, call: Callable[[], object]) -> None:
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-4)
     try:
-        deadline_s = time.monotonic() + duration_s
+        deadline_s = time.monotonic() + HANG_S
         while time.monotonic() < deadline_s:
             call()
     finally:
         sys.setswitchinterval(before_s)
 
 
-def _read_for(camera: Camera, duration_s: float) -> None:
+def _read(camera: Camera) -> None:
     """Read frames in slices, as the worker does; raise the timeout when none has come for longer than an exposure."""
-    start_s = time.monotonic()
-    heard_s = start_s
-    while time.monotonic() < start_s + duration_s:
+    deadline_s = time.monotonic() + HANG_S
+    silent = 0  # slices: a computer that stands still has not waited for that long
+    while time.monotonic() < deadline_s:
         try:
-            camera.read(0.1)
-            heard_s = time.monotonic()
+            camera.read(_SLICE_S)
+            silent = 0
         except FrameLost:
             continue
         except DeviceTimeout:
-            if time.monotonic() > heard_s + camera.exposure_s + 0.5:
+            silent += 1
+            if silent * _SLICE_S > camera.exposure_s + 0.5:
                 raise
 
 

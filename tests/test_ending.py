@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 
 import pytest
+from patience import HANG_S
 
 from app.ending import ENDING, ended_by
 from simulated_devices.dc4100_wire import DC4100Wire
@@ -53,7 +54,7 @@ def test_the_light_goes_off(number: signal.Signals) -> None:
         assert device.is_lit
         program.stdout.close()  # the terminal is gone
         program.send_signal(number)
-        _, errors = program.communicate(timeout=20)
+        _, errors = program.communicate(timeout=HANG_S)
         assert not device.is_lit
         assert (program.returncode, errors) == (130, "svwfs: interrupted\n")
 
@@ -69,7 +70,7 @@ def test_a_hangup_that_nohup_ignores_ends_nothing() -> None:
             program.wait(0.3)
         assert device.is_lit
         program.terminate()
-        program.communicate(timeout=20)
+        program.communicate(timeout=HANG_S)
         assert not device.is_lit
 
 

@@ -12,6 +12,7 @@ import weakref
 from typing import Any
 
 import pytest
+from patience import HANG_S
 
 from drivers.interface import BadValue, DeviceError, DeviceTimeout, Disconnected, LightSource, Range, WrongState
 
@@ -184,12 +185,13 @@ def test_a_lit_light_that_cannot_be_switched_off_is_told(kind: type[DeviceError]
     bulb.trouble.clear()
 
 
-def test_closing_tells_when_it_could_not_switch_off_and_closes_all_the_same() -> None:
+@pytest.mark.parametrize("kind", [DeviceTimeout, Disconnected])
+def test_closing_tells_when_it_could_not_switch_off_and_closes_all_the_same(kind: type[DeviceError]) -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
-    bulb.trouble["off"] = DeviceTimeout("it is silent")
-    with pytest.raises(DeviceTimeout, match="may still be on"):
+    bulb.trouble["off"] = kind("it is silent")
+    with pytest.raises(kind, match="may still be on: switch it off by hand"):
         light.close()
     assert bulb.is_closed
     light.close()
@@ -271,7 +273,7 @@ def test_it_goes_out_when_the_interpreter_ends(ending: str) -> None:
     code, status = ENDS[ending]
     program = textwrap.dedent(PROGRAM.format(tests=str(__file__).rpartition("/")[0]) + "    " + code + "\n")
     ended = subprocess.run(  # noqa: S603 - this interpreter
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=HANG_S, check=False
     )
     said = ended.stdout.split()
     assert "lit" in said
@@ -283,7 +285,7 @@ def test_a_process_that_was_forked_off_leaves_it_on() -> None:
     code = "if not os.fork(): sys.exit(light.close())\n    os.wait(); print('then', flush=True)"
     program = textwrap.dedent(PROGRAM.format(tests=str(__file__).rpartition("/")[0]) + "    " + code + "\n")
     ended = subprocess.run(  # noqa: S603 - this interpreter
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=HANG_S, check=True
     )
     said = ended.stdout.split()
     assert said[said.index("then") - 1] == "lit"
@@ -304,7 +306,7 @@ def test_closing_from_another_thread_waits_for_its_turn(close: str) -> None:
     light._sleep = slowly
     worker = threading.Thread(target=lambda: light.set_on(True))
     worker.start()
-    entered.wait(5)
+    entered.wait(HANG_S)
     from drivers.light_source import _switch_all_off  # noqa: PLC0415 - it is not for others
 
     light.close() if close == "by a call" else _switch_all_off()
@@ -322,5 +324,5 @@ def test_closing_from_another_thread_waits_for_its_turn(close: str) -> None:
 
     late = threading.Thread(target=try_again, daemon=True)
     late.start()
-    late.join(5)
+    late.join(HANG_S)
     assert refused

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from dcam_tools import built, dcam_stand_in
 from gui_bench import FakeLight
+from patience import HANG_S, own_time, wait_until
 
 from app.acquisition import Acquisition
 from app.config import Bench, parse_bench, write_bench
@@ -62,18 +62,11 @@ limit_a = 0.15
     return parse_bench(FOREIGN + text, "real.toml")
 
 
-def wait_until(holds: Callable[[], bool], at_most_s: float = 20.0) -> None:
-    deadline_s = time.monotonic() + at_most_s
-    while not holds():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
-
-
 def started(bench: Bench) -> Acquisition:
     acquisition = Acquisition(bench, open_devices)
     acquisition.start()
     for step in start_up(acquisition, frames=3):
-        step.result(30)
+        step.result(HANG_S)
     return acquisition
 
 
@@ -126,12 +119,12 @@ def test_a_light_that_is_not_there_lets_go_of_the_camera(bench: Bench, port: Pty
 def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path) -> None:
     acquisition = started(bench)
     assert lamp.is_lit
-    acquisition.start_recording(tmp_path / "r", command="test").result(20)
+    acquisition.start_recording(tmp_path / "r", command="test").result(HANG_S)
     wait_until(lambda: (acquisition.recording is not None) and acquisition.recording.frames >= 5)
-    camera.unplug()
-    pulled_s = time.monotonic()
-    wait_until(lambda: not acquisition.is_alive)
-    assert time.monotonic() - pulled_s < WITHIN_S + 1  # of which the recording may take a second to be finished
+    with own_time() as elapsed_s:
+        camera.unplug()
+        wait_until(lambda: not acquisition.is_alive)
+        assert elapsed_s() < WITHIN_S + 1  # of which the recording may take a second to be finished
     assert isinstance(acquisition.error, Disconnected)
     assert not lamp.is_lit
     recording = Recording(tmp_path / "r")
@@ -150,10 +143,10 @@ def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp:
 
 def test_a_light_unplugged_while_measuring(bench: Bench, port: PtyServer) -> None:
     acquisition = started(bench)
-    port.unplug()
-    pulled_s = time.monotonic()
-    wait_until(lambda: not acquisition.is_alive)
-    assert time.monotonic() - pulled_s < WITHIN_S
+    with own_time() as elapsed_s:
+        port.unplug()
+        wait_until(lambda: not acquisition.is_alive)
+        assert elapsed_s() < WITHIN_S
     assert isinstance(acquisition.error, Disconnected)
     assert "is gone" in acquisition.failure
     assert "may still be on: switch it off by hand" in acquisition.failure

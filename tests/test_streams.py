@@ -20,6 +20,7 @@ import pytest
 import zmq
 from numpy.typing import NDArray
 from optics import FIELD, SmallBench
+from patience import HANG_S
 from test_cli import run
 
 from app.calibration import Calibration
@@ -92,7 +93,7 @@ class Subscriber:
     def close(self) -> None:
         self._context.destroy(linger=0)
 
-    def hears(self, timeout_s: float = 10.0) -> tuple[str, dict[str, Any], dict[str, NDArray[Any]]]:
+    def hears(self, timeout_s: float = HANG_S) -> tuple[str, dict[str, Any], dict[str, NDArray[Any]]]:
         assert self._socket.poll(int(timeout_s * 1000))
         topic, text, *parts = self._socket.recv_multipart()
         header = json.loads(text)
@@ -121,7 +122,9 @@ def _until_heard(publisher: Publisher, subscriber: Subscriber, measurement: Meas
     for count in range(1, 500):
         publisher.take(measurement)
         if not subscriber.is_waiting():
-            while not subscriber.is_waiting():
+            while subscriber.hears()[1]["sequence"] < count:
+                pass
+            while not subscriber.is_waiting():  # the last one's other messages
                 subscriber.hears()
             return count
     raise AssertionError
@@ -231,14 +234,14 @@ def test_what_the_publisher_cannot_follow_it_leaves_out_oldest_first(
 
     def slowly(wavefront: Wavefront) -> NDArray[np.float64]:
         is_busy.set()
-        assert may_go_on.wait(10)
+        assert may_go_on.wait(HANG_S)
         return wavefront.views
 
     with closing(Subscriber(port, "views")) as subscriber:
         before = _until_heard(publisher, subscriber, measurement)
         monkeypatch.setattr(Wavefront, "sigma", slowly)
         publisher.take(measurement)
-        assert is_busy.wait(10)
+        assert is_busy.wait(HANG_S)
         for _ in range(200):
             publisher.take(measurement)
         may_go_on.set()
