@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import sys
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
@@ -139,12 +140,11 @@ class LightSource(Device):
         try:
             if self._has_begun and not self._loss:
                 self._switch(on=False)
-        except Disconnected:
-            pass
         except DeviceError as error:
-            if was_lit:
+            if was_lit:  # and nobody has been told
                 raise _still_lit(error) from error
-            raise
+            if not isinstance(error, Disconnected):
+                raise
         finally:
             super().close()
 
@@ -228,10 +228,14 @@ _open_lights: WeakSet[LightSource] = WeakSet()
 
 @atexit.register
 def _switch_all_off() -> None:
-    """Leave no light on when the interpreter ends, however that comes."""
+    """Leave no light on when the interpreter ends, however that comes, or say so."""
     for light in tuple(_open_lights):
-        with suppress(Exception):
+        try:
             light.close()
+        except DeviceError as error:
+            sys.stderr.write(f"{error}\n")
+        except Exception:  # noqa: BLE001, S112 - the next one's turn; there is nobody left to tell
+            continue
 
 
 def _leave_all_to_the_parent() -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
-from simulated_devices.connection import Plugged
+from simulated_devices.connection import PluggedThroughout
 from simulated_devices.emccd import Detector, Exposure
 from simulated_devices.settings import exposure_range_s
 
@@ -60,7 +60,7 @@ class _Run:
         return self.first_index + max(0, math.floor((time_s - self.start_s) / self.exposure_s + 1e-6))
 
 
-class SimulatedCamera(Plugged, Camera):
+class SimulatedCamera(PluggedThroughout, Camera):
     """An EMCCD in frame transfer: the next exposure runs while a frame is read out, so that the period is the exposure.
 
     A frame that is complete waits in a ring of eight; a reader who comes later than that finds a gap in `Frame.index`.

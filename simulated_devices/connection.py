@@ -27,8 +27,14 @@ class Plugged(Device):
         """Let its next answer never come, as a fault."""
         self._fails_next = True
 
+    def _reach(self) -> None:
+        """Raise `Disconnected` where the plug was pulled."""
+        if self._is_unplugged:
+            raise Disconnected(f"the {self._what} does not answer; is it plugged in and switched on?")
+
     def _answer(self) -> None:
         """Raise `DeviceTimeout` if the next answer is not to come."""
+        self._reach()
         if self._fails_next:
             self._fails_next = False
             raise DeviceTimeout(f"the {self._what} did not answer in time")
@@ -40,9 +46,12 @@ class Plugged(Device):
             self._refuses_next = False
             raise BadValue(f"the {self._what} refused {what}")
 
+
+class PluggedThroughout(Plugged):
+    """The same, for a device that is spoken to by whatever is asked of it."""
+
     @contextmanager
     def _talking(self) -> Iterator[None]:
         with super()._talking():
-            if self._is_unplugged:
-                raise Disconnected(f"the {self._what} does not answer; is it plugged in and switched on?")
+            self._reach()
             yield

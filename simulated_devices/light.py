@@ -30,6 +30,7 @@ class SimulatedLight(Plugged, LightSource):
         super().unplug()
 
     def _read_range(self) -> Range:
+        self._reach()
         return Range(0.0, self._bench.light_settings.maximum_current_a)
 
     def _read_current(self) -> float:
@@ -46,6 +47,7 @@ class SimulatedLight(Plugged, LightSource):
         return self._bench.condition.is_light_on
 
     def _switch(self, *, on: bool) -> None:
+        self._reach()
         self._bench.change(is_light_on=on)
 
     def _close(self) -> None:

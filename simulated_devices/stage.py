@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from drivers.interface import Stage
-from simulated_devices.connection import Plugged
+from simulated_devices.connection import PluggedThroughout
 
 if TYPE_CHECKING:
     from simulated_devices.bench import SimulatedBench
 
 
-class SimulatedStage(Plugged, Stage):
+class SimulatedStage(PluggedThroughout, Stage):
     """Moves at once; a mask that was never in before takes the time to render its first image."""
 
     def __init__(self, bench: SimulatedBench) -> None:

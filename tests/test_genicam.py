@@ -136,7 +136,12 @@ def test_no_sequence_of_commands_and_faults_leaves_the_family(wire: GigeWire) ->
             return wire
 
         def open(self) -> GenicamCamera:
-            return GenicamCamera(OVER_THE_WIRE)
+            try:
+                return GenicamCamera(OVER_THE_WIRE)
+            except Disconnected:  # also where a busy computer was silent for so long that the camera gave it up
+                if not wire.is_whole:
+                    raise
+                return GenicamCamera(OVER_THE_WIRE)
 
         def faults(self) -> st.SearchStrategy[str]:
             faults = ("unplug", "unplug_in_a_frame", "stall", "lose_two", "refuse_next", "garble_next", "delay_next")

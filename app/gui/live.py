@@ -63,6 +63,8 @@ def run_live(
             window.close()
     if window.is_stuck:
         raise RunError("a device does not answer: the light may still be on, switch it off by hand")
+    if window.failure:  # of the closing, too, when there is no window left to tell it
+        raise window.error
     if signals:
         raise Interrupted("interrupted: the light is off")
     if watch is not None:
