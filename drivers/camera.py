@@ -12,49 +12,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.device import Device, Property
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
+from drivers.frame import Frame, Region, check_region
+from drivers.range import Range
 
 CameraState = Literal["stopped", "running", "lost", "closed"]
-
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """A closed interval of allowed values, in the unit of the setting it belongs to."""
-
-    minimum: float
-    maximum: float
-
-    def check(self, value: float, what: str) -> float:
-        """Return `value` if it lies in the interval, else raise `BadValue` naming `what` and the interval."""
-        if not self.minimum <= value <= self.maximum:  # false for NaN, too
-            raise BadValue(f"{what} = {value:g} is outside {self.minimum:g} ... {self.maximum:g}")
-        return value
-
-
-@dataclass(frozen=True, slots=True)
-class Region:
-    """The part of the sensor that is read out, in pixels of the sensor, unbinned."""
-
-    top: int
-    left: int
-    rows: int
-    columns: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """One exposure, as it left the camera."""
-
-    pixels: NDArray[np.uint16]  # (row, column), counts; read-only, owned by the receiver
-    index: int  # the camera's own count of frames since start; a gap is a lost frame
-    camera_time_s: float  # end of the exposure on the camera's clock
-    host_time_s: float  # time.perf_counter() when the frame had arrived here
-    exposure_s: float
-    em_gain: float  # 1 without electron multiplication
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,7 +165,7 @@ class Camera(Device):
         allowed = self.capabilities
         if allowed.sensor is None:
             raise Unsupported("this camera always reads out its whole sensor")
-        _check_region(region, allowed.sensor, allowed.region_step_px)
+        check_region(region, allowed.sensor, allowed.region_step_px)
         self._check_stopped("region")
         with self._changing_mode():
             return self._set_region(region)
@@ -316,23 +279,3 @@ class Camera(Device):
 
     def _set_region(self, region: Region) -> Region:
         return region
-
-
-def _check_region(region: Region, sensor: Region, step_px: int) -> None:
-    """Raise `BadValue` unless the region is all of the sensor, or lies on it in whole steps."""
-    if region == sensor:
-        return
-    numbers = (region.top, region.left, region.rows, region.columns)
-    is_on_sensor = (
-        region.top >= 0
-        and region.left >= 0
-        and region.rows > 0
-        and region.columns > 0
-        and region.top + region.rows <= sensor.rows
-        and region.left + region.columns <= sensor.columns
-    )
-    if not is_on_sensor or any(number % step_px for number in numbers):
-        raise BadValue(
-            f"a region of {region.rows} x {region.columns} pixels at row {region.top}, column {region.left} does not"
-            f" lie on the sensor of {sensor.rows} x {sensor.columns} in steps of {step_px}"
-        )

@@ -8,9 +8,10 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from drivers.camera import Camera, Frame, Region
+from drivers.camera import Camera
 from drivers.contract import Calls, check_properties, require, require_all_raise, require_raises
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, WrongState
+from drivers.frame import Frame, Region
 
 _NAN = float("nan")
 _SHORT_S = 0.05  # long enough that no frame can be there at once

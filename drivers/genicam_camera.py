@@ -14,14 +14,16 @@ from contextlib import contextmanager, suppress
 from ctypes import byref, c_size_t
 from typing import Final
 
-from drivers.camera import Camera, CameraCapabilities, Frame, Range, Region
+from drivers.camera import Camera, CameraCapabilities
 from drivers.device import Property
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+from drivers.frame import Frame, Region
 from drivers.genicam_connection import GenicamConnection
 from drivers.genicam_find import choose
 from drivers.genicam_frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
 from drivers.genicam_library import STATUS_SUCCESS, load_aravis
 from drivers.genicam_settings import GenicamSettings
+from drivers.range import Range
 
 _SLICE_S: Final = 0.1  # of a wait for a frame, between two looks at whether the camera is still there
 _LARGEST_BINNING: Final = 64

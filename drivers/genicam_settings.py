@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.camera import Region
+from drivers.frame import Region
 from drivers.genicam_frames import PIXEL_FORMATS
 
 

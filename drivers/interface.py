@@ -6,7 +6,7 @@ thread calls a device. Every fault that a device can have leaves it as one of th
 
 from __future__ import annotations
 
-from drivers.camera import Camera, CameraCapabilities, CameraState, Frame, Range, Region
+from drivers.camera import Camera, CameraCapabilities, CameraState
 from drivers.device import Device, Property
 from drivers.devices import Devices
 from drivers.errors import (
@@ -19,7 +19,9 @@ from drivers.errors import (
     Unsupported,
     WrongState,
 )
+from drivers.frame import Frame, Region
 from drivers.light_source import LightSource
+from drivers.range import Range
 from drivers.stage import Stage
 
 __all__ = [

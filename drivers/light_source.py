@@ -17,9 +17,9 @@ from weakref import WeakSet
 
 import numpy as np
 
-from drivers.camera import Range
 from drivers.device import Device, Property
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
+from drivers.range import Range
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08

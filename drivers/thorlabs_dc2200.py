@@ -17,11 +17,11 @@ from typing import Literal
 from usb.backend import IBackend
 
 from drivers import usbtmc
-from drivers.camera import Range
 from drivers.device import Property
 from drivers.discovery import Found
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
 from drivers.light_source import LightSource
+from drivers.range import Range
 from drivers.usbtmc import Instrument, Usbtmc
 
 _VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one where a firmware update is allowed

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from drivers import serial_ports
-from drivers.camera import Range
 from drivers.device import Property
 from drivers.discovery import Found
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, WrongState
 from drivers.light_source import LightSource
+from drivers.range import Range
 from drivers.serial_line import Dialect, SerialLine, Wire
 from drivers.serial_ports import check_address, find_port
 

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, precondition, rule
 from storm import REFUSALS, Storm
 
-from drivers.camera import Camera, Region
+from drivers.camera import Camera
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
+from drivers.frame import Region
 
 T = TypeVar("T")
 

@@ -21,8 +21,9 @@ from hypothesis.stateful import run_state_machine_as_test
 from patience import HANG_S, own_time
 from storm import storm_settings
 
-from drivers.camera import Camera, Frame, Region
+from drivers.camera import Camera
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+from drivers.frame import Frame, Region
 from drivers.genicam_camera import GenicamCamera
 from drivers.genicam_find import find
 from drivers.genicam_library import load_aravis

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
 
-from drivers.camera import Camera, CameraCapabilities, Frame, Region
+from drivers.camera import Camera, CameraCapabilities
 from drivers.dcam import property_ids as ids
 from drivers.dcam import session
 from drivers.dcam.capabilities import AMPLIFIERS, TRIGGERS, has_em_gain, read_capabilities
@@ -25,6 +25,7 @@ from drivers.dcam.structures import DeviceOpen, sized
 from drivers.dcam.trust import reasons_for_mistrust
 from drivers.device import Property
 from drivers.errors import DeviceError, Disconnected, Unsupported, WrongState
+from drivers.frame import Frame, Region
 
 
 class DcamCamera(Camera):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from drivers.camera import CameraCapabilities, Range
+from drivers.camera import CameraCapabilities
 from drivers.dcam import property_ids as ids
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.dcam.region import sensor
 from drivers.errors import Unsupported
+from drivers.range import Range
 
 AMPLIFIERS = {ids.CCDMODE_NORMAL: "normal", ids.CCDMODE_EM: "em"}
 TRIGGERS = {number: name for name, number in ids.TRIGGER_SOURCES.items()}

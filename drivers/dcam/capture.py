@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera import Frame
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import ALIVE_ONLINE, PRODUCER_NONE, Id
 from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
+from drivers.frame import Frame
 
 _SLICE_S = (
     0.1  # the longest wait in the library, and how long silence lasts before the camera is asked whether it lives

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from ctypes import byref, c_char_p, c_double, c_int32, cast, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.camera import Range
 from drivers.dcam.errors import NotThere
 from drivers.dcam.library import DcamLibrary
 from drivers.dcam.property_ids import OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute
 from drivers.dcam.structures import PropertyAttribute, PropertyValueText, sized
 from drivers.device import Property
 from drivers.errors import BadValue, DeviceError, Disconnected
+from drivers.range import Range
 
 _TEXT_BYTES = 256
 _KNOWN_ATTRIBUTES = sum(Attribute)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from drivers.camera import Region
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import OFF, ON, Id
 from drivers.errors import DeviceError
+from drivers.frame import Region
 
 
 def sensor(values: Properties) -> tuple[Region | None, int]:

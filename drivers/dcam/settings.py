@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.camera import Region
+from drivers.frame import Region
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

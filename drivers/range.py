@@ -1,0 +1,21 @@
+"""What a setting may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.errors import BadValue
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """A closed interval of allowed values, in the unit of the setting it belongs to."""
+
+    minimum: float
+    maximum: float
+
+    def check(self, value: float, what: str) -> float:
+        """Return `value` if it lies in the interval, else raise `BadValue` naming `what` and the interval."""
+        if not self.minimum <= value <= self.maximum:  # false for NaN, too
+            raise BadValue(f"{what} = {value:g} is outside {self.minimum:g} ... {self.maximum:g}")
+        return value
