@@ -50,7 +50,7 @@ class Recovered:
             return "no frame is whole"
         longest = max(ranges_of(self.whole), key=len)
         chosen = f"{longest.start}:{longest.stop}"
-        return f"whole: {frames_in_words(self.whole)}; replay, export and report take them with --frames {chosen}"
+        return f"whole: {frames_in_words(self.whole)}; replay, export and report take some with --frames, as {chosen}"
 
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
