@@ -32,6 +32,7 @@ from app.benchmark.live.plan import LivePlan, recording_folder
 from app.benchmark.live.tally import FrameCounts, Tally
 from app.config import Bench, load_bench
 from app.devices import open_devices
+from app.ending import ended_by
 from app.errors import InputError, Interrupted, RunError
 from app.live_benchmark import live_benchmark
 from app.measurement import PASSED_OVER, Counts
@@ -314,8 +315,11 @@ def test_a_second_interrupt_does_not_keep_the_recording_from_being_removed(
         os.kill(os.getpid(), signal.SIGINT)
         remove(path)
 
+    def interrupt(_number: int, _frame: object) -> None:
+        raise Interrupted
+
     monkeypatch.setattr(shutil, "rmtree", remove_interrupted)
-    with pytest.raises(Interrupted), recording_folder(planned, no_report) as folder:  # noqa: PT012 - as in a run
+    with ended_by(interrupt), pytest.raises(Interrupted), recording_folder(planned, no_report) as folder:  # noqa: PT012 - as in a run
         assert folder is not None
         folder.mkdir()
         raise Interrupted
