@@ -114,6 +114,7 @@ def test_measure(
     assert {"python", "numpy", "numba"} <= set(record["versions"])
 
 
+@pytest.mark.usefixtures("no_hurry")
 def test_measure_leaves_a_recording_that_is_not_written_over(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:

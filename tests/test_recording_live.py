@@ -87,9 +87,12 @@ def test_every_frame_is_recorded_and_made_again_bit_for_bit(make_live: Callable[
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     wait_until(lambda: live.recording.frames > 10)
     live.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.3)).result(HANG_S)
+    old = live.measurements[-1].calibration
     live.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(HANG_S)
+    wait_until(lambda: live.measurements[-1].calibration not in {None, old})
     live.until_refined()
-    wait_until(lambda: live.recording.frames > 30)
+    frames = live.recording.frames
+    wait_until(lambda: live.recording.frames > frames + 10)
     live.stop()
     recording = Recording(tmp_path / "r")
     lines = [recording.line(index) for index in range(len(recording))]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from gui_bench import BENCH, FakeCamera, opener
+from patience import HANG_S
 from PyQt6.QtCore import QTimer
 from PyQt6.QtGui import QColor, QImage
 from PyQt6.QtWidgets import QApplication
@@ -18,6 +21,22 @@ from app.gui.live import run_live
 from drivers.interface import Disconnected
 
 pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+@contextmanager
+def once_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
+    """Have something done from the event loop as soon as the camera's light is on."""
+    timer = QTimer()
+
+    def look() -> None:
+        if camera.light.shines:
+            timer.stop()
+            act()
+
+    timer.timeout.connect(look)
+    timer.start(20)
+    yield
+    timer.stop()
 
 
 def test_unattended_run_leaves_a_picture_and_a_result(qapp: QApplication, tmp_path: Path) -> None:
@@ -47,15 +66,14 @@ def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplic
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("offscreen_s", [None, 60.0])
+@pytest.mark.parametrize("offscreen_s", [None, HANG_S])
 def test_signal_closes_the_window_and_turns_the_light_off(
     qapp: QApplication, number: signal.Signals, offscreen_s: float | None
 ) -> None:
     assert qapp is QApplication.instance()
     camera = FakeCamera()
     before = signal.getsignal(number)
-    QTimer.singleShot(800, lambda: os.kill(os.getpid(), number))
-    with pytest.raises(Interrupted):
+    with once_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
         run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
     assert camera.is_closed
     assert not camera.light.shines
@@ -65,11 +83,10 @@ def test_signal_closes_the_window_and_turns_the_light_off(
 def test_unattended_run_whose_window_is_closed_is_no_success(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    QTimer.singleShot(800, qapp.closeAllWindows)
-    with pytest.raises(RunError, match="closed before the run had finished"):
+    with once_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
         run_live(
             lambda: Acquisition(BENCH, opener(camera)),
-            offscreen_s=60,
+            offscreen_s=HANG_S,
             screenshot=tmp_path / "window.png",
             on_finish=finished.append,
         )
