@@ -18,18 +18,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from app.arrivals import Arrivals
 from app.command_queue import CommandQueue
 from app.config import Bench, write_bench
 from app.errors import InputError, RunError
-from app.instrument import Instrument, Reconstruction, Status
+from app.frame_path import FramePath
+from app.instrument import Instrument, Status
 from app.measurement import Counts, LightState, Measurement
 from app.recording.background import RecordingState
 from app.recording.recorder import Recorder
-from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled, next_frame
+from app.routines import WAIT_SLICE_S, AutoExposure, BackgroundCheck, Cancelled
 from app.sensor_area import SensorArea
 from app.timing import Timings, short_turns
-from drivers.interface import DeviceError, Devices, DeviceTimeout, Frame, FrameLost, WrongState
+from drivers.interface import DeviceError, Devices, Frame, WrongState
 from reconstruction.threads import one_blas_thread
 
 T = TypeVar("T")
@@ -59,11 +59,9 @@ class Acquisition:
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
-        self._arrivals = Arrivals()
         self.timings = Timings()
         self._recorder = Recorder(self.timings)
-        self._sinks = (self._recorder.take, *sinks)
-        self.newest: Measurement | None = None  # the mailbox: written by the worker, read by anybody
+        self._path = FramePath((self._recorder.take, *sinks), self.timings, self._is_wanted)
         self.status: Status | None = None  # None until the devices are open
         self._asked_s = -math.inf  # when, for the status
         self.activity = Activity("opening the devices")
@@ -97,7 +95,12 @@ class Acquisition:
     @property
     def counts(self) -> Counts:
         """What has become of the frames so far."""
-        return self._arrivals.counts
+        return self._path.counts
+
+    @property
+    def newest(self) -> Measurement | None:
+        """The mailbox: what came last, for whoever only looks from time to time."""
+        return self._path.newest
 
     @property
     def is_alive(self) -> bool:
@@ -213,8 +216,7 @@ class Acquisition:
     def _show_progress(self, frame: Frame, text: str, fraction: float) -> None:
         """Let a frame that a routine takes be seen; it is neither measured nor counted."""
         self.activity = Activity(text, fraction)
-        self._arrivals.set_clock(frame)
-        self.newest = self._measurement(frame, Reconstruction(None, text))
+        self._path.show(frame, text, self._light())
 
     def _work(self) -> None:
         try:
@@ -231,7 +233,8 @@ class Acquisition:
                     if time.monotonic() > self._asked_s + _STATUS_INTERVAL_S:
                         self._show_status(instrument)
                     if devices.camera.is_running:
-                        self._acquire(instrument)
+                        with suppress(Cancelled):  # a command, or the end, is waiting
+                            self._path.acquire(instrument, self._light())
         except Cancelled:
             pass
         except (DeviceError, InputError, RunError) as error:
@@ -258,61 +261,13 @@ class Acquisition:
     def _show_status(self, instrument: Instrument) -> None:
         self.status, self._asked_s = instrument.status(), time.monotonic()
 
-    def _acquire(self, instrument: Instrument) -> None:
-        """Take one frame, reconstruct it and pass it on."""
-        try:
-            frame = self._newest_frame(instrument)
-        except Cancelled:
-            return
-        made = instrument.measure(frame)
-        if made.wavefront is not None:
-            self._arrivals.count_reconstructed()
-        measurement = self._measurement(frame, made)
-        self.timings.note("to_result", measurement.latency_s)
-        with self.timings.of("publish"):
-            self._publish(measurement)
-            self.newest = measurement
-
-    def _publish(self, measurement: Measurement) -> None:
-        for sink in self._sinks:
-            sink(measurement)
-
-    def _newest_frame(self, instrument: Instrument) -> Frame:
-        """Wait for a frame; when it has lain in the camera for long, pass it over for the newest that is there."""
-        camera, start_s = instrument.devices.camera, time.perf_counter()
-        frame = next_frame(camera, self._is_wanted)
-        arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
-        self.timings.note("wait", arrived_s - start_s)
-        self.timings.note("copy", time.perf_counter() - arrived_s)
-        self._arrivals.count(frame)
-        if self._arrivals.age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
-            with suppress(DeviceTimeout, FrameLost):  # there is no newer one
-                while not self._is_wanted() and time.perf_counter() < arrived_s + _PASSING_OVER_S:
-                    newer = camera.read(0.0)
-                    self._publish(self._measurement(frame, instrument.pass_over(frame)))
-                    frame = newer
-                    self._arrivals.count(frame)
-        return frame
-
     def _is_wanted(self) -> bool:
         """Whether something else is to be done than to wait for frames."""
         return self._stopping.is_set() or not self._commands.is_empty
 
-    def _measurement(self, frame: Frame, made: Reconstruction) -> Measurement:
-        exposure_end_s = self._arrivals.exposure_end_s(frame)
-        return Measurement(
-            frame,
-            made.wavefront,
-            made.problem,
-            self._arrivals.counts,
-            exposure_end_s,
-            latency_s=time.perf_counter() - exposure_end_s,
-            refinement=made.refinement,
-            calibration=made.calibration,
-            start=made.start,
-            registered=made.registered,
-            light=None if self.status is None else LightState(self.status.is_light_on, self.status.current_a),
-        )
+    def _light(self) -> LightState | None:
+        """The light as it was set last."""
+        return None if self.status is None else LightState(self.status.is_light_on, self.status.current_a)
 
     def _end(self) -> None:
         """Finish what is being recorded; refuse all commands that nobody will execute any more."""
@@ -322,8 +277,6 @@ class Acquisition:
 
 
 _STATUS_INTERVAL_S = 1.0  # the devices are asked so often: also a light's plug may be pulled, or its knob turned
-_PASSING_OVER_S = 0.5  # and no longer, where frames come faster than they can be passed over
-_OLD_S = 0.1  # a frame that is older, and there are newer ones, is not reconstructed
 
 
 def _facts(instrument: Instrument, command: str) -> dict[str, Any]:
