@@ -278,6 +278,8 @@ def test_memory_is_that_which_is_held() -> None:
     assert after_mb is not None
     assert after_mb - before_mb == pytest.approx(64, abs=8)
     assert held.all()
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS:"))
+    assert after_mb == pytest.approx(int(line.split()[1]) / 1024, rel=0.05)
 
 
 @pytest.mark.parametrize("seconds", [0.0, -5.0, 0.9, 3601.0, math.nan, math.inf])
