@@ -226,7 +226,7 @@ def curve(*rms_rad: float) -> StructureCurve:
 
 def test_verdict_is_one_sentence() -> None:
     found = Isoplanatism(curve(0.5, 1.5), curve(0.1, 0.2), 0.42, 0.1, np.zeros((3, 3)))
-    assert verdict(found) == "One wavefront for the whole field would be off by 0.42 rad RMS; patch 0.15 mm"
+    assert verdict(found) == "One wavefront for all the field: off by 0.42 rad RMS; patch 0.15 mm"
     wide = Isoplanatism(curve(0.1, 0.2), curve(0.1, 0.2), 0.04, 0.01, np.zeros((3, 3)))
     assert verdict(wide).endswith("off by 0.04 rad RMS; patch wider than the field")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -51,6 +52,43 @@ def test_keys_act_while_a_number_is_being_edited(live: tuple[MainWindow, FakeCam
     window.controls.exposure.edit()
     press(qtbot, window.controls.exposure, Qt.Key.Key_L)
     qtbot.waitUntil(lambda: not camera.light.is_on)
+
+
+def is_exposed(camera: FakeCamera, exposure_s: float) -> bool:
+    return camera.exposure_s == exposure_s
+
+
+def test_return_takes_what_was_typed_and_escape_does_not(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """Both are shortcuts of the window as well, which must not have them while a number is being edited."""
+    window, camera = live
+    answers: list[bool] = []
+    window.messages.answered.connect(answers.append)
+    window.messages.ask("use it?")
+    window.activateWindow()
+    field = window.controls.exposure
+    for keys, end, exposure_s in (("40", Qt.Key.Key_Return, 0.04), ("30", Qt.Key.Key_Escape, 0.04)):
+        press(qtbot, window, Qt.Key.Key_E)
+        qtbot.waitUntil(field.hasFocus)
+        for key in keys:
+            press(qtbot, field, Qt.Key(ord(key)))
+        press(qtbot, field, end)
+        qtbot.waitUntil(partial(is_exposed, camera, exposure_s))
+        qtbot.waitUntil(lambda: window._answers.are_all_there)
+        assert field.value() == 40
+        assert field.text() == "40.000 ms"
+        assert not field.hasFocus()  # digits choose what is shown again
+    assert not answers
+    press(qtbot, window, Qt.Key.Key_Return)
+    assert answers == [True]
+
+
+def test_what_was_told_gives_way_to_what_is_asked_for_next(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    window.messages.tell("the exposure was found")
+    window.update_text()
+    assert window.messages.text.text() == "The exposure was found"
+    window.controls.light.click()
+    qtbot.waitUntil(lambda: "is the light on?" in window.messages.text.text())
 
 
 def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:

@@ -67,7 +67,7 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
     assert window.wavefront_panel.grid._has_captions()
     panel.caption.setText("a very long line " * 20)
     QApplication.processEvents()
-    assert window.width() == 1000
+    assert window.width() == 900
 
 
 def test_goes_from_opening_to_live_wavefronts_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
@@ -188,7 +188,8 @@ def test_drawing_is_timed_and_a_key_shows_every_stage(live: tuple[MainWindow, Fa
     assert row.isVisible()
     window.update_text()
     for stage in ("register", "draw", "to_screen"):
-        assert len(row.values[stage].text().split(" / ")) == 3
+        median, most_of, most = (float(value.text()) for value in row.values[stage])
+        assert median <= most_of <= most
     assert "to screen" in window.status_line.latency.toolTip()
     summary = timings.summary()
     assert summary["draw"].count <= window.status_line.shown

@@ -1,4 +1,4 @@
-"""What to say when nothing is the matter."""
+"""What to say when nothing is the matter, and what to do when something is."""
 
 from __future__ import annotations
 
@@ -8,6 +8,18 @@ from app.acquisition import Activity, Measurement
 from app.instrument import Status
 
 _SLOW_S = 1.0  # a frame that is shown for longer is explained
+
+
+def warning(status: Status, problem: str) -> str:
+    """Why wavefronts are missing or doubtful, with the keys that take what is stale anew; empty when they are not.
+
+    A `problem` of the newest frame comes first.
+    """
+    if problem not in {"", status.warning}:
+        return problem
+    stale = (("D: dark", status.dark), ("R: reference", status.reference))
+    keys = ", ".join(key for key, standing in stale if standing != "good")
+    return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
 
 
 def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:

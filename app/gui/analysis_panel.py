@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 from app.gui.analysis import Analysis
 from app.gui.plots import MtfPlot, StructurePlot
 from app.gui.quantities import number, place
-from app.gui.widgets import label
+from app.gui.widgets import ElidedLabel
 from reconstruction.isoplanatism import Isoplanatism
 
 
@@ -20,9 +20,7 @@ class AnalysisPanel(QWidget):
         super().__init__(parent)
         self.mtf = MtfPlot()
         self.structure = StructurePlot()
-        self.sentence = label("")
-        self.sentence.setWordWrap(True)
-        self.sentence.setMinimumHeight(self.sentence.fontMetrics().height() + 2)
+        self.sentence = ElidedLabel()
         plots = QHBoxLayout()
         plots.setSpacing(16)
         plots.addWidget(self.mtf, 1)
@@ -43,8 +41,9 @@ class AnalysisPanel(QWidget):
         self.mtf.show_transfer(analysis.transfer, where)
         self.structure.show_structure(analysis.isoplanatism)
         if analysis.isoplanatism is not None:
-            self.sentence.setText(verdict(analysis.isoplanatism))
-            self.sentence.setToolTip(_explanation(analysis.isoplanatism))
+            sentence = verdict(analysis.isoplanatism)
+            self.sentence.setText(sentence)
+            self.sentence.setToolTip(f"{sentence}.\n{_explanation(analysis.isoplanatism)}")
 
     def show_nothing(self) -> None:
         """Show that there is no wavefront now."""
@@ -57,7 +56,7 @@ def verdict(found: Isoplanatism) -> str:
     """What one wavefront for the whole field would miss, in one sentence."""
     if math.isnan(found.error_rad):
         return "No lenslet is known all over the field"
-    return f"One wavefront for the whole field would be off by {number(found.error_rad)} rad RMS; {_patch(found)}"
+    return f"One wavefront for all the field: off by {number(found.error_rad)} rad RMS; {_patch(found)}"
 
 
 def _patch(found: Isoplanatism) -> str:

@@ -24,7 +24,8 @@ class Answers:
         self._pending = [(future, None) for future in futures]
 
     def expect(self, future: Future[T], then: Callable[[T], object] | None = None) -> None:
-        """Wait for one more; `then` is told its result."""
+        """Wait for one more; `then` is told its result. What was told of the one before has had its time."""
+        self._messages.forget_notice()
         self._pending.append((future, then))
 
     @property

@@ -12,7 +12,7 @@ from app.gui import theme
 from app.gui.overlay import arrows, lattice_lines, lost_boxes
 from app.gui.reasons import REASONS
 from app.gui.scale import MAGNIFICATIONS, SteppedScale
-from app.gui.widgets import ElidedLabel, label, toggle
+from app.gui.widgets import ElidedLabel, label, toggle, unfocused
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
@@ -56,7 +56,8 @@ class CameraPanel(QWidget):
         self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
-        self._graphics.setMinimumSize(220, 220)
+        self._graphics.setMinimumSize(220, 150)
+        unfocused(self._graphics)
         self._image = pg.ImageItem(axisOrder="row-major")  # the one place where pyqtgraph must be told
         self._lines = _curve(self._view, theme.ACCENT, alpha=110)
         self._boxes = _curve(self._view, theme.RED, width=2)
@@ -114,6 +115,7 @@ class CameraPanel(QWidget):
         if self._full_scale:
             peak = self._frame.pixels.max() / self._full_scale
             parts.append(f"peak {peak:.0%} of full scale" + (", saturated" if peak >= 1 else ""))
+            self.caption.setStyleSheet(f"color: {(theme.AMBER if peak >= 1 else theme.DIM).name()};")
         self.caption.setText("    ".join([*parts, self._pointed_at()]))
 
     def _lay_out(self) -> None:

@@ -32,6 +32,7 @@ class ControlsPanel(QFrame):
 
     running_requested = pyqtSignal(bool)
     exposure_requested = pyqtSignal(float)  # s
+    read_out_requested = pyqtSignal()
     amplifier_requested = pyqtSignal(str)
     readout_speed_requested = pyqtSignal(int)
     em_gain_requested = pyqtSignal(float)
@@ -51,7 +52,7 @@ class ControlsPanel(QFrame):
         self.setProperty("role", "strip")
         self._layout = QHBoxLayout(self)
         self._layout.setContentsMargins(10, 6, 10, 8)
-        self._layout.setSpacing(10)
+        self._layout.setSpacing(8)
         self._make_camera()
         self._make_bench()
         self._make_calibration(frames)
@@ -62,6 +63,8 @@ class ControlsPanel(QFrame):
         self._is_running = False
         self.start = button("Start", "Start or stop taking frames (Space)")
         self.start.clicked.connect(lambda: self.running_requested.emit(not self._is_running))
+        self.read_out = button("Region\N{HORIZONTAL ELLIPSIS}", "Read out another part of the sensor, or bin it (P)")
+        self.read_out.clicked.connect(self.read_out_requested)
         self.exposure = NumberField(
             unit=1e-3, suffix=" ms", decimals=3, tool_tip="Exposure time; shown is what the camera took"
         )
@@ -75,13 +78,13 @@ class ControlsPanel(QFrame):
         self.em_gain.setPrefix("\N{MULTIPLICATION SIGN} ")
         self.em_gain.entered.connect(self.em_gain_requested)
         grid = self._section("Camera")
-        grid.addWidget(self.start, 1, 0, 1, 2)
+        grid.addLayout(_side_by_side(self.start, self.read_out), 1, 0, 1, 2)
         grid.addWidget(label("Exposure", "dim"), 2, 0)
         grid.addWidget(self.exposure, 2, 1)
-        grid.addWidget(label("Gain", "dim"), 3, 0)
-        mode = _side_by_side(self.em_gain, self.amplifier, self.readout_speed)
-        mode.setStretch(2, 0)
-        grid.addLayout(mode, 3, 1)
+        mode = _side_by_side(label("Gain", "dim"), self.em_gain, self.amplifier, self.readout_speed)
+        for narrow in (0, 3):
+            mode.setStretch(narrow, 0)
+        grid.addLayout(mode, 3, 0, 1, 2)
 
     def _make_bench(self) -> None:
         self.light = toggle("Light off", "Switch the light (L)")
@@ -177,6 +180,8 @@ class ControlsPanel(QFrame):
         grid.setHorizontalSpacing(8)
         grid.setColumnStretch(1, 1)
         grid.addWidget(label(title, "title"), 0, 0, 1, 2)
+        for row in range(1, 4):
+            grid.setRowMinimumHeight(row, self.start.sizeHint().height())  # so that all sections' rows are in line
         self._layout.addLayout(grid, 2 if is_last else 1)  # the last has the longest words
         if not is_last:
             rule = QFrame()

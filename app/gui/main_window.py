@@ -9,21 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from PyQt6.QtCore import QStandardPaths, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QFileDialog, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QSplitter, QVBoxLayout, QWidget
 
 from app.acquisition import Acquisition, Activity, Measurement
-from app.config import write_bench
 from app.errors import InputError, RunError
-from app.files import appearing_whole
-from app.gui import commands
-from app.gui.advice import advice
+from app.gui.advice import advice, warning
 from app.gui.analysis import Quantity
 from app.gui.analysis_panel import AnalysisPanel
 from app.gui.answers import Answers
@@ -33,16 +28,20 @@ from app.gui.controls_panel import ControlsPanel
 from app.gui.live_analysis import LiveAnalysis
 from app.gui.menu import fill_menus
 from app.gui.message_strip import MessageStrip
+from app.gui.orders import Orders, connect_controls
+from app.gui.read_out_control import ReadOutControl
 from app.gui.recording_control import RecordingControl
 from app.gui.recording_panel import RecordingPanel
+from app.gui.saving import save_bench, save_screenshot
 from app.gui.status_line import StatusLine
 from app.gui.timed_window import TimedWindow
 from app.gui.wavefront_panel import WavefrontPanel
-from app.instrument import Instrument, Status
+from app.instrument import Status
 from app.start_up import FRAMES, start_up
 
 _LOOK_INTERVAL_MS = 40
 _LOOKS_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
+_LEAST_WIDTH = 900  # px; narrower, and captions and plots have no room
 _CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it; the light is on until then
 
 
@@ -60,7 +59,6 @@ class MainWindow(TimedWindow):
         """Show nothing yet; `connect_devices` makes an acquisition, starts it and has it `begin`."""
         super().__init__()
         self._make_acquisition, self._begin = make_acquisition, begin
-        self._acquisition: Acquisition | None = None
         self._measurement: Measurement | None = None
         self._status: Status | None = None
         self._looks = 0
@@ -73,8 +71,10 @@ class MainWindow(TimedWindow):
         self.recording_panel = RecordingPanel()
         self.messages = MessageStrip()
         self._answers = Answers(self.messages)
+        self._orders = Orders(self._answers)
         self.recording = RecordingControl(self.recording_panel, self.messages, self._answers)
         self._calibration = CalibrationControl(self.camera_panel, self.messages, self._answers)
+        self.read_out = ReadOutControl(self.messages, self._answers, self)
         self.status_line = StatusLine()
         self._analysis = LiveAnalysis(self.wavefront_panel, self.analysis_panel, self)
         self._analysis.failed.connect(self.messages.warn)
@@ -84,6 +84,10 @@ class MainWindow(TimedWindow):
         self._timer = QTimer(self)
         self._timer.setInterval(_LOOK_INTERVAL_MS)
         self._timer.timeout.connect(self.look)
+
+    @property
+    def _acquisition(self) -> Acquisition | None:
+        return self._orders.acquisition
 
     @property
     def _activity(self) -> Activity:
@@ -107,9 +111,9 @@ class MainWindow(TimedWindow):
         self._measurement, self._status = None, None
         self._calibration.forget()
         self.status_line.restart()
-        self._acquisition = self._make_acquisition()
-        self._acquisition.start()
-        self._answers.restart(self._begin(self._acquisition))
+        acquisition = self._orders.acquisition = self._make_acquisition()
+        acquisition.start()
+        self._answers.restart(self._begin(acquisition))
         self._timer.start()
 
     def look(self) -> None:
@@ -154,6 +158,7 @@ class MainWindow(TimedWindow):
         self._status = status
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
         self.controls.show_status(status, is_settled=self._answers.are_all_there)
+        self.read_out.dialog.show_status(status)
         self._analysis.show_bench(status.bench)
         self.camera_panel.show_running(is_running=status.is_running)
         self.camera_panel.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
@@ -168,38 +173,21 @@ class MainWindow(TimedWindow):
         self.status_line.update_text(self._status, timings)
         status, measurement = self._status, self._measurement
         is_live = status is not None and status.is_running and not self._activity.text
+        problem = measurement.problem if is_live and measurement is not None else ""
         self.messages.show_state(
             failure=self.failure,
-            problem=measurement.problem if is_live and measurement is not None else "",
-            warning="" if status is None or self._activity.text else status.warning,
+            warning="" if status is None or self._activity.text else warning(status, problem),
             advice=advice(status, self._activity, measurement),
         )
 
     def save_screenshot(self, path: Path | None = None) -> bool:
         """Save a picture of the window, in the user's picture folder unless told otherwise; return whether it was."""
-        if path is None:
-            folder = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation)
-            path = Path(folder or ".") / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
-        is_saved = self.grab().save(str(path))
-        if is_saved:
-            self.messages.tell(f"saved {path}")
-        else:
-            self.messages.warn(f"could not save {path}")
-        return is_saved
+        return save_screenshot(self, self.messages, path)
 
     def save_bench(self) -> None:
         """Save the bench as it is set now, the lattice in force included."""
-        if self._status is None:
-            return
-        name, _ = QFileDialog.getSaveFileName(self, "Save the bench", "bench.toml", "Bench (*.toml)")
-        if name:
-            try:
-                with appearing_whole(Path(name)) as temporary:
-                    temporary.write_text(write_bench(self._status.bench_in_force), "utf-8")
-            except (InputError, RunError, ValueError) as error:  # the last from settings that do not go together
-                self.messages.warn(str(error))
-            else:
-                self.messages.tell(f"saved {name}")
+        if self._status is not None:
+            save_bench(self, self.messages, self._status.bench_in_force)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off and let go of the devices."""
@@ -213,7 +201,6 @@ class MainWindow(TimedWindow):
 
     def _lay_out(self) -> None:
         self.setWindowTitle("svwfs")
-        self.setMinimumSize(1000, 640)  # smaller, and captions and plots have no room
         self.resize(1440, 900)
         left = QSplitter(Qt.Orientation.Vertical)
         left.addWidget(self.camera_panel)
@@ -226,12 +213,15 @@ class MainWindow(TimedWindow):
         images.addWidget(self.wavefront_panel)
         images.setSizes([1000, 1000])
         images.setHandleWidth(16)
-        images.setContentsMargins(10, 8, 10, 6)
+        framed = QVBoxLayout()  # a splitter forgets its own margins when it is asked how small it can be
+        framed.setContentsMargins(10, 8, 10, 6)
+        framed.addWidget(images)
         body = QWidget()
         layout = QVBoxLayout(body)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(4)
-        layout.addWidget(images, 1)
+        layout.addStrut(_LEAST_WIDTH)  # a larger font may need more, which the layout knows
+        layout.addLayout(framed, 1)
         layout.addWidget(self.messages)
         layout.addWidget(self.controls)
         layout.addWidget(self.status_line)
@@ -261,12 +251,13 @@ class MainWindow(TimedWindow):
                     ("Take a reference", "R", controls.reference.click),
                     ("Find the lattice in the reference", "N", controls.lattice.click),
                     ("Find the exposure", "X", controls.auto_exposure.click),
-                    ("Compare the background with the dark", "B", self._with(self._calibration.check_background)),
+                    ("Compare the background with the dark", "B", self._orders.to(self._calibration.check_background)),
                     ("Use what is proposed", "Return", self.messages.enter),
                     ("Cancel what is under way, or discard", "Esc", self.messages.escape),
                     ("Refine, or not", "F", controls.refine.click),
                     ("Set the exposure", "E", controls.exposure.edit),
                     ("Set the current", "C", controls.current.edit),
+                    ("Read out a part of the sensor, or bin it", "P", controls.read_out.click),
                     ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect.click),
                 ),
                 "&View": (
@@ -287,52 +278,19 @@ class MainWindow(TimedWindow):
         self.analysis_panel.setVisible(not self.analysis_panel.isVisible())
 
     def _connect_intents(self) -> None:
-        controls = self.controls
-        for intent, command in (
-            (controls.running_requested, commands.set_running),
-            (controls.exposure_requested, commands.set_exposure),
-            (controls.amplifier_requested, commands.set_amplifier),
-            (controls.readout_speed_requested, commands.set_readout_speed),
-            (controls.em_gain_requested, commands.set_em_gain),
-            (controls.light_requested, commands.set_light),
-            (controls.current_requested, commands.set_current),
-            (controls.sample_requested, commands.set_sample),
-            (controls.mask_requested, commands.set_mask),
-        ):
-            intent.connect(partial(self._command, command))
-        controls.dark_requested.connect(lambda frames: self._routine(Acquisition.take_dark, frames))
-        controls.reference_requested.connect(lambda frames: self._routine(Acquisition.take_reference, frames))
-        controls.lattice_requested.connect(self._with(self._calibration.survey))
-        controls.auto_exposure_requested.connect(self._with(self._calibration.auto_expose))
-        controls.setting_requested.connect(
-            lambda section, key, value: self._command(partial(commands.change_setting, section, key), value)
-        )
+        controls, to = self.controls, self._orders.to
+        connect_controls(controls, self._orders)
+        controls.lattice_requested.connect(to(self._calibration.survey))
+        controls.auto_exposure_requested.connect(to(self._calibration.auto_expose))
+        controls.read_out_requested.connect(lambda: self.read_out.open(self._status))
+        self.read_out.dialog.wanted.connect(lambda area: to(self.read_out.read_out, area=area)())
         self.recording_panel.record_requested.connect(
-            lambda on: self._with(self.recording.start if on else self.recording.stop)()
+            lambda on: to(self.recording.start if on else self.recording.stop)()
         )
-        self.recording_panel.keep_requested.connect(self._with(self.recording.keep))
-        self.messages.answered.connect(
-            lambda is_wanted: self._with(partial(self._calibration.answer, is_wanted=is_wanted))()
-        )
-        self.messages.cancel_requested.connect(self._with(Acquisition.cancel))
+        self.recording_panel.keep_requested.connect(to(self.recording.keep))
+        self.messages.answered.connect(lambda is_wanted: to(self._calibration.answer, is_wanted=is_wanted)())
+        self.messages.cancel_requested.connect(to(Acquisition.cancel))
         self.messages.reconnect_requested.connect(self._reconnect)
-
-    def _command(self, command: Callable[[Instrument, Any], object], value: object) -> None:
-        if self._acquisition is not None:
-            self._answers.expect(self._acquisition.submit(lambda instrument: command(instrument, value)))
-
-    def _routine(self, routine: Callable[[Acquisition, int], Future[None]], frames: int) -> None:
-        if self._acquisition is not None:
-            self._answers.expect(routine(self._acquisition, frames))
-
-    def _with(self, act: Callable[[Acquisition], object]) -> Callable[[], None]:
-        """Return what has `act` called with the acquisition of then, if there is one."""
-
-        def call() -> None:
-            if self._acquisition is not None:
-                act(self._acquisition)
-
-        return call
 
     def _reconnect(self) -> None:
         if self.failure:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from itertools import zip_longest
 
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QKeySequence
-from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLabel, QMainWindow, QMenu, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QMainWindow, QMenu, QScrollArea, QVBoxLayout, QWidget
+
+from app.gui.widgets import button
 
 _CONVENTIONS = """
 <h3>Axes and signs</h3>
@@ -28,7 +29,8 @@ standard deviation. A click or the arrow keys select the view whose modulation t
 """
 
 
-_HELP_WIDTH = 560
+_HELP_WIDTH = 720
+_HELP_OF_SCREEN = 0.9
 
 Entries = tuple[tuple[str, str, Callable[[], object]], ...]  # text, key, what it does
 
@@ -59,15 +61,27 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.setObjectName("help")
     dialog.setWindowTitle("Shortcuts and conventions")
-    cells = [f"<td><b>{key}</b>&nbsp; {name}&nbsp; &nbsp;</td>" for menu in menus.values() for name, key, _ in menu]
-    half = -(-len(cells) // 2)
-    rows = (f"<tr>{''.join(pair)}</tr>" for pair in zip_longest(cells[:half], cells[half:], fillvalue=""))
-    text = QLabel(f"<h3>Keys</h3><table>{''.join(rows)}</table>{_CONVENTIONS}")
+    columns = "".join(f"<td>{_key_table(title, entries)}</td>" for title, entries in menus.items())
+    text = QLabel(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS}")
     text.setWordWrap(True)
-    text.setFixedSize(_HELP_WIDTH, text.heightForWidth(_HELP_WIDTH))
-    buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
-    buttons.rejected.connect(dialog.close)
+    width = max(_HELP_WIDTH, text.sizeHint().width())
+    text.setMinimumSize(width, text.heightForWidth(width))
+    text.setContentsMargins(8, 0, 8, 0)
+    area = QScrollArea()
+    area.setWidget(text)
+    area.setFrameShape(QFrame.Shape.NoFrame)
+    area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    close = button("Close", "Esc closes it, too")
+    close.clicked.connect(dialog.close)
     layout = QVBoxLayout(dialog)
-    layout.addWidget(text)
-    layout.addWidget(buttons)
+    layout.addWidget(area)
+    layout.addWidget(close, alignment=Qt.AlignmentFlag.AlignRight)
+    if (screen := parent.screen()) is not None:
+        room = screen.availableGeometry().size() * _HELP_OF_SCREEN
+        dialog.resize(dialog.sizeHint().expandedTo(text.sizeHint() + QSize(50, 80)).boundedTo(room))
     dialog.show()
+
+
+def _key_table(title: str, entries: Entries) -> str:
+    rows = "".join(f"<tr><td><b>{key}</b>&nbsp;</td><td>{name}&nbsp; &nbsp;</td></tr>" for name, key, _ in entries)
+    return f"<h3>{title.replace('&', '')}</h3><table cellspacing='0'>{rows}</table>"

@@ -49,7 +49,7 @@ class MessageStrip(QFrame):
         for widget in (self.reconnect, self.accept, self.discard, self.dismiss, self.progress, self.cancel):
             widget.hide()
             layout.addWidget(widget)
-        self.setFixedHeight(34)
+        self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # whether or not there is a button
 
     def warn(self, text: str) -> None:
         """Show for a while why something was not done."""
@@ -58,6 +58,10 @@ class MessageStrip(QFrame):
     def tell(self, text: str) -> None:
         """Show for a while what was done."""
         self._notify(text, theme.GREEN)
+
+    def forget_notice(self) -> None:
+        """Show nothing any more of what was done before: something else has been asked for."""
+        self._notice_until_s = 0.0
 
     def alarm(self, text: str) -> None:
         """Show what went wrong until it is dismissed; empty text dismisses it."""
@@ -90,8 +94,8 @@ class MessageStrip(QFrame):
             self.progress.setValue(round(activity.progress * 1000))
             self.progress.setToolTip(f"{activity.text}: Esc cancels")
 
-    def show_state(self, *, failure: str, problem: str, warning: str, advice: str) -> None:
-        """Show the gravest of a failure, an alarm, a question, a young notice, a problem, a warning, an advice."""
+    def show_state(self, *, failure: str, warning: str, advice: str) -> None:
+        """Show the gravest of a failure, an alarm, a question, a young notice, a warning, an advice."""
         self.reconnect.setVisible(bool(failure))
         if failure:
             self._question = ""  # there is nobody left to do it
@@ -110,8 +114,8 @@ class MessageStrip(QFrame):
             self._show(self._question, theme.GREEN)
         elif self._notice and time.monotonic() < self._notice_until_s:
             self._show(self._notice, self._notice_colour)
-        elif problem or warning:
-            self._show(problem or warning, theme.AMBER)
+        elif warning:
+            self._show(warning, theme.AMBER)
         else:
             self._show(advice, theme.DIM)
 

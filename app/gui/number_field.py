@@ -8,6 +8,9 @@ from PyQt6.QtWidgets import QAbstractSpinBox, QDoubleSpinBox, QWidget
 
 from drivers.interface import Range
 
+_BUTTONS_WIDTH = 26  # px, with the frame
+_ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
+
 
 class NumberField(QDoubleSpinBox):
     """Shows a value in the unit people use and emits it in SI, when it is entered by its user and only then."""
@@ -35,6 +38,8 @@ class NumberField(QDoubleSpinBox):
         self.setCorrectionMode(QAbstractSpinBox.CorrectionMode.CorrectToNearestValue)
         if decimals:
             self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
+        usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0") + suffix, lowest), key=len)
+        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + _BUTTONS_WIDTH)  # whatever its range is
         self.valueChanged.connect(self._enter)
 
     def show_value(self, value: float, allowed: Range) -> None:
@@ -51,14 +56,22 @@ class NumberField(QDoubleSpinBox):
         self.selectAll()
 
     def event(self, event: QEvent | None) -> bool:
-        """Refuse keys that are no part of a number, so that they act as shortcuts while the field has the focus."""
-        if (
-            isinstance(event, QKeyEvent)
-            and event.type() == QEvent.Type.ShortcutOverride
-            and (event.text().isalpha() or event.key() == Qt.Key.Key_Space)
-        ):
-            event.ignore()
-            return False
+        """Leave to the shortcuts what is no part of a number; Return and Esc are the field's while it is edited."""
+        if not isinstance(event, QKeyEvent):
+            return super().event(event)
+        key, is_edited = event.key(), (line := self.lineEdit()) is not None and line.isModified()
+        if event.type() == QEvent.Type.ShortcutOverride:
+            if event.text().isalpha() or key == Qt.Key.Key_Space:
+                event.ignore()
+                return False
+            if is_edited and key in {*_ENTER, Qt.Key.Key_Escape}:
+                event.accept()
+                return True
+        elif event.type() == QEvent.Type.KeyPress and is_edited and key in {*_ENTER, Qt.Key.Key_Escape}:
+            if key == Qt.Key.Key_Escape and line is not None:
+                line.setText(self.textFromValue(self.value()))
+            self.clearFocus()  # what was typed is taken; digits are shortcuts again
+            return True
         return super().event(event)
 
     def _enter(self, value: float) -> None:

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
 from app.gui import theme
 from app.gui.scale import RANGES, SteppedScale
-from app.gui.widgets import ElidedLabel, label
+from app.gui.widgets import ElidedLabel, label, unfocused
 from reconstruction.geometry import Floats
 from reconstruction.image_quality import Mtf
 from reconstruction.isoplanatism import Isoplanatism
@@ -27,7 +27,8 @@ class _Plot(QWidget):
         self.title = ElidedLabel("title")
         self.title.setText(title)
         self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
-        self._graphics.setMinimumSize(150, 80)
+        self._graphics.setMinimumSize(150, 5 * self.fontMetrics().height())
+        unfocused(self._graphics)
         self._view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
         self._axes = axes = {
             side: pg.AxisItem(side, linkView=self._view, pen=theme.LINE, textPen=theme.DIM) for side in _SIDES
@@ -35,8 +36,9 @@ class _Plot(QWidget):
         for axis in axes.values():
             axis.enableAutoSIPrefix(enable=False)
             axis.setStyle(tickLength=4, tickTextOffset=3)
-        axes["left"].setWidth(30)
-        axes["bottom"].setHeight(38)
+        font = self.fontMetrics()
+        axes["left"].setWidth(font.horizontalAdvance("0.0") + 12)
+        axes["bottom"].setHeight(2 * font.height() + 6)
         axes["bottom"].setLabel(bottom, color=theme.DIM.name())
         grid = pg.GraphicsLayout()
         grid.setContentsMargins(0, 5, 12, 0)
@@ -107,7 +109,7 @@ class StructurePlot(_Plot):
     """RMS difference of two wavefronts over their separation in the field, with the 1 rad that ends the patch."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        keys = (("all", theme.ACCENT), ("without tilt", theme.GREEN))
+        keys = (("all", theme.ACCENT), ("no tilt", theme.GREEN))
         super().__init__("RMS difference (rad)", "separation in the field (mm)", keys, parent)
         self.setToolTip(
             "RMS difference of the wavefronts of two positions of the field, over their separation;\n"

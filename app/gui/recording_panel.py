@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
 
 from app.gui import theme
-from app.gui.widgets import button, label, toggle
+from app.gui.widgets import ElidedLabel, button, toggle
 from app.recording.background import RecordingState
 from app.recording.recorder import RECENT_S
 
-_TEXT_WIDTH = 380
+_WIDEST = "000000 frames   00:00   000 wait for the disk   room for 000 min"
 _BEHIND = 70  # frames that wait for the disk; fewer are no news
 
 
@@ -30,15 +30,17 @@ class RecordingPanel(QWidget):
             f"Keep last {RECENT_S:g} s", "Write the last seconds as a recording, although none was under way (K)"
         )
         self.keep.clicked.connect(self.keep_requested)
-        self.record.setMinimumWidth(96)
-        self.text = label("", "dim")
-        self.text.setFixedWidth(_TEXT_WIDTH)  # a menu bar does not ask its corner again how wide it would be
+        self.text = ElidedLabel("dim")
+        self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
+        # A menu bar does not ask its corner again how wide it would be.
+        self.text.setFixedWidth(self.text.fontMetrics().horizontalAdvance(_WIDEST))
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         row = QHBoxLayout(self)
         row.setContentsMargins(10, 3, 6, 3)
         row.setSpacing(6)
         for widget in (self.text, self.keep, self.record):
             row.addWidget(widget)
+        self.record.setMinimumWidth(self.record.sizeHint().width() + 20)  # the same for its other word
         self.show_state(None)
 
     def show_state(self, state: RecordingState | None, free_minutes: float = math.inf) -> None:
@@ -49,8 +51,9 @@ class RecordingPanel(QWidget):
         self.record.setIcon(theme.start_or_stop(is_running=True) if is_recording else theme.lamp(theme.RED))
         self.record.setEnabled(state is None or state.stage != "finishing")
         room = () if math.isinf(free_minutes) else (f"room for {_duration(free_minutes)}",)
-        self.text.setText("   ".join((*_progress(state), *room)))
-        self.text.setToolTip("" if state is None else str(state.folder))
+        text = "   ".join((*_progress(state), *room))
+        self.text.setText(text)
+        self.text.setToolTip(text if state is None else f"{text}\n{state.folder}")
 
 
 def _progress(state: RecordingState | None) -> tuple[str, ...]:
@@ -62,4 +65,4 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
 
 
 def _duration(minutes: float) -> str:
-    return f"{minutes / 60:.0f} hours" if minutes >= 600 else f"{minutes:.0f} minutes"
+    return f"{minutes / 60:.0f} h" if minutes >= 600 else f"{minutes:.0f} min"

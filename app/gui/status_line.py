@@ -7,10 +7,11 @@ from collections import deque
 from statistics import median
 
 import numpy as np
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
 from app.acquisition import Measurement
 from app.gui import theme
+from app.gui.fitting_row import FittingRow
 from app.gui.reasons import REASONS
 from app.gui.timing_row import Summaries, TimingRow, timing_table
 from app.gui.widgets import label
@@ -21,6 +22,7 @@ from reconstruction.displacement import Displacement
 _VALID = "Lenslets whose subimage could be matched with the reference"
 _REFINED = "Whether the wavefront is corrected by the bias that a forward model found, and how long ago"
 _LATENCY = "From the end of the exposure to the result, median over the last second"
+_SHOWN = "Frames drawn here: the newest one, up to 25 times a second"
 _WINDOW_S = 1.0  # over which rate and latency are taken
 
 
@@ -32,25 +34,26 @@ class StatusLine(QWidget):
         self._recent: deque[Measurement] = deque()
         self.shown = 0
         self.timing_row = TimingRow()
-        self._layout = QHBoxLayout()
-        self._layout.setSpacing(4)
+        self.row = row = FittingRow()
+        self.devices = label("", "dim")
+        line = QHBoxLayout()
+        line.addWidget(row, 1)
+        line.addWidget(self.devices)
         both = QVBoxLayout(self)
         both.setContentsMargins(10, 0, 10, 2)
         both.setSpacing(2)
         both.addWidget(self.timing_row)
-        both.addLayout(self._layout)
-        self.acquired = self._add("acquired", "Frames read from the camera", 46)
-        self.reconstructed = self._add("reconstructed", "Frames that yielded a wavefront", 46)
-        self.shown_count = self._add("shown", "Frames drawn here: the newest one, up to 25 times a second", 46)
-        self.lost = self._add("lost", "Frames that the camera overwrote before they were read", 36)
-        self.rate = self._add("frames/s", "Frames acquired per second", 40)
-        self.latency = self._add("latency", _LATENCY, 64)
-        self.age = self._add("age", "How long ago the frame that is shown was exposed", 56)
-        self.valid = self._add("valid", _VALID, 76)
-        self.refined = self._add("refined", _REFINED, 76)
-        self._layout.addStretch()
-        self.devices = label("", "dim")
-        self._layout.addWidget(self.devices)
+        both.addLayout(line)
+        count, time_s = "00000", "0000.0 ms"
+        self.acquired = row.add("acquired", "Frames read from the camera", widest=count, importance=7)
+        self.reconstructed = row.add("reconstructed", "Frames that yielded a wavefront", widest=count, importance=6)
+        self.shown_count = row.add("shown", _SHOWN, widest=count, importance=8)
+        self.lost = row.add("lost", "Frames that the camera overwrote before they were read", widest="0", importance=2)
+        self.rate = row.add("frames/s", "Frames acquired per second", widest="00.0", importance=1)
+        self.latency = row.add("latency", _LATENCY, widest=time_s, importance=4)
+        self.age = row.add("age", "How long ago the frame that is shown was exposed", widest=time_s, importance=5)
+        self.valid = row.add("valid", _VALID, widest="000 of 000", importance=0)
+        self.refined = row.add("refined", _REFINED, widest="preparing", importance=3)
 
     def count(self, measurement: Measurement) -> None:
         """Take note that a measurement is shown."""
@@ -88,6 +91,7 @@ class StatusLine(QWidget):
         self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
         self._show_refinement(last.refinement)
+        self.row.fit()
 
     def _show_valid(self, displacement: Displacement | None) -> None:
         """Count the valid lenslets; the tool tip tells what has become of the others."""
@@ -123,14 +127,6 @@ class StatusLine(QWidget):
         self.refined.setText(text)
         self.refined.setToolTip("\n".join(filter(None, [_REFINED, why])))
         self.refined.setStyleSheet(f"color: {colour.name()};")
-
-    def _add(self, name: str, tool_tip: str, width: int) -> QLabel:
-        value = label("\N{EN DASH}")
-        value.setMinimumWidth(width)
-        for widget in (label(name, "dim"), value):
-            widget.setToolTip(tool_tip)
-            self._layout.addWidget(widget)
-        return value
 
 
 def _moved(refinement: RefinementState) -> str:

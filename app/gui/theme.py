@@ -23,9 +23,11 @@ QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
 QLabel[role="dim"] {{ color: {DIM.name()}; }}
 QLabel[role="on-image"] {{ color: {TEXT.name()}; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
-QPushButton {{ padding: 3px 10px; }}
+QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: #22394c; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
+QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
+QMenuBar::item:selected {{ background: {RAISED.name()}; }}
 QSplitter::handle {{ background: {BACKGROUND.name()}; }}
 QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center; color: {TEXT.name()};
                background: {BACKGROUND.name()}; }}

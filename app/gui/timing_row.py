@@ -1,15 +1,18 @@
-"""What each stage of the live path takes: a row that a key brings up, and the tool tip of the latency."""
+"""What each stage of the live path takes: a table that a key brings up, and the tool tip of the latency."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QWidget
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from app.gui.widgets import label
 from app.timing import MEANINGS, STAGES, Stage, Summary
 
 Summaries = Mapping[Stage, Summary]
+_COLUMNS = ("median", "99 %", "max")
+_WIDEST = "0000.0"
 
 
 class TimingRow(QWidget):
@@ -17,19 +20,22 @@ class TimingRow(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addWidget(label("ms: median / 99 % / max", "dim"))
-        self.values: dict[Stage, QLabel] = {}
-        for stage in STAGES:
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 4)
+        grid.setHorizontalSpacing(14)
+        grid.setVerticalSpacing(0)
+        for row, text in enumerate(("ms", *_COLUMNS)):
+            grid.addWidget(label(text, "dim"), row, 0)
+        self.values: dict[Stage, tuple[QLabel, ...]] = {}
+        for column, stage in enumerate(STAGES, 1):
             name = label(stage.replace("_", " "), "dim")
-            value = self.values[stage] = label("\N{EN DASH}")
-            for widget in (name, value):
+            self.values[stage] = tuple(label("\N{EN DASH}") for _ in _COLUMNS)
+            for row, widget in enumerate((name, *self.values[stage])):
                 widget.setToolTip(f"{stage.replace('_', ' ')}: {MEANINGS[stage]}")
-                layout.addWidget(widget)
-            layout.addSpacing(6)
-        layout.addStretch()
+                widget.setAlignment(Qt.AlignmentFlag.AlignRight)
+                grid.addWidget(widget, row, column)
+            grid.setColumnMinimumWidth(column, self.fontMetrics().horizontalAdvance(_WIDEST))
+        grid.setColumnStretch(len(STAGES) + 1, 1)
         self.hide()
 
     def toggle(self) -> None:
@@ -38,22 +44,22 @@ class TimingRow(QWidget):
 
     def update_text(self, summaries: Summaries) -> None:
         """Write the numbers."""
-        for stage, value in self.values.items():
-            value.setText(_numbers(summaries[stage]))
+        for stage, values in self.values.items():
+            for value, number in zip(values, _numbers(summaries[stage]), strict=True):
+                value.setText(number)
 
 
 def timing_table(summaries: Summaries) -> str:
     """All stages as a table for a tool tip."""
     rows = "".join(
-        f"<tr><td>{stage.replace('_', ' ')}&nbsp;</td><td align='right'>{_numbers(summaries[stage])}&nbsp;</td>"
-        f"<td>{MEANINGS[stage]}</td></tr>"
+        f"<tr><td>{stage.replace('_', ' ')}&nbsp;</td><td align='right'>{' / '.join(_numbers(summaries[stage]))}&nbsp;"
+        f"</td><td>{MEANINGS[stage]}</td></tr>"
         for stage in STAGES
     )
-    return f"<table><tr><td></td><td>median / 99 % / max, ms&nbsp;</td><td></td></tr>{rows}</table>"
+    return f"<table><tr><td></td><td>{' / '.join(_COLUMNS)}, ms&nbsp;</td><td></td></tr>{rows}</table>"
 
 
-def _numbers(summary: Summary) -> str:
+def _numbers(summary: Summary) -> tuple[str, ...]:
     """Write a stage's times in ms."""
-    if not summary.count:
-        return "\N{EN DASH}"
-    return " / ".join(f"{seconds * 1e3:.1f}" for seconds in (summary.p50_s, summary.p99_s, summary.max_s))
+    times_s = (summary.p50_s, summary.p99_s, summary.max_s)
+    return tuple(f"{seconds * 1e3:.1f}" if summary.count else "\N{EN DASH}" for seconds in times_s)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QPainter, QPaintEvent
-from PyQt6.QtWidgets import QLabel, QPushButton, QSizePolicy, QStyle, QWidget
+from PyQt6.QtWidgets import QAbstractScrollArea, QLabel, QPushButton, QSizePolicy, QStyle, QWidget
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
@@ -23,6 +23,7 @@ class ElidedLabel(QLabel):
         self.setProperty("role", role)
         self.setTextFormat(Qt.TextFormat.PlainText)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setMinimumHeight(self.fontMetrics().height())  # also when it is empty, so that nothing moves
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint as much of the text as there is room for."""
@@ -48,3 +49,10 @@ def toggle(text: str, tool_tip: str) -> QPushButton:
     made = button(text, tool_tip)
     made.setCheckable(True)
     return made
+
+
+def unfocused(area: QAbstractScrollArea) -> None:
+    """Leave an area that has no use for the keyboard out of the round of the key Tab."""
+    for widget in (area, area.viewport()):
+        if widget is not None:
+            widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
