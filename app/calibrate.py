@@ -16,6 +16,7 @@ from app.errors import InputError
 from app.files import appearing_whole, read_image
 from app.from_files import full_scale
 from app.presets import PRESETS
+from app.progress import Report
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice import Survey, survey
@@ -34,12 +35,13 @@ class Found:
     survey: Survey
 
 
-def calibrate(reference: Path, *, dark: Path | None, bench: Bench) -> Found:
+def calibrate(reference: Path, *, dark: Path | None, bench: Bench, report: Report = lambda *_: None) -> Found:
     """Find the lattice in a reference from image files; whatever is wrong with them is an `InputError` that says so."""
     image = read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     try:
-        found = survey(image, bench.sensor, dark=dark_image, full_scale=full_scale(image, bench.camera_model.bits))
+        most = full_scale(image, bench.camera_model.bits)
+        found = survey(image, bench.sensor, dark=dark_image, full_scale=most, report=report)
         return Found(image, bench, dataclasses.replace(bench, lattice=_rounded(found.lattice)), found)
     except ReconstructionError as error:
         raise InputError(f"{dark if error.image == 'dark' else reference}: {error}") from error

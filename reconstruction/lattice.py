@@ -7,6 +7,7 @@ themselves compared with the typical one, say it to a small part of a pixel.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,8 +21,8 @@ from reconstruction.displacement import Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats, Lattice, Sensor
 from reconstruction.lattice_fit import SMALLEST_PITCH_PX, Fit, fit_lattice
-from reconstruction.lattice_judgement import why_no_lattice
-from reconstruction.lattice_spectrum import REACH, Peak, strongest_peak
+from reconstruction.lattice_judgement import is_outstanding, why_no_lattice
+from reconstruction.lattice_spectrum import REACH, Peak, strongest_peak, without_peaks
 from reconstruction.spline import Image
 
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
@@ -29,6 +30,8 @@ Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 _SATURATED_FRACTION = 0.01  # of the pixels
 _DARK_AT_MOST = 8  # times as many lenslets as are lit may there be
 _OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or a column of the array; the others may be dead
+_MANY = 2000  # cells; what is a lattice to `why_no_lattice` stands out of the spectrum by 0.5 sqrt(cells), noise by 3.5
+_OTHER_PITCHES = 0.5, 2.0  # of the designed one; that is how focal lengths and binnings are confused
 _ALIKE = 0.3  # rows and columns; blocks that differ by less have as many lit lenslets
 
 
@@ -61,7 +64,14 @@ def find_lattice(reference: Counts, sensor: Sensor) -> Lattice:
     return survey(reference, sensor).lattice
 
 
-def survey(reference: Counts, sensor: Sensor, *, dark: Counts | None = None, full_scale: float = np.inf) -> Survey:
+def survey(
+    reference: Counts,
+    sensor: Sensor,
+    *,
+    dark: Counts | None = None,
+    full_scale: float = np.inf,
+    report: Callable[[str, float], None] = lambda *_: None,
+) -> Survey:
     """Find the sensor's lenslets on a reference (row, column), counts, and say how well the frame shows them.
 
     The pitch may differ from the designed one by 15 %. The rotation is the one within +-45 degrees: a square lattice
@@ -69,20 +79,41 @@ def survey(reference: Counts, sensor: Sensor, *, dark: Counts | None = None, ful
     subimages must be symmetric about the lenslet axes on average; `reconstruction.lattice_fit` says what is taken for
     the centre where they are not. Of the lattice's cells those are taken for the sensor's that have most lit lenslets,
     and of blocks alike the one closest to the frame's middle. Raises `ReconstructionError`, in one sentence, when the
-    frame shows no such lattice.
+    frame shows no such lattice. `report` hears what is being done and how much of it, 0 ... 1: many megapixels
+    take a while.
     """
-    light = _light(reference, sensor, dark, full_scale)
-    pitch_px = sensor.lenslet_pitch_px
+    light, pitch_px = _light(reference, sensor, dark, full_scale), sensor.lenslet_pitch_px
+    report("looking for a lattice", 0.0)
+    if not _may_show(light, pitch_px):
+        raise ReconstructionError(_refusal(pitch_px, "was the light on?"), image="reference")
+    report("looking for bad pixels", 0.1)
+    light = repaired(light, find_bad_pixels(reference, dark))
+    report("fitting the lattice", 0.25)
     fit, why = _fitted(light, sensor, pitch_px)
-    if fit is None:
-        others = (_fitted(light, sensor, pitch_px * factor)[0] for factor in (0.5, 2.0))
-        fit = next((other for other in others if other is not None), None)
+    for tried, factor in enumerate(_OTHER_PITCHES, 1):
+        if fit is None:
+            report(f"fitting one of {pitch_px * factor:.1f} px pitch", (tried + 1) / 4)
+            fit, _ = _fitted(light, sensor, pitch_px * factor)
     if fit is not None and abs(fit.lattice.pitch_px / pitch_px - 1) < REACH:
         return _of_the_sensor(fit, sensor, light.shape)
     if fit is not None:
         why = f"it shows one of {fit.lattice.pitch_px:.1f} px; check sensor.lenslet_pitch_m and pixel_pitch_m"
-    text = f"the reference shows no lattice of {pitch_px:.1f} px pitch: {why}"
-    raise ReconstructionError(text, image="reference")
+    raise ReconstructionError(_refusal(pitch_px, why), image="reference")
+
+
+def _refusal(pitch_px: float, why: str) -> str:
+    return f"the reference shows no lattice of {pitch_px:.1f} px pitch: {why}"
+
+
+def _may_show(light: Image, pitch_px: float) -> bool:
+    """Whether a frame (row, column), bad pixels and all, may show a lattice of about that pitch, its half or double.
+
+    A look at the spectrum tells, quickly, where a frame has room for many cells; others have to be fitted to know.
+    """
+    if light.size < _MANY * pitch_px**2:
+        return True
+    light = without_peaks(light)
+    return any(is_outstanding(strongest_peak(light, pitch_px * factor)) for factor in (1.0, *_OTHER_PITCHES))
 
 
 def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, str]:
@@ -107,7 +138,7 @@ def _start(peak: Peak, shape: tuple[int, int]) -> Lattice:
 
 
 def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: float) -> Image:
-    """Check the reference and return its light above the dark, bad pixels repaired."""
+    """Check the reference and return its light above the dark."""
     if reference.ndim != 2 or 0 in reference.shape:
         raise ReconstructionError("the reference is no image of rows x columns", image="reference")
     rows, columns = reference.shape
@@ -130,7 +161,7 @@ def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: f
     light = np.asarray(reference, np.float32) - np.float32(0 if dark is None else dark)
     if np.ptp(light) == 0:
         raise ReconstructionError("the reference shows no lattice: all its pixels are alike", image="reference")
-    return repaired(light, find_bad_pixels(reference, dark))
+    return light
 
 
 def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:

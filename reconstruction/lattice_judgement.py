@@ -43,9 +43,14 @@ def why_no_lattice(fit: Fit | None, peak: Peak, light: Image, brightest: int) ->
     return ""
 
 
+def is_outstanding(peak: Peak) -> bool:
+    """Whether the spectrum shows more than noise does."""
+    return max(peak.strength) >= _OUTSTANDING
+
+
 def _why_irregular(peak: Peak, lit: int) -> str:
     """Say what a frame may show whose cells are not alike, `lit` of which seem lit."""
-    if max(peak.strength) < _OUTSTANDING:
+    if not is_outstanding(peak):
         return "was the light on?"
     if peak.hexagonal_strength > max(_OUTSTANDING, math.sqrt(math.prod(peak.strength))):
         return "it seems to show a hexagonal one, and only square ones are supported"

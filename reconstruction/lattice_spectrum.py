@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, ndimage
 
-from reconstruction.geometry import Floats
 from reconstruction.spline import Image
 
 REACH = 0.16  # of the pitch, by which the designed one may be wrong
@@ -40,7 +39,8 @@ def strongest_peak(image: Image, pitch_px: float) -> Peak:
     angles = 3 * (int(np.pi / 6 * _FINENESS * cells) + 3)
     angle_rad = (np.arange(2 * angles) / angles - 0.5) * np.pi / 2  # of both harmonics, a quarter turn apart
     frequency = np.stack([np.sin(angle_rad), np.cos(angle_rad)])[:, None] / pitches_px[:, None]  # (row, column)
-    index = frequency * np.array(amplitude.shape)[:, None, None]
+    frequency = np.where(frequency[1] < 0, -frequency, frequency)  # of a real image, its conjugate
+    index = frequency * np.array(_padded(light.shape))[:, None, None]
     strength = ndimage.map_coordinates(amplitude, index, order=1, mode="grid-wrap")
     strength /= max(float(np.median(strength)), float(np.finfo(np.float32).tiny))
     first, second = strength[:, :angles], strength[:, angles:]
@@ -55,17 +55,40 @@ def strongest_peak(image: Image, pitch_px: float) -> Peak:
     )
 
 
-def _binned(image: Image, binning: int) -> Floats:
+def without_peaks(image: Image) -> Image:
+    """Make no pixel of an image (row, column) brighter than the brightest of the four beside it: none is hot any more.
+
+    It is quick, and good enough for a first look; `bad_pixels` knows better.
+    """
+    edged = np.pad(image, 1, mode="edge")
+    edged[0], edged[-1], edged[:, 0], edged[:, -1] = (-np.inf,) * 4
+    brightest = np.maximum(edged[:-2, 1:-1], edged[2:, 1:-1])
+    np.maximum(brightest, edged[1:-1, :-2], out=brightest)
+    np.maximum(brightest, edged[1:-1, 2:], out=brightest)
+    return np.asarray(np.minimum(image, brightest))
+
+
+def _binned(image: Image, binning: int) -> Image:
     """Means over binning x binning pixels; what is left over at the far edges is left out."""
     rows, columns = (length // binning for length in image.shape)
     blocks = image[: rows * binning, : columns * binning].reshape(rows, binning, columns, binning)
-    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64))
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), np.float32)
 
 
-def _amplitude(light: Floats, pitch_px: float) -> Floats:
-    """Amplitude spectrum of what repeats, zero frequency first: less the mean over a pitch, and fading to the edges."""
+def _padded(shape: tuple[int, ...]) -> list[int]:
+    """How long the axes of the spectrum of an image of that shape are."""
+    return [fft.next_fast_len(_PADDING * length) for length in shape]
+
+
+def _amplitude(light: Image, pitch_px: float) -> Image:
+    """Amplitude spectrum of what repeats, zero frequency first: less the mean over a pitch, and fading to the edges.
+
+    All frequencies along the rows, (row, column), but only those columns of it that are looked at.
+    """
     repeating = light - ndimage.uniform_filter(light, max(2, round(pitch_px)), mode="mirror")
     for axis, length in enumerate(light.shape):
-        fade = np.hanning(length + 2)[1:-1]
+        fade = np.hanning(length + 2)[1:-1].astype(np.float32)
         repeating *= fade if axis else fade[:, None]
-    return np.asarray(np.abs(fft.fft2(repeating, [fft.next_fast_len(_PADDING * length) for length in light.shape])))
+    rows, columns = _padded(light.shape)
+    looked_at = int(columns / (pitch_px * (1 - REACH))) + 2
+    return np.asarray(np.abs(fft.fft(fft.rfft(repeating, columns, axis=1)[:, :looked_at], rows, axis=0)))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage import data
 
+import reconstruction.lattice as lattice_module
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Floats, Lattice
 from reconstruction.lattice import Survey, survey
@@ -373,3 +374,39 @@ def test_the_reference_is_left_as_it_was() -> None:
     before = light.copy()
     survey(light, SENSOR)
     np.testing.assert_array_equal(light, before)
+
+
+def _many(peak: float, **changes: float) -> NDArray[np.float32]:
+    """A noisy frame with room for 2000 lenslets and 300 hot pixels, lit as brightly as `peak`."""
+    side, rng = 750, np.random.default_rng(6)
+    light = draw(
+        (side, side),
+        center_px=(374.6, 373.9),
+        pitch_px=16.1,
+        rotation_rad=0.004,
+        brightness=np.ones((46, 46)),
+        image_px=image_of("square", 16.1, 0.2, 1.2),
+    )
+    frame = light * peak + rng.normal(500, 8, (side, side))
+    frame[tuple(rng.integers(0, side, (2, 300)))] = changes.get("hot", 60000)
+    return frame.astype(np.float32)
+
+
+def test_a_large_frame_without_a_lattice_is_refused_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fitted(*_: object) -> None:
+        raise AssertionError("it was fitted, which takes minutes on many megapixels")
+
+    monkeypatch.setattr(lattice_module, "fit_lattice", fitted)
+    monkeypatch.setattr(lattice_module, "find_bad_pixels", fitted)
+    with pytest.raises(ReconstructionError, match=r"no lattice of 16.0 px pitch: was the light on\?"):
+        survey(_many(0), sensor_with(46, 46, 16.0))
+
+
+def test_hot_pixels_do_not_hide_a_faint_lattice_on_a_large_frame() -> None:
+    heard: list[tuple[str, float]] = []
+    found = survey(_many(60), sensor_with(46, 46, 16.0), report=lambda text, done: heard.append((text, done)))
+    truth = Lattice(center_x_px=374.6, center_y_px=373.9, pitch_px=16.1, rotation_rad=0.004)
+    check(found, truth)
+    assert (found.rows, found.columns) == (46, 46)
+    assert [done for _, done in heard] == sorted(done for _, done in heard)
+    assert heard[-1][0] == "fitting the lattice"

@@ -32,6 +32,7 @@ def calibrate(
 
     from app.calibrate import as_numbers, check_out, differences, findings, write_calibrated
     from app.calibrate import calibrate as run
+    from app.report import progress_bar
 
     if out is not None:
         check_out(out, overwrite=overwrite)
@@ -40,7 +41,8 @@ def calibrate(
 
         check_plot_path(plot)
     loaded = load(bench, setting)
-    found = run(reference, dark=dark, bench=loaded)
+    with progress_bar() as report:
+        found = run(reference, dark=dark, bench=loaded, report=report)
     if plot is not None:
         from app.lattice_plot import plot_lattice
 
