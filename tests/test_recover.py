@@ -192,6 +192,16 @@ def test_lines_are_brought_back_to_where_they_belong(
     assert _everything(tmp_path / "r") == before
 
 
+def test_what_follows_the_lines_of_a_complete_recording_is_left_alone(tmp_path: Path) -> None:
+    write(tmp_path / "r", [make_record(index) for index in range(4)])
+    path = tmp_path / "r" / "frames.jsonl"
+    path.write_bytes(path.read_bytes() + path.read_bytes().splitlines(keepends=True)[0] + b"and half a line")
+    before = _everything(tmp_path / "r")
+    found = recover(tmp_path / "r")
+    assert (found.was_complete, found.frames, found.put_aside) == (True, 4, "")
+    assert _everything(tmp_path / "r") == before
+
+
 def test_what_was_put_aside_is_never_written_over(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(index) for index in range(6)])
     path = tmp_path / "r" / "frames.jsonl"

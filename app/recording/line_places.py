@@ -26,10 +26,7 @@ class LinePlaces:
         """The line of a frame; None when it cannot be read."""
         if index not in self.spans:
             return None
-        begin, end = self.spans[index]
-        with self.path.open("rb") as file:
-            file.seek(begin)
-            return FrameLine.from_json(file.read(end - begin))
+        return FrameLine.from_json(_text(self.path, *self.spans[index]))
 
     def end_in_place(self, frames: int) -> int | None:
         """Where the first so many lines end, if each stands where it belongs; None if one does not."""
@@ -51,7 +48,7 @@ class LinePlaces:
 
 
 def find_lines(path: Path) -> LinePlaces:
-    """Look for every line that can be read; of two that claim to be of one frame, neither is believed."""
+    """Look for every line that can be read; of two unlike ones that claim to be of one frame, neither is believed."""
     spans: dict[int, tuple[int, int]] = {}
     lost, twice = set(), set()
     with path.open("rb") as file:
@@ -61,10 +58,16 @@ def find_lines(path: Path) -> LinePlaces:
             if text == LOST:
                 lost.add(begin)
             elif text.endswith(b"\n") and (index := _index_of(text)) is not None:
-                if index in spans:
+                first = spans.setdefault(index, (begin, end))
+                if first != (begin, end) and _text(path, *first) != text:
                     twice.add(index)
-                spans[index] = begin, end
     return LinePlaces(path, {index: span for index, span in spans.items() if index not in twice}, frozenset(lost))
+
+
+def _text(path: Path, begin: int, end: int) -> bytes:
+    with path.open("rb") as file:
+        file.seek(begin)
+        return file.read(end - begin)
 
 
 def _index_of(text: bytes) -> int | None:
