@@ -46,6 +46,7 @@ HANGS_S = 300.0  # so long that a busy computer is not taken for it
 _OPTIONS = ["-q", "--timeout=0", "-o", "faulthandler_timeout=0", "-p", "no:cacheprovider"]
 _OPTIONS += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]  # storm.py, to be watched
 _TALLY = struct.Struct("<qq")  # sequences, steps
+_is_interrupted = threading.Event()
 _OWN_NETWORK = ["unshare", "--user", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
 
 
@@ -59,7 +60,9 @@ class Share:
     has_failed: bool = False
 
     def run(self, driver: str, wanted: int, *, own_network: bool) -> None:
-        """Run so many to their end."""
+        """Run so many to their end, or none where no more are wanted."""
+        if _is_interrupted.is_set():
+            return
         reading, writing = os.pipe()
         command = [sys.executable, __file__, "--pipe", str(writing), driver]
         environment = os.environ | {"SVWFS_SEQUENCES": str(wanted), "QT_QPA_PLATFORM": "offscreen"}
@@ -177,10 +180,14 @@ def main() -> int:
 
             return run_driver(driver, wanted, folder, on_progress)
 
-        for outcome in pool.map(run, drivers):
-            failures += len(outcome.failed)
-            sys.stdout.write(f"{outcome}\n")
-            sys.stdout.flush()
+        try:
+            for outcome in pool.map(run, drivers):
+                failures += len(outcome.failed)
+                sys.stdout.write(f"{outcome}\n")
+                sys.stdout.flush()
+        except KeyboardInterrupt:  # the processes that run have heard it, too
+            _is_interrupted.set()
+            return 130
     return int(failures > 0)
 
 
