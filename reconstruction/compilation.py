@@ -21,6 +21,7 @@ _COMPILED_FILES = (
     "gauss_newton",
     "lenslet_weights",
     "evidence",
+    "prefilter",
 )
 _SOURCES = hashlib.sha256(
     b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in _COMPILED_FILES)

@@ -8,22 +8,17 @@ from __future__ import annotations
 
 from functools import cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.geometry import Floats
+from reconstruction.prefilter import prefilter
 from reconstruction.threads import worker_pool
 
 Image = NDArray[np.float32]
 
-# Impulse response of the recursive B-spline prefilter, sqrt(3) z^|k| with z = sqrt(3) - 2, cut where it has
-# fallen to 1e-6: so a plain convolution does the prefilter's work, without a recursion.
-_REACH = 10
-_IMPULSE_RESPONSE = (np.sqrt(3.0) - 2.0) ** np.abs(np.arange(-_REACH, _REACH + 1))
 _SHARED_FROM_PX = 700_000
 _AT_ONCE = 20_000  # positions whose numbers fit into the processor's cache
-_PREFILTER = (_IMPULSE_RESPONSE / _IMPULSE_RESPONSE.sum()).astype(np.float32)
 
 
 def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) -> Image:
@@ -31,25 +26,16 @@ def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) 
 
     Large images are shared by several `threads`, with the same result; for small ones waking them takes too long.
     """
-    if threads == 1 or image.size < _SHARED_FROM_PX or len(image) < threads * 2 * _REACH:
-        return _filtered(image)
-    edges = np.linspace(0, len(image), threads + 1).astype(int)
-    coefficients = np.empty(image.shape, np.float32)
-
-    def work(part: int) -> None:
-        first, end = edges[part], edges[part + 1]
-        above = max(first - _REACH, 0)
-        coefficients[first:end] = _filtered(image[above : end + _REACH])[first - above : end - above]
-
-    others = [worker_pool(threads - 1).submit(work, part) for part in range(1, threads)]
-    work(0)
+    light = np.require(image, np.float32, ("C", "W"))  # one kind of array is compiled once
+    coefficients = np.empty(light.shape, np.float32)
+    threads = 1 if light.size < _SHARED_FROM_PX else threads
+    others = [
+        worker_pool(threads - 1).submit(prefilter, light, coefficients, part, threads) for part in range(1, threads)
+    ]
+    prefilter(light, coefficients, 0, threads)
     for other in others:
         other.result()
     return coefficients
-
-
-def _filtered(image: NDArray[np.uint16] | Image) -> Image:
-    return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, _PREFILTER, _PREFILTER, borderType=cv2.BORDER_REFLECT_101))
 
 
 def sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:

@@ -10,8 +10,9 @@ from reconstruction.kernel import look, new_scratch
 from reconstruction.spline import sample, spline_coefficients
 
 
-def test_coefficients_are_scipys() -> None:
-    image = np.random.default_rng(0).uniform(0, 1000, (40, 60)).astype(np.float32)
+@pytest.mark.parametrize("shape", [(40, 60), (3, 40), (8, 8), (64, 9), (150, 2)])
+def test_coefficients_are_scipys(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(0).uniform(0, 1000, shape).astype(np.float32)
     np.testing.assert_allclose(spline_coefficients(image), ndimage.spline_filter(image, mode="mirror"), atol=1e-2)
 
 
