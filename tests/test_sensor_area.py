@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dcam_tools import dcam_stand_in, open_camera
 from gui_bench import BENCH, FakeCamera, opener
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,6 +26,7 @@ from drivers.coolled import CoolLEDSettings
 from drivers.dcam.settings import DcamSettings
 from drivers.interface import BadValue, CameraCapabilities, Region, WrongState
 from reconstruction.geometry import Lattice, Sensor
+from simulated_devices.dcam.stand_in import pattern
 
 SENSOR = Region(0, 0, 500, 700)
 LATTICE = Lattice(center_x_px=121.3, center_y_px=84.6, pitch_px=31.25, rotation_rad=0.003)
@@ -173,6 +175,21 @@ def test_a_refusal_leaves_what_was_before() -> None:
     with pytest.raises(BadValue, match="there is no binning 3"):
         set_area(camera, SensorArea(Region(64, 64, 64, 64), 3))
     assert SensorArea.of(camera) == before
+
+
+def test_a_real_driver_reads_out_what_the_area_says() -> None:
+    """Of the DCAM-API's stand-in, whose counts tell the pixel of the sensor they come from."""
+    with dcam_stand_in() as stand_in, open_camera(stand_in) as camera:
+        before = SensorArea.of(camera)
+        for asked, taken in (
+            (SensorArea(Region(20, 40, 100, 200), 2), SensorArea(Region(16, 32, 112, 208), 2)),
+            (SensorArea(Region(400, 64, 64, 128), 1), SensorArea(Region(400, 64, 64, 128), 1)),
+            (before, before),
+        ):
+            assert set_area(camera, asked) == taken
+            camera.start()
+            np.testing.assert_array_equal(camera.read(1.0).pixels, pattern(0, taken.region, taken.binning))
+            camera.stop()
 
 
 @pytest.fixture
