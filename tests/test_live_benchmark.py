@@ -73,12 +73,13 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
     """One run on the simulated bench, with a window that nobody sees; frames are lost in the middle of it."""
     assert qapp is QApplication.instance()
     folder, kept = tmp_path_factory.mktemp("disk"), dict[str, Any]()
-    frames, reports = list[Frame](), list[tuple[str, float]]()
+    frames, reports, cameras = list[Frame](), list[tuple[str, float]](), list[SimulatedCamera]()
 
     def open_watched(bench: Bench, progress: Callable[[float], None]) -> Devices:
         devices = open_devices(bench, progress)
         camera = devices.camera
         assert isinstance(camera, SimulatedCamera)
+        cameras.append(camera)
         read, is_lost = camera.read, bool(frames)
 
         def watch(timeout_s: float) -> Frame:
@@ -113,6 +114,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
             lambda text, fraction: reports.append((text, fraction)),
         )
     assert not list(folder.iterdir())
+    assert [camera.state for camera in cameras] == ["closed", "closed"]
     return Seen(figures, frames, reports=reports, **kept)
 
 
