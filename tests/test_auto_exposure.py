@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exposure_bench import PITCH_PX, SIDE_PX, Scene, exposure_bench, spots, squares
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -19,6 +18,7 @@ from app.routines.brightness import brightness
 from drivers.interface import BadValue, Devices, Frame, Range
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
+from simulated_devices.exposure_bench import PITCH_PX, SIDE_PX, Scene, exposure_bench, spots, squares
 from simulated_devices.light import SimulatedLight
 from simulated_devices.stage import SimulatedStage
 

@@ -28,22 +28,27 @@ def selftest() -> None:
 
 
 def study(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME]...", help="Sweeps; all without a name.")] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="Sweeps, or calibration or exposure; all sweeps without a name."),
+    ] = None,
     *,
-    out: Annotated[Path, typer.Option(help="Folder for study.json, study.csv and estimator.png.")],
+    out: Annotated[Path, typer.Option(help="Folder for tables and figure: JSON, CSV and PNG.")],
     seeds: SeedsOption = 3,
     bench: BenchOption = "paper_simulation",
     setting: SetOption = None,
 ) -> None:
-    """What the estimator leaves of the truth, against everything that may be hard for it (docs/estimator.md)."""
+    """What the estimator leaves of the truth, against everything that may be hard for it (docs/estimator.md).
+
+    `calibration` tries how well lattices are found, `exposure` how soon the exposure is (docs/calibration.md).
+    """
     from app.report import progress_bar
-    from app.study.output import print_study
-    from app.study.sweeps import chosen_sweeps, run_study
+    from app.study.sweeps import chosen_sweeps, print_outcomes, run_study
 
     sweeps, loaded = chosen_sweeps(names or []), load(bench, setting)
     with progress_bar() as report:
         outcomes = run_study(loaded, sweeps, seeds, out, report)
-    print_study(outcomes)
+    print_outcomes(outcomes)
 
 
 def benchmark(

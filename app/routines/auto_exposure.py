@@ -13,13 +13,12 @@ from dataclasses import dataclass
 
 from app.routines.as_found import as_found
 from app.routines.brightness import brightness
-from app.routines.exposure_search import SATURATED, Reach, Shot, next_light
+from app.routines.exposure_search import MOST_FRAMES, SATURATED, Reach, Shot, next_light
 from app.routines.frames import Progress, RoutineError, ShouldStop, next_frame
 from drivers.interface import BadValue, Devices, Range
 
 FILL = 0.70  # of full scale
 TOLERANCE = 0.05  # likewise
-MOST_FRAMES = 6
 
 _FIRST_S = 10.0  # the first frame is not exposed for longer: it would say no more
 _LEAST_CURRENT = 1e-3  # of the highest; below it a light is dark or unsteady

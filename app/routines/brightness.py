@@ -18,6 +18,7 @@ _FROM_1_TO_10 = 1.0448  # standard deviations between these percentiles of a nor
 _FROM_10_TO_50 = 1.2816  # pixels lie between the subimages, whatever the source
 _SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median of the absolute value, of a normal distribution
 _LEAST_NOISE = 0.3  # counts: that of rounding
+_HIDDEN_NOISE = 1.0  # counts; so much may hide in a frame whose dark pixels are all 0, the end of the scale
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
 
 
@@ -40,6 +41,8 @@ def brightness(pixels: NDArray[np.integer[Any]], cell_px: float) -> Brightness:
     darkest, dark, middle = (float(value) for value in np.percentile(light, (1, 10, 50)))
     of_steps = _SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(light, axis=1)))) / np.sqrt(2)
     noise = max(min(of_steps, (dark - darkest) / _FROM_1_TO_10), _LEAST_NOISE)  # either may see images, too
+    if darkest <= 0:  # the scale has cut off half of the noise
+        noise = max(of_steps, _HIDDEN_NOISE)
     background = min(dark + _FROM_10_TO_50 * noise, middle)
     brightest = ndimage.maximum_filter(light, footprint=_NEIGHBOURS, mode="mirror")
     faintest = ndimage.minimum_filter(light, footprint=_NEIGHBOURS, mode="mirror")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from app.routines.brightness import Brightness
 
+MOST_FRAMES = 6
 SATURATED = 0.95  # of full scale; above it the pixels may be full before the converter is
 _SEEN = 5.0  # noises above what noise alone makes of the brightest pixels
 _BRIGHTEST_NOISE = 4.0  # noises that the brightest of a dark cell's pixels lies above the background
@@ -20,6 +21,9 @@ _BRIGHT = 0.25  # of full scale; a level above it is light, and
 _MOST_BACKGROUND = 0.05  # of full scale is what a camera has without; more lies as light between the subimages
 _FAINT = 3.0  # times what can just be seen: enough to go by
 _USUAL_SPAN = 1000.0  # of light between just seen and the goal, as long as no frame has shown the noise
+_USUAL_NOISE = 0.8  # counts, of a camera with few bits, likewise
+_TO_REFINE = 2  # frames, from one that shows a little
+_LITTLE = 10.0  # times the least that exposure alone allows
 _MISJUDGED = 1.5  # times, usually, the goal was missed by what a faint frame had let expect
 _FAR = 3.0  # times the light that was seen; less is no leap in the dark
 
@@ -53,8 +57,15 @@ def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) 
     signals = [_signal(shot.brightness, background, full_scale) for shot in dim]
     seen = [(shot, signal) for shot, signal in zip(dim, signals, strict=True) if signal > _SEEN * shot.brightness.noise]
     enough = too_much * goal / (SATURATED * full_scale)  # or more than that
+    # What a frame hardly shows and one with more light does not, was noise.
+    seen = [
+        (shot, signal)
+        for shot, signal in seen
+        if signal > _CLEAR * shot.brightness.noise
+        or all(other > signal for brighter, other in zip(dim, signals, strict=True) if brighter.light > shot.light)
+    ]
     if not seen:
-        return _where_to_look(dim, goal - background, too_much, enough, reach)
+        return _where_to_look(shots, goal - background, enough, reach)
     best, signal = min(seen, key=lambda each: abs(each[0].brightness.level - goal))
     wanted = goal - (best.brightness.level - signal)
     if wanted <= 0:
@@ -74,19 +85,30 @@ def _signal(seen: Brightness, background: float, full_scale: float) -> float:
     return signal if signal > _CLEAR * seen.noise else signal - _BRIGHTEST_NOISE * seen.noise
 
 
-def _where_to_look(black: list[Shot], wanted: float, too_much: float, highest: float, reach: Reach) -> float:
+def _where_to_look(shots: list[Shot], wanted: float, highest: float, reach: Reach) -> float:
     """Light that halves what is left, when all frames were black or saturated; infinity when nothing is left above.
 
     A frame shows any light down to that which is `span` times too weak, so that so many spans are left, counted from
-    the `highest`. The shorter exposure is tried first.
+    the `highest`. The shorter exposure is tried before the lower current, unless little is left of it after two
+    saturated frames, or there are too few frames for one after the other.
     """
-    span, too_little = _USUAL_SPAN, 0.0
+    span, too_little = min(_USUAL_SPAN, wanted / (_SEEN * _USUAL_NOISE)), 0.0
+    black = [shot for shot in shots if not shot.is_saturated]
     for shot in black:
         span = max(wanted / (_SEEN * shot.brightness.noise), 2 * _FAINT)
         too_little = max(too_little, shot.light * span)
     if too_little >= reach.highest:
         return math.inf
-    lowest = reach.lowest if too_much <= 1.01 * reach.lowest_by_exposure else reach.lowest_by_exposure
-    left = min(highest, reach.highest) / max(lowest, too_little)
-    spans = max(1, math.ceil(math.log(max(left, 1.0)) / math.log(span / _FAINT) - 1e-9))
-    return max(min(highest, reach.highest) / (span / _FAINT) ** (spans - spans // 2), lowest)
+    highest, lowest = min(highest, reach.highest), reach.lowest_by_exposure
+
+    def spans_above(least: float) -> int:
+        left = max(highest / max(least, too_little), 1.0)
+        return max(1, math.ceil(math.log(left) / math.log(span / _FAINT) - 1e-9))
+
+    is_nearly_at_its_end = len(shots) - len(black) > 1 and highest < _LITTLE * lowest
+    is_urgent = math.log2(spans_above(reach.lowest)) + _TO_REFINE > MOST_FRAMES - len(shots) - 1
+    if highest < lowest or is_nearly_at_its_end or is_urgent:
+        lowest = reach.lowest
+    spans = spans_above(lowest)
+    aim = max(highest / (span / _FAINT) ** (spans - spans // 2), lowest)
+    return max(aim, min(too_little, highest)) if len(black) < len(shots) else aim

@@ -1,4 +1,7 @@
-"""Devices as small as they can be, for routines that are tried thousands of times: any range, any lamp, no waiting."""
+"""A bench as small as it can be, for routines that are tried thousands of times: any range, any lamp, no waiting.
+
+Its frames are drawn, not propagated; light, noise, saturation and rounding are those of a camera.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from drivers.interface import Camera, CameraCapabilities, Devices, Frame, LightSource, Range, Stage
+from drivers.interface import Camera, CameraCapabilities, Devices, Frame, LightSource, Range, Stage, WrongState
 from reconstruction.geometry import Floats
 
 PITCH_PX = 16.0
@@ -63,6 +66,7 @@ class ManyFramesCamera:
 
     @property
     def capabilities(self) -> CameraCapabilities:
+        """What it can do."""
         return CameraCapabilities(
             rows=SIDE_PX,
             columns=SIDE_PX,
@@ -74,21 +78,26 @@ class ManyFramesCamera:
         )
 
     def set_exposure(self, exposure_s: float) -> float:
+        """Set the exposure, in steps; return the one in force."""
         self.scene.exposure_range_s.check(exposure_s, "exposure_s")
         step_s = self.scene.exposure_step_s
         self.exposure_s = round(exposure_s / step_s) * step_s
         return self.exposure_s
 
     def start(self) -> None:
-        assert not self.is_running
+        """Begin to acquire."""
+        if self.is_running:
+            raise WrongState("the camera is acquiring already")
         self.is_running, self.frames = True, 0
 
     def stop(self) -> None:
+        """Acquire no more."""
         self.is_running = False
 
     def read(self, timeout_s: float) -> Frame:
-        assert self.is_running
-        assert timeout_s > 0
+        """Return the next frame, at once."""
+        if not self.is_running or timeout_s <= 0:
+            raise WrongState("the camera is not acquiring, or there is no time to wait for it")
         scene, random = self.scene, self.random
         light = scene.counts_per_a_s * self.lamp.current_a**scene.droop * self.lamp.is_on * self.exposure_s
         light *= 1 + scene.flicker * random.standard_normal()
@@ -115,10 +124,12 @@ class Lamp:
     is_on: bool
 
     def set_current(self, current_a: float) -> float:
+        """Set the current; return the one in force."""
         self.current_a = self.current_range_a.check(current_a, "current_a")
         return self.current_a
 
     def set_on(self, on: bool) -> None:
+        """Switch it."""
         self.is_on = on
 
 
@@ -130,6 +141,7 @@ class Table:
     mask: str = "square"
 
     def set_sample_in(self, sample_in: bool) -> None:
+        """Move the sample."""
         self.is_sample_in = sample_in
 
 
