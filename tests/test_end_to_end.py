@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 from patience import HANG_S, wait_until
 
 from app.acquisition import Acquisition, Measurement
 from app.config import Bench, load_bench
-from app.devices import open_devices
+from app.devices import open_devices, simulated_bench
 from app.instrument import Instrument
 from app.start_up import start_up
 from reconstruction.wavefront import rms
@@ -34,21 +36,21 @@ def _scene(bench: Bench) -> Scene:
 @pytest.mark.usefixtures("no_hurry")
 def test_live_wavefronts_are_the_true_ones_and_nothing_is_lost() -> None:
     bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0"))
+    with closing(simulated_bench(bench, lambda _: None)) as ahead:  # else it has its turn only when we need none
+        wait_until(lambda: ahead.current_state(ahead.clock.now()) >= 0 and ahead.states_rendered > 1)
     measurements: list[Measurement] = []
     acquisition = Acquisition(bench, open_devices, sinks=(measurements.append,))
-
-    def states() -> list[int]:
-        return acquisition.submit(lambda instrument: _states(instrument, measurements)).result(HANG_S)
 
     acquisition.start()
     try:
         for step in start_up(acquisition, 5):
             step.result(HANG_S)
-        wait_until(lambda: acquisition.counts.acquired >= FRAMES and len(set(states())) > 1)  # the screen drifts
-        seen = states()
+        wait_until(lambda: acquisition.counts.acquired >= FRAMES)
+        seen = acquisition.submit(lambda instrument: _states(instrument, measurements)).result(HANG_S)
     finally:
         acquisition.close()
     assert acquisition.failure == ""
+    assert len(set(seen)) > 1  # the screen has drifted
     counts = measurements[-1].counts
     assert counts.lost == 0
     assert counts.reconstructed == counts.acquired == len(measurements)
