@@ -60,7 +60,7 @@ def test_unattended_run_leaves_a_picture_and_a_result(qapp: QApplication, tmp_pa
 def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplication) -> None:
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
-    with pytest.raises(RunError, match="^no camera was found"):
+    with pytest.raises(RunError, match=r"^no camera was found"):
         run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.3)
     assert qapp is QApplication.instance()
 
