@@ -82,7 +82,10 @@ def test_return_takes_what_was_typed_and_escape_does_not(live: tuple[MainWindow,
     assert answers == [True]
 
 
-def test_what_was_told_gives_way_to_what_is_asked_for_next(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_what_was_told_gives_way_to_what_is_asked_for_next(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not just pass by itself
     window, _ = live
     window.messages.tell("the exposure was found")
     window.update_text()
