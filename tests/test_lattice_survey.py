@@ -376,7 +376,7 @@ def test_the_reference_is_left_as_it_was() -> None:
     np.testing.assert_array_equal(light, before)
 
 
-def _many(peak: float, **changes: float) -> NDArray[np.float32]:
+def _many(peak: float) -> NDArray[np.float32]:
     """A noisy frame with room for 2000 lenslets and 300 hot pixels, lit as brightly as `peak`."""
     side, rng = 750, np.random.default_rng(6)
     light = draw(
@@ -388,7 +388,7 @@ def _many(peak: float, **changes: float) -> NDArray[np.float32]:
         image_px=image_of("square", 16.1, 0.2, 1.2),
     )
     frame = light * peak + rng.normal(500, 8, (side, side))
-    frame[tuple(rng.integers(0, side, (2, 300)))] = changes.get("hot", 60000)
+    frame[tuple(rng.integers(0, side, (2, 300)))] = 400_000
     return frame.astype(np.float32)
 
 
