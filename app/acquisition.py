@@ -230,9 +230,9 @@ class Acquisition:
                 self._show_status(instrument)
                 while not self._stopping.is_set():
                     self._execute_commands(instrument, wait=not devices.camera.is_running)
-                    if time.monotonic() > self._asked_s + _STATUS_INTERVAL_S:
-                        self._show_status(instrument)
-                    if devices.camera.is_running:
+                    if not devices.camera.is_running:
+                        self._keep_status(instrument)
+                    else:
                         with suppress(Cancelled):  # a command, or the end, is waiting
                             self._path.acquire(instrument, self._light())
         except Cancelled:
@@ -261,8 +261,14 @@ class Acquisition:
     def _show_status(self, instrument: Instrument) -> None:
         self.status, self._asked_s = instrument.status(), time.monotonic()
 
-    def _is_wanted(self) -> bool:
-        """Whether something else is to be done than to wait for frames."""
+    def _keep_status(self, instrument: Instrument) -> None:
+        """Ask the devices how they stand, when that is due."""
+        if time.monotonic() > self._asked_s + _STATUS_INTERVAL_S:
+            self._show_status(instrument)
+
+    def _is_wanted(self, instrument: Instrument) -> bool:
+        """Whether something else is to be done than to wait for frames; the status is kept in a long exposure, too."""
+        self._keep_status(instrument)
         return self._stopping.is_set() or not self._commands.is_empty
 
     def _light(self) -> LightState | None:

@@ -21,9 +21,9 @@ class FramePath:
     """Takes frames and passes on what becomes of them: to the sinks every one, to the mailbox the newest."""
 
     def __init__(
-        self, sinks: tuple[Callable[[Measurement], None], ...], timings: Timings, is_wanted: Callable[[], bool]
+        self, sinks: tuple[Callable[[Measurement], None], ...], timings: Timings, is_wanted: Callable[[Instrument], bool]
     ) -> None:
-        """`is_wanted` says whether whoever takes frames has something else to do than to wait for one."""
+        """`is_wanted` says, ten times a second, whether there is something else to do than to wait for a frame."""
         self._sinks, self._timings, self._is_wanted = sinks, timings, is_wanted
         self._arrivals = Arrivals()
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by anybody
@@ -53,14 +53,14 @@ class FramePath:
     def _newest_frame(self, instrument: Instrument, light: LightState | None) -> Frame:
         """Wait for a frame; when it has lain in the camera for long, pass it over for the newest that is there."""
         camera, start_s = instrument.devices.camera, time.perf_counter()
-        frame = next_frame(camera, self._is_wanted)
+        frame = next_frame(camera, lambda: self._is_wanted(instrument))
         arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
         self._timings.note("wait", arrived_s - start_s)
         self._timings.note("copy", time.perf_counter() - arrived_s)
         self._arrivals.count(frame)
         if self._arrivals.age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
             with suppress(DeviceTimeout, FrameLost):  # there is no newer one
-                while not self._is_wanted() and time.perf_counter() < arrived_s + _PASSING_OVER_S:
+                while not self._is_wanted(instrument) and time.perf_counter() < arrived_s + _PASSING_OVER_S:
                     newer = camera.read(0.0)
                     self._publish(self._measurement(frame, instrument.pass_over(frame), light))
                     frame = newer

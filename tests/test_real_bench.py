@@ -141,8 +141,13 @@ def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp:
     assert not lamp.is_lit
 
 
-def test_a_light_unplugged_while_measuring(bench: Bench, port: PtyServer) -> None:
-    acquisition = started(bench)
+@pytest.mark.parametrize("exposure_s", [0.03, 60.0])
+def test_a_light_unplugged_while_measuring(bench: Bench, port: PtyServer, exposure_s: float) -> None:
+    """Also when no frame will come for long."""
+    slow = parse_bench(write_bench(bench), "real.toml", ("camera.readout_speed=2", "camera.exposure_s=0.03"))
+    acquisition = started(slow)
+    exposure = acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(exposure_s))
+    assert exposure.result(HANG_S) == pytest.approx(exposure_s, rel=0.01)
     with own_time() as elapsed_s:
         port.unplug()
         wait_until(lambda: not acquisition.is_alive)
