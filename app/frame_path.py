@@ -21,7 +21,10 @@ class FramePath:
     """Takes frames and passes on what becomes of them: to the sinks every one, to the mailbox the newest."""
 
     def __init__(
-        self, sinks: tuple[Callable[[Measurement], None], ...], timings: Timings, is_wanted: Callable[[Instrument], bool]
+        self,
+        sinks: tuple[Callable[[Measurement], None], ...],
+        timings: Timings,
+        is_wanted: Callable[[Instrument], bool],
     ) -> None:
         """`is_wanted` says, ten times a second, whether there is something else to do than to wait for a frame."""
         self._sinks, self._timings, self._is_wanted = sinks, timings, is_wanted
