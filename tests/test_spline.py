@@ -10,10 +10,23 @@ from reconstruction.kernel import look, new_scratch
 from reconstruction.spline import sample, spline_coefficients
 
 
-@pytest.mark.parametrize("shape", [(40, 60), (3, 40), (8, 8), (64, 9), (150, 2)])
+@pytest.mark.parametrize("shape", [(40, 60), (3, 40), (8, 8), (64, 9), (150, 2), (1, 1), (1, 30), (30, 1), (2, 2)])
 def test_coefficients_are_scipys(shape: tuple[int, int]) -> None:
     image = np.random.default_rng(0).uniform(0, 1000, shape).astype(np.float32)
     np.testing.assert_allclose(spline_coefficients(image), ndimage.spline_filter(image, mode="mirror"), atol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["u1", "<u2", ">u2", ">f4", "f8"])
+def test_every_kind_of_pixels_and_any_order_in_memory_has_the_same_coefficients(kind: str) -> None:
+    counts = np.random.default_rng(7).integers(0, 256, (70, 90))
+    expected = spline_coefficients(counts.astype(np.float32))
+    image = counts.astype(kind)
+    turned, wide = np.asfortranarray(image), np.repeat(image, 2, axis=1)[:, ::2]
+    image.flags.writeable = False
+    for each in (image, turned, wide, image[::-1][::-1]):
+        before = each.copy()
+        np.testing.assert_array_equal(spline_coefficients(each), expected)
+        np.testing.assert_array_equal(each, before)
 
 
 def test_samples_are_scipys() -> None:
