@@ -54,6 +54,17 @@ def test_a_recording_that_had_just_begun_is_recovered(tmp_path: Path) -> None:
     assert len(Recording(tmp_path / "r")) == 0
 
 
+@pytest.mark.parametrize("frames", [None, 5, [], {}, {"recorded": None}, {"recorded": -3}, {"recorded": True}])
+def test_a_complete_recording_that_does_not_say_how_many_frames_it_has_is_counted(
+    tmp_path: Path, frames: object
+) -> None:
+    write(tmp_path / "r", [make_record(index) for index in range(3)])
+    path = tmp_path / "r" / "run.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "frames": frames}))
+    found = recover(tmp_path / "r")
+    assert (found.frames, list(found.whole), found.damage) == (3, [0, 1, 2], ())
+
+
 def _cut_short(folder: Path) -> None:
     chunk = folder / "frames.zarr" / "0" / "c" / "3" / "0" / "0"
     chunk.write_bytes(chunk.read_bytes()[:50])
@@ -62,6 +73,11 @@ def _cut_short(folder: Path) -> None:
 def _spoil(folder: Path) -> None:
     lines = (folder / "frames.jsonl").read_bytes().splitlines(keepends=True)
     (folder / "frames.jsonl").write_bytes(b"".join([*lines[:3], b"\0" * 20 + b"\n", *lines[4:]]))
+
+
+def _fill_with_brackets(folder: Path) -> None:
+    lines = (folder / "frames.jsonl").read_bytes().splitlines(keepends=True)
+    (folder / "frames.jsonl").write_bytes(b"".join([*lines[:3], b"[" * 100_000 + b"\n", *lines[4:]]))
 
 
 def _lose_pixels(folder: Path, *frames: int) -> None:
@@ -83,6 +99,7 @@ NO_LINE, NO_PIXELS = "there is no line that can be read", "the pixels are missin
         (_cut_short, f"frame 3: {NO_PIXELS}", False),
         (lambda folder: _lose_pixels(folder, 3), f"frame 3: {NO_PIXELS}", False),
         (_spoil, f"frame 3: {NO_LINE}", True),
+        (_fill_with_brackets, f"frame 3: {NO_LINE}", True),
     ],
 )
 def test_a_damaged_frame_in_the_middle_is_told_and_all_others_stay(

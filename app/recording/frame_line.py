@@ -38,7 +38,7 @@ class FrameLine:
         """Read a line; `ValueError` when it is damaged."""
         try:
             return _CONVERTER.structure(json.loads(line), cls)
-        except (cattrs.BaseValidationError, TypeError) as error:
+        except (cattrs.BaseValidationError, TypeError, RecursionError) as error:
             raise ValueError("is no line of a frame") from error
 
 

@@ -92,8 +92,9 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
 def _length(recording: Recording, lines: LinePlaces) -> int:
     """How many frames there are: up to the last that is whole; after a power cut a line may have outlived its frame."""
     if recording.is_complete:
-        recorded = recording.run.get("frames", {}).get("recorded")
-        return recorded if isinstance(recorded, int) else len(recording)
+        counts = recording.run.get("frames")
+        recorded = counts.get("recorded") if isinstance(counts, dict) else None
+        return recorded if type(recorded) is int and recorded >= 0 else len(recording)  # true is no number
     return max((index + 1 for index in lines.spans if recording.is_whole(index)), default=0)
 
 
