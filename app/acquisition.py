@@ -63,7 +63,7 @@ class Acquisition:
         self._recorder = Recorder(self.timings)
         self._path = FramePath((self._recorder.take, *sinks), self.timings, self._is_wanted)
         self.status: Status | None = None  # None until the devices are open
-        self._asked_s = -math.inf  # when, for the status
+        self._status_due_s = -math.inf  # when the devices are asked for it again
         self.activity = Activity("opening the devices")
         self.error: Exception | None = None  # why the worker has ended, when it was not asked to
 
@@ -259,11 +259,13 @@ class Acquisition:
             execute = self._commands.next()
 
     def _show_status(self, instrument: Instrument) -> None:
-        self.status, self._asked_s = instrument.status(), time.monotonic()
+        asked_s = time.monotonic()
+        self.status, answered_s = instrument.status(), time.monotonic()
+        self._status_due_s = answered_s + max(_STATUS_INTERVAL_S, (answered_s - asked_s) / _STATUS_SHARE)
 
     def _keep_status(self, instrument: Instrument) -> None:
         """Ask the devices how they stand, when that is due."""
-        if time.monotonic() > self._asked_s + _STATUS_INTERVAL_S:
+        if time.monotonic() > self._status_due_s:
             self._show_status(instrument)
 
     def _is_wanted(self, instrument: Instrument) -> bool:
@@ -283,6 +285,7 @@ class Acquisition:
 
 
 _STATUS_INTERVAL_S = 1.0  # the devices are asked so often: also a light's plug may be pulled, or its knob turned
+_STATUS_SHARE = 0.1  # of the time at most: a light that is slow to answer must not cost the frames that come meanwhile
 
 
 def _facts(instrument: Instrument, command: str) -> dict[str, Any]:

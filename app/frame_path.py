@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
 
 from app.arrivals import Arrivals
 from app.instrument import Instrument, Reconstruction
@@ -62,12 +61,14 @@ class FramePath:
         self._timings.note("copy", time.perf_counter() - arrived_s)
         self._arrivals.count(frame)
         if self._arrivals.age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
-            with suppress(DeviceTimeout, FrameLost):  # there is no newer one
-                while not self._is_wanted(instrument) and time.perf_counter() < arrived_s + _PASSING_OVER_S:
+            while not self._is_wanted(instrument) and time.perf_counter() < arrived_s + _PASSING_OVER_S:
+                try:
                     newer = camera.read(0.0)
-                    self._publish(self._measurement(frame, instrument.pass_over(frame), light))
-                    frame = newer
-                    self._arrivals.count(frame)
+                except (DeviceTimeout, FrameLost):  # there is none; whatever another device says is not the camera's
+                    break
+                self._publish(self._measurement(frame, instrument.pass_over(frame), light))
+                frame = newer
+                self._arrivals.count(frame)
         return frame
 
     def _publish(self, measurement: Measurement) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -15,11 +17,11 @@ from app.acquisition import Acquisition, Measurement
 from app.config import Bench, load_bench
 from app.devices import open_devices
 from app.errors import InputError
-from app.instrument import Instrument, Reconstruction
+from app.instrument import Instrument, Reconstruction, Status
 from app.measurement import PASSED_OVER
 from app.routines import Cancelled
 from app.start_up import start_up
-from drivers.interface import BadValue, Devices, Disconnected, Frame, WrongState
+from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
 from simulated_devices.light import SimulatedLight
 
@@ -313,6 +315,58 @@ def test_when_frames_cannot_even_be_passed_over_some_are_measured_and_a_stop_is_
     finally:
         running.acquisition.close(HANG_S)
     assert not running.acquisition.is_alive
+
+
+def test_devices_that_are_slow_to_answer_are_asked_less_often(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status, asked_s, answered_s = Instrument.status, [], []
+
+    def slowly(instrument: Instrument) -> Status:
+        asked_s.append(time.monotonic())
+        time.sleep(0.2)
+        answered_s.append(time.monotonic())
+        return status(instrument)
+
+    running.begin()
+    monkeypatch.setattr("app.acquisition._STATUS_INTERVAL_S", 0.01)
+    monkeypatch.setattr(Instrument, "status", slowly)
+    wait_until(lambda: len(asked_s) > 2)
+    assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
+
+
+def test_what_a_light_says_while_frames_are_passed_over_is_not_taken_for_the_cameras(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pass_over, status = Instrument.pass_over, Instrument.status
+    has_passed_over = threading.Event()
+
+    def pass_over_before(instrument: Instrument, frame: Frame) -> Reconstruction:
+        has_passed_over.set()
+        return pass_over(instrument, frame)
+
+    def silent_once(instrument: Instrument) -> Status:
+        if has_passed_over.is_set():
+            monkeypatch.setattr(Instrument, "status", status)
+            raise DeviceTimeout("the light did not answer")
+        return status(instrument)
+
+    def measure_slowly(*_: object) -> Reconstruction:
+        time.sleep(0.4)
+        return Reconstruction(None, "slow")
+
+    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    try:
+        running.begin()
+        monkeypatch.setattr("app.acquisition._STATUS_INTERVAL_S", 0.0)
+        monkeypatch.setattr("app.acquisition._STATUS_SHARE", math.inf)
+        monkeypatch.setattr(Instrument, "status", silent_once)
+        monkeypatch.setattr(Instrument, "pass_over", pass_over_before)
+        monkeypatch.setattr(Instrument, "measure", measure_slowly)
+        wait_until(lambda: not running.acquisition.is_alive)
+    finally:
+        running.acquisition.close(HANG_S)
+    assert running.acquisition.failure == "the light did not answer"
 
 
 def test_a_light_that_somebody_turns_off_by_hand_is_seen(running: Running) -> None:
