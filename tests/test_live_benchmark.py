@@ -86,7 +86,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
             nonlocal is_lost
             frame = read(timeout_s)
             frames.append(frame)
-            if not is_lost and reports[-1][0] == "unseen window: measuring":
+            if not is_lost and reports and reports[-1][0] == "unseen window: measuring":
                 is_lost = True
                 camera.inject(LoseFrames(LOST))
             return frame
@@ -162,7 +162,8 @@ def test_nothing_is_drawn_or_recorded_in_the_run_without(seen: Seen) -> None:
 def test_progress_goes_on(seen: Seen) -> None:
     texts = [text for text, _ in seen.reports]
     stages = ["unseen window: warming up", "unseen window: measuring", "unseen window: removing the recording"]
-    assert [text for text in dict.fromkeys(texts) if text in stages] == stages
+    told = [text for text in dict.fromkeys(texts) if text in stages]
+    assert told in (stages, stages[1:])  # a busy computer's window may look for the first time when the warm-up is over
     assert texts[-1] == "no window: measuring"
     fractions = [fraction for _, fraction in seen.reports]
     assert fractions == sorted(fractions)
