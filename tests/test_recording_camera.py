@@ -123,6 +123,16 @@ def test_frames_come_at_their_own_pace_and_again_after_the_last(
     np.testing.assert_allclose([frame.camera_time_s for frame in frames], came_s)
 
 
+def test_what_was_lost_before_the_first_frame_is_not_lost_again_when_it_comes_again(
+    steady: Recording, clock: ManualClock, tmp_path: Path
+) -> None:
+    edited = copied(steady, tmp_path / "run")
+    edit_line(edited, 0, lost=3)
+    with player(Recording(edited.folder), clock) as camera:
+        camera.start()
+        assert [read(camera).index for _ in range(FRAMES + 2)] == list(range(FRAMES + 2))
+
+
 def test_at_the_fastest_pace_frames_come_when_they_are_waited_for(recording: Recording, clock: ManualClock) -> None:
     """None lies in the camera unread, so that whoever is slow has not to pass any over."""
     with player(recording, clock, pace="fastest", repeat=False) as camera:

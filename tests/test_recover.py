@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -63,6 +65,45 @@ def test_a_complete_recording_that_does_not_say_how_many_frames_it_has_is_counte
     path.write_text(json.dumps({**json.loads(path.read_text()), "frames": frames}))
     found = recover(tmp_path / "r")
     assert (found.frames, list(found.whole), found.damage) == (3, [0, 1, 2], ())
+
+
+def test_a_line_without_its_end_acknowledges_nothing(tmp_path: Path) -> None:
+    write(tmp_path / "r", [make_record(index) for index in range(3)], finish=False)
+    path = tmp_path / "r" / "frames.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert (recover(tmp_path / "r").frames, path.read_bytes()) == (2, b"".join(whole.splitlines(keepends=True)[:2]))
+
+
+def test_each_gap_counts_also_of_one_frame(tmp_path: Path) -> None:
+    write(tmp_path / "r", [make_record(index, lost=lost) for index, lost in enumerate((1, 0, 3))])
+    found = recover(tmp_path / "r")
+    assert (found.lost, found.gaps) == (4, 2)
+
+
+def test_a_complete_recording_needs_only_be_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "r", [make_record(0)])
+    really_open = Path.open
+
+    def read_only(path: Path, mode: str = "r", *args: Any, **how: Any) -> IO[Any]:
+        if set(mode) & set("wax+"):
+            raise PermissionError(errno.EROFS, "Read-only file system", str(path))
+        return really_open(path, mode, *args, **how)
+
+    monkeypatch.setattr(Path, "open", read_only)
+    assert recover(tmp_path / "r").frames == 1
+
+
+def test_a_frame_without_pixels_is_told_once_although_its_results_are_missing_too(
+    tmp_path: Path, calibration: Calibration
+) -> None:
+    write(tmp_path / "r", make_chain(calibration, 4))
+    _lose_pixels(tmp_path / "r", 2)
+    for found_live in (tmp_path / "r/frames.zarr/results/0").glob("*/c"):
+        shutil.rmtree(found_live / "2", ignore_errors=True)
+    for chunk in (tmp_path / "r/frames.zarr/results/0").glob("*/c.2.*"):
+        chunk.unlink()
+    assert recover(tmp_path / "r").damage == (f"frame 2: {NO_PIXELS}",)
 
 
 def _cut_short(folder: Path) -> None:
@@ -278,6 +319,7 @@ def test_what_recover_says_can_be_typed(tmp_path: Path, capsys: pytest.CaptureFi
         ([0, 1, 2], "frames 0 to 2"),
         ([0, 2], "frames 0 and 2"),
         ([0, 2, 3, 9, 10], "frames 0, 2 to 3 and 9 to 10"),
+        (range(0, 40, 2), f"frames {', '.join(str(frame) for frame in range(0, 38, 2))} and 38"),
         (range(0, 100, 2), f"frames {', '.join(str(frame) for frame in range(0, 40, 2))} and 30 more"),
     ],
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from dcam_tools import dcam_stand_in, open_camera
 from gui_bench import BENCH, FakeCamera, opener
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from patience import HANG_S, wait_until
 
@@ -24,7 +24,7 @@ from app.sensor_area import SensorArea, in_steps, lenslets_outside, moved, moved
 from app.start_up import start_up
 from drivers.coolled import CoolLEDSettings
 from drivers.dcam.settings import DcamSettings
-from drivers.interface import BadValue, CameraCapabilities, Region, WrongState
+from drivers.interface import BadValue, CameraCapabilities, Disconnected, Region, WrongState
 from reconstruction.geometry import Lattice, Sensor
 from simulated_devices.dcam.stand_in import pattern
 
@@ -42,6 +42,8 @@ regions = st.builds(Region, *[st.integers(-50, 750)] * 2, *[st.integers(1, 900)]
 
 
 @given(regions, st.sampled_from([1, 2, 4, 7, 16, 128]))
+@example(Region(-40, 20, 10, 30), 16)  # above the sensor
+@example(Region(20, 740, 10, 30), 16)  # beside it
 def test_regions_are_enlarged_to_whole_steps_and_stay_on_the_sensor(region: Region, step_px: int) -> None:
     got = in_steps(region, SENSOR, step_px)
     if got != SENSOR:
@@ -146,7 +148,12 @@ class Binning(FakeCamera):
         return self.area.binning
 
     def _set_binning(self, binning: int) -> None:
-        self.area = SensorArea(self.area.region, binning)
+        region, step_px = self.area.region, 16 * binning
+        if region != Region(0, 0, 480, 640) and any(
+            number % step_px for number in (region.top, region.left, region.rows, region.columns)
+        ):
+            raise BadValue(f"the region does not fit steps of {step_px}")
+        self.area = SensorArea(region, binning)
 
     def _read_region(self) -> Region:
         return self.area.region
@@ -163,6 +170,25 @@ def test_the_camera_is_asked_for_what_its_steps_allow() -> None:
     assert set_area(camera, SensorArea(Region(20, 20, 100, 100), 1)) == SensorArea(Region(16, 16, 112, 112), 1)
     assert set_area(camera, SensorArea(Region(20, 20, 100, 100), 2)) == SensorArea(Region(0, 0, 128, 128), 2)
     assert set_area(camera, SensorArea(Region(0, 0, 480, 640), 2)) == SensorArea(Region(0, 0, 480, 640), 2)
+
+
+def test_the_region_that_is_read_out_need_not_fit_the_steps_of_another_binning() -> None:
+    camera = Binning()
+    set_area(camera, SensorArea(Region(16, 16, 112, 112), 1))
+    assert set_area(camera, SensorArea(Region(32, 32, 64, 64), 2)) == SensorArea(Region(32, 32, 64, 64), 2)
+
+
+def test_a_camera_that_is_unplugged_is_asked_for_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera, asked = Binning(), []
+
+    def unplugged(region: Region) -> Region:
+        asked.append(region)
+        raise Disconnected("the camera was unplugged")
+
+    monkeypatch.setattr(camera, "_set_region", unplugged)
+    with pytest.raises(Disconnected):
+        set_area(camera, SensorArea(Region(32, 32, 64, 64), 1))
+    assert asked == [Region(32, 32, 64, 64)]
 
 
 def test_a_refusal_leaves_what_was_before() -> None:

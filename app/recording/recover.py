@@ -136,6 +136,5 @@ def _finish(recording: Recording, frames: int, examined: Examined) -> None:
         if is_array(path):
             FrameArray(path).set_length(frames)
     counts = {"recorded": frames, "reconstructed": examined.reconstructed, "lost": examined.lost}
-    why = recording.ended_early or _WHY
-    ended = {"complete": True, "ended": now(), "ended_early": why, "frames": counts}
+    ended = {"complete": True, "ended": now(), "ended_early": _WHY, "frames": counts}
     write_record(recording.folder / RUN, {**recording.run, **ended})
