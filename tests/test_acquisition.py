@@ -360,6 +360,7 @@ def test_what_a_light_says_while_frames_are_passed_over_is_not_taken_for_the_cam
         running.begin()
         monkeypatch.setattr("app.acquisition._STATUS_INTERVAL_S", 0.0)
         monkeypatch.setattr("app.acquisition._STATUS_SHARE", math.inf)
+        running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is asked at every look
         monkeypatch.setattr(Instrument, "status", silent_once)
         monkeypatch.setattr(Instrument, "pass_over", pass_over_before)
         monkeypatch.setattr(Instrument, "measure", measure_slowly)
