@@ -63,7 +63,7 @@ def benchmark(
     live: Annotated[
         float | None,
         typer.Option(
-            metavar="SECONDS", help="Measure the live path for so long instead: window open, recording on; 60, or 600."
+            metavar="SECONDS", help="Measure the live path instead, for so long: window open, recording on. Usually 60."
         ),
     ] = None,
     record_in: Annotated[
