@@ -24,7 +24,7 @@ run: setup ## the live window on the simulated bench
 test: setup c-compiler ## every test, without a screen
 	QT_QPA_PLATFORM=offscreen .venv/bin/python -m pytest
 
-storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, half an hour
+storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, most of an hour
 	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-10000} .venv/bin/python tests/run_storms.py $(DRIVERS)
 
 lint: .venv/ready ## style, types, and who may import whom
