@@ -114,5 +114,7 @@ class LiveRefinement:
                         self._problem = str(error)
         except Exception as error:
             self._found, self._problem = None, str(error)
-            if not isinstance(error, ReconstructionError):
+            # Where the program ends meanwhile, the threads that share the work are gone before this one: no fault.
+            is_over = isinstance(error, RuntimeError) and self._closing.is_set()
+            if not (is_over or isinstance(error, ReconstructionError)):
                 raise

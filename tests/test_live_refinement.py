@@ -96,6 +96,24 @@ def test_its_thread_ends(small_bench: SmallBench, reconstructor: Reconstructor) 
     wait_until(lambda: not any(thread.name == "refinement" for thread in threading.enumerate()))
 
 
+@pytest.mark.parametrize("closes", [True, False])
+def test_a_round_that_the_programs_end_cuts_short_is_no_fault(
+    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch, *, closes: bool
+) -> None:
+    def cut_short(*_: object) -> None:
+        if closes:
+            refinement.close()
+        raise RuntimeError("cannot schedule new futures after shutdown")
+
+    raised: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", raised.append)
+    monkeypatch.setattr("app.live_refinement.Refinement.bias", cut_short)
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    refinement.refine(reconstructor.register(small_bench.reference), 0.0)
+    wait_until(lambda: not any(thread.name == "refinement" for thread in threading.enumerate()))
+    assert len(raised) == (0 if closes else 1)
+
+
 def test_a_model_that_cannot_be_made_is_told(
     small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
