@@ -283,6 +283,22 @@ def test_the_area_before_finds_its_dark_and_reference_again(
     wait_until(lambda: measurements[-1].wavefront is not None)
 
 
+def test_the_camera_goes_back_when_the_bench_refuses_what_is_left(
+    live_small: tuple[Acquisition, list[Measurement]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise BadValue("too few pixels are left")
+
+    acquisition, measurements = live_small
+    monkeypatch.setattr("app.instrument.moved", refuse)
+    with pytest.raises(BadValue, match="too few"):
+        acquisition.read_out(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
+    seen = len(measurements)
+    wait_until(lambda: len(measurements) > seen + 1)  # it runs again
+    assert measurements[-1].frame.pixels.shape == (172, 240)
+    assert measurements[-1].problem == ""
+
+
 def test_a_lattice_beside_the_frame_is_told(live_small: tuple[Acquisition, list[Measurement]]) -> None:
     acquisition, measurements = live_small
     acquisition.read_out(SensorArea(Region(0, 0, 64, 64), 1)).result(HANG_S)
