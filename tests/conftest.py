@@ -62,6 +62,15 @@ def no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.devices.simulated_bench", partial(simulated_bench, clock=ManualClock()))
 
 
+@pytest.fixture(scope="session")
+def qapp(qapp: QApplication) -> QApplication:
+    """The one of pytest-qt, in the font that Matplotlib brings: texts are as wide on every computer."""
+    from window_tools import use_font  # noqa: PLC0415 - only where a window is wanted
+
+    use_font(qapp)
+    return qapp
+
+
 @pytest.fixture
 def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa: ARG001 - it must be there
     """The one of pytest-qt, with more patience."""

@@ -6,13 +6,15 @@ import gc
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from gui_bench import BENCH, SENSOR, FakeCamera, opener
 from numpy.typing import NDArray
 from patience import HANG_S
 from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
-from PyQt6.QtGui import QImage
+from PyQt6.QtGui import QFont, QFontDatabase, QImage
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
@@ -33,6 +35,18 @@ class PatientBot(QtBot):
 
 
 LENSLETS = (SENSOR.lenslet_rows, SENSOR.lenslet_columns)
+
+
+def use_font(application: QApplication) -> None:
+    """Use the font that Matplotlib brings, in the size that it has anyway."""
+    files = Path(mpl.get_data_path()) / "fonts" / "ttf"
+    family = "DejaVu Sans"
+    for name in ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"):
+        number = QFontDatabase.addApplicationFont(str(files / name))
+        assert family in QFontDatabase.applicationFontFamilies(number)
+    font = QFont(application.font())
+    font.setFamily(family)
+    application.setFont(font)
 
 
 @contextmanager
