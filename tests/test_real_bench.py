@@ -116,6 +116,15 @@ def test_a_light_that_is_not_there_lets_go_of_the_camera(bench: Bench, port: Pty
         open_devices(bench, lambda _: None)
 
 
+def test_frames_come_by_the_software_trigger(bench: Bench) -> None:
+    """Nobody fires it but whoever reads."""
+    acquisition = started(parse_bench(write_bench(bench), "real.toml", ("camera.trigger=software",)))
+    seen = acquisition.counts.acquired
+    wait_until(lambda: acquisition.counts.acquired >= seen + 5)
+    acquisition.close()
+    assert acquisition.failure == ""
+
+
 def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path) -> None:
     acquisition = started(bench)
     assert lamp.is_lit
