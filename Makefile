@@ -25,7 +25,7 @@ test: setup c-compiler ## every test, without a screen
 	QT_QPA_PLATFORM=offscreen .venv/bin/python -m pytest
 
 storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, most of an hour
-	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-10000} .venv/bin/python tests/run_storms.py $(DRIVERS)
+	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-10000} PYTHONPATH=tests .venv/bin/python -m support.run_storms $(DRIVERS)
 
 lint: .venv/ready ## style, types, and who may import whom
 	.venv/bin/ruff check

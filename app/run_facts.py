@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from app.files import appearing_whole
-from app.machine import machine_facts, versions
+from app.host import machine_facts, versions
 from app.timing import STAGES, Timings
 
 

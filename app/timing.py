@@ -16,7 +16,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from reconstruction.process_setting import ProcessSetting
+from reconstruction.runtime.process_setting import ProcessSetting
 
 Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
 STAGES: tuple[Stage, ...] = get_args(Stage)

@@ -9,11 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.field_modes import FieldModes
-from reconstruction.geometry import Floats
-from reconstruction.spline import Image
+from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.modes.field_modes import FieldModes
 
-Mask = NDArray[np.bool_]
 Outcomes = NDArray[np.int8]  # an `Outcome` for every lenslet
 
 

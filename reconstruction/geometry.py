@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
+from reconstruction.arrays import Floats
 
 
 def require(conditions: Mapping[str, bool]) -> None:

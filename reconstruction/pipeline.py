@@ -5,28 +5,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from reconstruction.automatic_warp import automatic_warp
-from reconstruction.bad_pixels import find_bad_pixels
-from reconstruction.displacement import Displacement, Estimator, Mask, Outcome
+from reconstruction.arrays import Counts, Floats, Image, Mask
+from reconstruction.displacement import Displacement, Estimator, Outcome
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Field, Floats, Lattice, Sensor, require
-from reconstruction.lenslet_weights import lenslet_weights, mean_variance
-from reconstruction.modal import ModalSolver
-from reconstruction.noise import CameraNoise
-from reconstruction.pupil_modes import PupilBasis, pupil_modes
-from reconstruction.registration import RegistrationSettings, Warp, prepare_registration
-from reconstruction.spline import Image
-from reconstruction.subimages import ReferenceSubimages
+from reconstruction.frame.bad_pixels import find_bad_pixels
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.geometry import Field, Lattice, Sensor, require
+from reconstruction.modes.pupil_modes import PupilBasis, pupil_modes
+from reconstruction.registration.methods import RegistrationSettings, Warp, prepare_registration
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.solve.automatic_warp import automatic_warp
+from reconstruction.solve.lenslet_weights import lenslet_weights, mean_variance
+from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.whitening import whitening
+from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Solution, Wavefront
-from reconstruction.whitening import whitening
-from reconstruction.zonal import ZonalSolution
-
-Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
 
 _SATURATED_FRACTION = 0.01  # of the frame's pixels; above it the frame as a whole is refused
 _BACKGROUND_PERCENT = 1.0  # where no dark was given, the darkest pixels that stand for the background

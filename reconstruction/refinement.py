@@ -14,13 +14,12 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
+from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
-from reconstruction.field_modes import FieldModes
-from reconstruction.geometry import Floats
-from reconstruction.modal import ModalSolver
+from reconstruction.modes.field_modes import FieldModes
+from reconstruction.modes.pupil_modes import PupilGrid, pupil_modes
 from reconstruction.pipeline import Reconstructor
-from reconstruction.pupil_modes import PupilGrid, pupil_modes
-from reconstruction.spline import Image
+from reconstruction.solve.modal import ModalSolver
 from reconstruction.wavefront import Wavefront, rms
 
 PointPhase: TypeAlias = Callable[[float, float], Image]

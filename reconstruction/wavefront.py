@@ -9,9 +9,10 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from reconstruction.displacement import Displacement, Mask
-from reconstruction.field_modes import FieldModes
-from reconstruction.geometry import Field, Floats
+from reconstruction.arrays import Floats, Mask
+from reconstruction.displacement import Displacement
+from reconstruction.geometry import Field
+from reconstruction.modes.field_modes import FieldModes
 
 
 class Solution(Protocol):

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.geometry import Field, Floats, Lattice, Sensor
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Lattice, Sensor
 from simulated_devices.background import BackgroundRendering
 from simulated_devices.clock import Clock, SystemClock
 from simulated_devices.playback import Playback

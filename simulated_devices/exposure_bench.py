@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from drivers.interface import Camera, CameraCapabilities, Devices, Frame, LightSource, Range, Stage, WrongState
-from reconstruction.geometry import Floats
+from reconstruction.arrays import Floats
 
 PITCH_PX = 16.0
 SIDE_PX = 160

@@ -21,12 +21,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.geometry import Field, Floats, Lattice, Sensor
-from simulated_devices.forward_model import ForwardModel, PointPhase
-from simulated_devices.ray_map import truth_wavefront
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Lattice, Sensor
+from simulated_devices.optics.forward_model import ForwardModel, PointPhase
+from simulated_devices.optics.ray_map import truth_wavefront
+from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.sample import Sample, make_sample, shift_m
 from simulated_devices.settings import Simulation
-from simulated_devices.source import SourcePoints, source_points
 
 _FORMAT = 3  # 3: an enlarged screen is the ensemble's own in its middle
 _FOLDERS_KEPT = 12

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from reconstruction.geometry import Field, Floats, Sensor
-from simulated_devices.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
-from simulated_devices.ray_map import RayMap, truth_wavefront
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Sensor
+from simulated_devices.optics.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
+from simulated_devices.optics.ray_map import RayMap, truth_wavefront
 from simulated_devices.settings import Screen, Simulation
 
 _LARGEST_SIDE = 12_000  # samples; takes 3.3 GB and a minute on two cores, and grows with its square

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
-from optics import SmallBench
+from support.optics import SmallBench
 
-from app.devices import simulated_bench
+from app.acquisition.devices import simulated_bench
 from simulated_devices.clock import ManualClock
 
 if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
-    from gui_bench import FakeCamera
     from PyQt6.QtWidgets import QApplication
     from pytestqt.qtbot import QtBot
-    from window_tools import MakeWindow
+    from support.gui_bench import FakeCamera
+    from support.window_tools import MakeWindow
 
     from app.gui.main_window import MainWindow
 
@@ -59,13 +59,13 @@ def small_toml(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """The simulated bench has a clock that lets each frame be measured before the next begins."""
-    monkeypatch.setattr("app.devices.simulated_bench", partial(simulated_bench, clock=ManualClock()))
+    monkeypatch.setattr("app.acquisition.devices.simulated_bench", partial(simulated_bench, clock=ManualClock()))
 
 
 @pytest.fixture(scope="session")
 def qapp(qapp: QApplication) -> QApplication:
     """The one of pytest-qt, in the font that Matplotlib brings: texts are as wide on every computer."""
-    from window_tools import use_font  # noqa: PLC0415 - only where a window is wanted
+    from support.window_tools import use_font  # noqa: PLC0415 - only where a window is wanted
 
     use_font(qapp)
     return qapp
@@ -74,7 +74,7 @@ def qapp(qapp: QApplication) -> QApplication:
 @pytest.fixture
 def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa: ARG001 - it must be there
     """The one of pytest-qt, with more patience."""
-    from window_tools import PatientBot  # noqa: PLC0415 - only where a window is wanted
+    from support.window_tools import PatientBot  # noqa: PLC0415 - only where a window is wanted
 
     return PatientBot(request)
 
@@ -82,7 +82,7 @@ def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa:
 @pytest.fixture
 def make_window(qapp: QApplication) -> Iterator[MakeWindow]:
     """Make windows; see `window_tools.windows`."""
-    from window_tools import windows  # noqa: PLC0415 - only where a window is wanted
+    from support.window_tools import windows  # noqa: PLC0415 - only where a window is wanted
 
     with windows(qapp) as make:
         yield make
@@ -91,8 +91,8 @@ def make_window(qapp: QApplication) -> Iterator[MakeWindow]:
 @pytest.fixture
 def live(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, FakeCamera]:
     """A window with live wavefronts."""
-    from gui_bench import FakeCamera  # noqa: PLC0415 - only where a window is wanted
-    from window_tools import wait_for_wavefront  # noqa: PLC0415 - likewise
+    from support.gui_bench import FakeCamera  # noqa: PLC0415 - only where a window is wanted
+    from support.window_tools import wait_for_wavefront  # noqa: PLC0415 - likewise
 
     camera = FakeCamera()
     window = make_window(camera)

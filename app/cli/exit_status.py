@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from app.ending import ended_by
 from app.errors import InputError, Interrupted, RunError
+from app.signals import ended_by
 
 
 def run_and_leave(command: Callable[[], object]) -> None:

@@ -30,21 +30,21 @@ def calibrate(
     """
     import json
 
-    from app.calibrate import as_numbers, check_out, differences, findings, write_calibrated
-    from app.calibrate import calibrate as run
-    from app.report import progress_bar
+    from app.cli.tables import progress_bar
+    from app.commands.calibrate import as_numbers, check_out, differences, findings, write_calibrated
+    from app.commands.calibrate import calibrate as run
 
     if out is not None:
         check_out(out, overwrite=overwrite)
     if plot is not None:
-        from app.plot import check_plot_path
+        from app.results.plot import check_plot_path
 
         check_plot_path(plot)
     loaded = load(bench, setting)
     with progress_bar() as report:
         found = run(reference, dark=dark, bench=loaded, report=report)
     if plot is not None:
-        from app.lattice_plot import plot_lattice
+        from app.results.lattice_plot import plot_lattice
 
         plot_lattice(found.reference, found.survey, plot)
     if out is not None:
@@ -67,8 +67,8 @@ def simulate(
     ] = False,
 ) -> None:
     """Render what the simulated bench casts on its camera, and the true wavefronts."""
-    from app.report import progress_bar
-    from app.simulate import simulate as run
+    from app.cli.tables import progress_bar
+    from app.commands.simulate import simulate as run
 
     loaded = load(bench, setting)
     with progress_bar() as report:
@@ -90,10 +90,10 @@ def reconstruct(
     setting: SetOption = None,
 ) -> None:
     """Reconstruct the wavefronts of one frame from image files."""
-    from app.from_files import reconstruct_files
-    from app.plot import check_plot_path, plot_views
-    from app.report import print_refinement, print_views, progress_bar
-    from app.results import result_dataset, write_results
+    from app.cli.tables import print_refinement, print_views, progress_bar
+    from app.commands.reconstruct import reconstruct_files
+    from app.results.dataset import result_dataset, write_results
+    from app.results.plot import check_plot_path, plot_views
 
     if plot is not None:
         check_plot_path(plot)

@@ -35,7 +35,7 @@ def devices(
 
     Looking switches nothing on. docs/hardware.md says how to connect each.
     """
-    from app.device_report import check_and_print, print_devices
+    from app.commands.devices import check_and_print, print_devices
 
     if check is None and bench is None:
         print_devices()

@@ -37,13 +37,13 @@ def live(
 
     With --replay it shows a recording, by its own bench unless --bench or --set say otherwise, and --frames some of it.
     """
-    from app.live import live_window
+    from app.commands.live import live_window
 
     if replay is None:
         if frames is not None:
             raise InputError("--frames says which frames of a recording are meant: give --replay RECORDING")
         raise typer.Exit(live_window(load(bench or _LIVE_BENCH, setting), seconds=seconds, out=out))
-    from app.replay.player import Player
+    from app.results.replay.player import Player
 
     player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
     raise typer.Exit(live_window(player.bench, seconds=seconds, out=out, player=player))
@@ -78,9 +78,9 @@ def measure(
     Ctrl-C ends it early and keeps everything; docs/recording.md says what is in the folder, docs/experiment.md leads
     through a whole experiment.
     """
-    from app.measure import measure as run
-    from app.report import print_measurement, progress_bar
-    from app.start_up import FRAMES
+    from app.acquisition.start_up import FRAMES
+    from app.cli.tables import print_measurement, progress_bar
+    from app.commands.measure import measure as run
 
     loaded = load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
     with progress_bar() as report:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.presets import PRESETS
+from app.bench.presets import PRESETS
 
 if TYPE_CHECKING:
-    from app.config import Bench
+    from app.bench.config import Bench
 
 BenchOption = Annotated[
     str, typer.Option("--bench", "-b", metavar="TOML", help=f"A bench TOML file, or a preset: {', '.join(PRESETS)}.")
@@ -27,6 +27,6 @@ SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="How many screen
 
 def load(bench: str, setting: list[str] | None) -> Bench:
     """Load a bench with the changes given by --set."""
-    from app.config import load_bench
+    from app.bench.config import load_bench
 
     return load_bench(bench, tuple(setting or ()))

@@ -11,7 +11,7 @@ import typer
 from app.cli.options import BenchOption, SeedsOption, SetOption, load
 
 if TYPE_CHECKING:
-    from app.paper.tables import Table
+    from app.evaluation.paper.tables import Table
 
 paper = typer.Typer(help="The paper's tables, theirs and ours side by side.", no_args_is_help=True)
 OutOption = Annotated[Path, typer.Option(help="Folder for the table as JSON and CSV, and its figure.")]
@@ -28,7 +28,7 @@ def table1(
     setting: SetOption = None,
 ) -> None:
     """Table 1: every method on the simulated bench, against the truth."""
-    from app.paper.tables import table1 as run
+    from app.evaluation.paper.tables import table1 as run
 
     _paper_table(lambda report: run(load(bench, setting), seeds, peers=peers, report=report), out)
 
@@ -43,7 +43,7 @@ def table2(
     setting: SetOption = None,
 ) -> None:
     """Table 2: every method on noisy frames of the experiment, against the stars."""
-    from app.paper.tables import table2 as run
+    from app.evaluation.paper.tables import table2 as run
 
     _paper_table(lambda report: run(load(bench, setting), seeds, peers=peers, report=report), out)
 
@@ -53,16 +53,16 @@ def sources(
     *, out: OutOption, seeds: SeedsOption = 1, bench: BenchOption = "paper_simulation", setting: SetOption = None
 ) -> None:
     """The supplement's study: sources of other shapes."""
-    from app.paper.tables import sources as run
+    from app.evaluation.paper.tables import sources as run
 
     _paper_table(lambda report: run(load(bench, setting), seeds, report=report), out)
 
 
 def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path) -> None:
     """Make a table under a progress bar, write it and print it."""
+    from app.cli.tables import progress_bar
+    from app.evaluation.paper.output import print_table, write_table
     from app.files import make_folder
-    from app.paper.output import print_table, write_table
-    from app.report import progress_bar
 
     make_folder(out)
     with progress_bar() as report:

@@ -21,8 +21,8 @@ def recover(
     It tells what is damaged, of a complete recording, too, and which frames are whole. Nothing that can be read is
     changed or lost: lines that are damaged are put aside, into frames.damaged.jsonl.
     """
+    from app.cli.tables import print_recovered, progress_bar
     from app.recording.recover import recover as run
-    from app.report import print_recovered, progress_bar
 
     with progress_bar() as report:
         found = run(recording, lambda fraction: report("looking at the frames", fraction))
@@ -48,8 +48,8 @@ def replay(
     The same software makes the same of them, to the last bit, and says so. With --bench, or --set for a change of the
     recorded bench, both are made and compared view by view: svwfs replay RECORDING --set reconstruction.method=zonal
     """
-    from app.replay.run import replay as run
-    from app.report import print_replay, progress_bar
+    from app.cli.tables import print_replay, progress_bar
+    from app.results.replay.run import replay as run
 
     with progress_bar() as report:
         made = run(
@@ -82,8 +82,8 @@ def export(
     tiff is one BigTIFF for ImageJ, with times and settings; csv one row a frame, for pandas or a spreadsheet; netcdf
     what svwfs measure writes; psf one point-spread function a view, the mean of the frames, its sum 1, to sharpen with.
     """
-    from app.export.run import export as run
-    from app.report import progress_bar
+    from app.cli.tables import progress_bar
+    from app.results.export.run import export as run
 
     with progress_bar() as report:
         count = run(recording, to, out, frames=frames, overwrite=overwrite, report=report)
@@ -108,8 +108,8 @@ def report(
     of another recording view by view, and a table says what is left, as the paper compares a square with stars;
     --set tries another method on the first: svwfs report SQUARE --beside STARS --set registration.method=correlation
     """
-    from app.pages.run import report_pages
-    from app.report import print_residual, progress_bar
+    from app.cli.tables import print_residual, progress_bar
+    from app.results.report.run import report_pages
 
     with progress_bar() as progress:
         summary, residual = report_pages(

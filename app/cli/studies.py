@@ -12,7 +12,7 @@ from app.cli.options import BenchOption, SeedsOption, SetOption, load
 from app.errors import InputError, RunError
 
 if TYPE_CHECKING:
-    from app.config import Bench
+    from app.bench.config import Bench
 
 _LIVE_BENCH = "live_demo"
 _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
@@ -20,8 +20,8 @@ _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
 
 def selftest() -> None:
     """Prove signs, axes and units on phases that are known in closed form."""
-    from app.report import print_checks
-    from app.selftest import run_checks
+    from app.cli.tables import print_checks
+    from app.evaluation.selftest import run_checks
 
     if not print_checks(run_checks()):
         raise RunError("the selftest failed: this installation must not be trusted")
@@ -42,8 +42,8 @@ def study(
 
     `calibration` tries how well lattices are found, `exposure` how soon the exposure is (docs/calibration.md).
     """
-    from app.report import progress_bar
-    from app.study.sweeps import chosen_sweeps, print_outcomes, run_study
+    from app.cli.tables import progress_bar
+    from app.evaluation.study.sweeps import chosen_sweeps, print_outcomes, run_study
 
     sweeps, loaded = chosen_sweeps(names or []), load(bench, setting)
     with progress_bar() as report:
@@ -88,10 +88,10 @@ def benchmark(
         return
     if bench or setting or record_in or no_record:
         raise InputError("--bench, --set, --record-in and --no-record say how --live SECONDS is measured: give it, too")
-    from app.benchmark.baseline import load_baseline, worsened
-    from app.benchmark.output import print_benchmark, write_benchmark
-    from app.benchmark.run import Plan, run_benchmark
-    from app.report import progress_bar
+    from app.cli.tables import progress_bar
+    from app.evaluation.benchmark.baseline import load_baseline, worsened
+    from app.evaluation.benchmark.output import print_benchmark, write_benchmark
+    from app.evaluation.benchmark.run import Plan, run_benchmark
 
     plan = Plan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
     with progress_bar() as report:
@@ -105,11 +105,11 @@ def benchmark(
 
 def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, json: Path | None, check: bool) -> None:
     """Measure the live path under a progress bar, print and write what was found; `check` it if asked to."""
-    from app.benchmark.live.output import live_json, missed, print_live
-    from app.benchmark.live.plan import LivePlan
-    from app.benchmark.output import write_benchmark
-    from app.live_benchmark import live_benchmark
-    from app.report import progress_bar
+    from app.cli.tables import progress_bar
+    from app.commands.live_benchmark import live_benchmark
+    from app.evaluation.benchmark.live.output import live_json, missed, print_live
+    from app.evaluation.benchmark.live.plan import LivePlan
+    from app.evaluation.benchmark.output import write_benchmark
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
     with progress_bar() as report:

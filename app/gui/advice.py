@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from app.acquisition import Activity, Measurement
-from app.instrument import Status
+from app.acquisition.instrument import Status
+from app.acquisition.worker import Activity, Measurement
 
 _SLOW_S = 1.0  # a frame that is shown for longer is explained
 

@@ -14,13 +14,14 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
-from app.config import Bench
-from reconstruction.comparison import compare
-from reconstruction.geometry import Floats, Sensor
-from reconstruction.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
-from reconstruction.isoplanatism import Isoplanatism, isoplanatism
-from reconstruction.modal import ModalSolution
-from reconstruction.pupil_modes import PupilBasis, PupilModes, pupil_modes
+from app.bench.config import Bench
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Sensor
+from reconstruction.modes.pupil_modes import PupilBasis, PupilModes, pupil_modes
+from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
+from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
+from reconstruction.quality.slope_fit import compare
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
 _INTERVAL_S = 0.2  # between two analyses of a running measurement

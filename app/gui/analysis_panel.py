@@ -10,7 +10,7 @@ from app.gui.analysis import Analysis
 from app.gui.plots import MtfPlot, StructurePlot
 from app.gui.quantities import number, place
 from app.gui.widgets import ElidedLabel
-from reconstruction.isoplanatism import Isoplanatism
+from reconstruction.quality.isoplanatism import Isoplanatism
 
 
 class AnalysisPanel(QWidget):

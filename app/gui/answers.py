@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError, Future
 from typing import Any, TypeVar
 
 from app.gui.message_strip import MessageStrip
-from app.routines import Cancelled
+from app.measurement.routines import Cancelled
 
 T = TypeVar("T")
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 
-from app.acquisition import Acquisition
+from app.acquisition.instrument import Instrument
+from app.acquisition.worker import Acquisition
 from app.gui import commands
 from app.gui.answers import Answers
 from app.gui.camera_panel import CameraPanel
 from app.gui.message_strip import MessageStrip
-from app.instrument import Instrument
-from app.routines import AutoExposure, BackgroundCheck
-from reconstruction.lattice import Survey
+from app.measurement.routines import AutoExposure, BackgroundCheck
+from reconstruction.lattice.search import Survey
 
 
 class CalibrationControl:

@@ -16,7 +16,7 @@ from app.gui.widgets import ElidedLabel, label, toggle, unfocused
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
-from reconstruction.lattice import Survey
+from reconstruction.lattice.search import Survey
 
 _LEVELS = {"auto levels": "percentiles", "full scale": "full", "hold levels": "hold"}
 _LEVELS_INTERVAL_S = 0.5

@@ -9,7 +9,7 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 
-from reconstruction.geometry import Floats
+from reconstruction.arrays import Floats
 
 Pixels = NDArray[np.uint32]  # ARGB; 0 is transparent
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from app.config import Bench
-from app.instrument import Instrument
+from app.acquisition.instrument import Instrument
+from app.bench.config import Bench
 from drivers.interface import BadValue, Camera
 from reconstruction.geometry import Lattice
 

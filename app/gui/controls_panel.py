@@ -11,14 +11,14 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
 
-from app.config import AUTOMATIC
+from app.acquisition.instrument import Standing, Status
+from app.bench.config import AUTOMATIC
 from app.gui import theme
 from app.gui.number_field import NumberField
 from app.gui.widgets import button, label, toggle
-from app.instrument import Standing, Status
 from drivers.interface import Range
-from reconstruction.pupil_modes import PupilBasis
-from reconstruction.registration import FIELD_MODES, Method, RegistrationSettings
+from reconstruction.modes.pupil_modes import PupilBasis
+from reconstruction.registration.methods import FIELD_MODES, Method, RegistrationSettings
 
 _MOST_FRAMES = 1000
 _FEWEST_PUPIL_MODES, _MOST_PUPIL_MODES = 3, 400

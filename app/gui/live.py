@@ -11,12 +11,12 @@ from pathlib import Path
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 from PyQt6.QtWidgets import QApplication
 
-from app.acquisition import Acquisition, Measurement
-from app.ending import ended_by
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
-from app.start_up import start_up
+from app.signals import ended_by
 
 _GIVE_UP_S = 120.0  # how long an unattended run waits for its first wavefront
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
-from app.config import Bench
+from app.bench.config import Bench
 from app.gui.analysis import Analyst, Quantity, Question
 from app.gui.analysis_panel import AnalysisPanel
 from app.gui.wavefront_panel import WavefrontPanel

@@ -16,7 +16,9 @@ from PyQt6.QtCore import Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QSplitter, QVBoxLayout, QWidget
 
-from app.acquisition import Acquisition, Activity, Measurement
+from app.acquisition.instrument import Status
+from app.acquisition.start_up import FRAMES, start_up
+from app.acquisition.worker import Acquisition, Activity, Measurement
 from app.errors import InputError, RunError
 from app.gui.advice import advice, warning
 from app.gui.analysis import Quantity
@@ -36,8 +38,6 @@ from app.gui.saving import save_bench, save_screenshot
 from app.gui.status_line import StatusLine
 from app.gui.timed_window import TimedWindow
 from app.gui.wavefront_panel import WavefrontPanel
-from app.instrument import Status
-from app.start_up import FRAMES, start_up
 
 _LOOK_INTERVAL_MS = 40
 _LOOKS_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read

@@ -8,7 +8,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QProgressBar, QPushButton, QWidget
 
-from app.acquisition import Activity
+from app.acquisition.worker import Activity
 from app.gui import theme
 from app.gui.widgets import ElidedLabel, button
 

@@ -7,11 +7,11 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
-from app.acquisition import Acquisition
+from app.acquisition.instrument import Instrument
+from app.acquisition.worker import Acquisition
 from app.gui import commands
 from app.gui.answers import Answers
 from app.gui.controls_panel import ControlsPanel
-from app.instrument import Instrument
 
 
 class Orders:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.geometry import Floats, Lattice, centered_steps
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Lattice, centered_steps
 
 _INSET = 0.44  # half the side of a lost lenslet's box, in pitches: inside the borders of its cell
 _HEAD = 0.35  # length of an arrow's head, in arrow lengths

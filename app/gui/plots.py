@@ -11,9 +11,9 @@ from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 from app.gui import theme
 from app.gui.scale import RANGES, SteppedScale
 from app.gui.widgets import ElidedLabel, label, unfocused
-from reconstruction.geometry import Floats
-from reconstruction.image_quality import Mtf
-from reconstruction.isoplanatism import Isoplanatism
+from reconstruction.arrays import Floats
+from reconstruction.quality.image_quality import Mtf
+from reconstruction.quality.isoplanatism import Isoplanatism
 
 _NO_VALUES = np.zeros(0)
 _SIDES = ("left", "bottom")

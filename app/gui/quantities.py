@@ -10,7 +10,7 @@ import numpy as np
 
 from app.gui.analysis import Quantity
 from app.gui.colours import ColourScale, bright, diverging, uncertain
-from reconstruction.geometry import Floats
+from reconstruction.arrays import Floats
 from reconstruction.wavefront import peak_to_valley, rms
 
 NOTHING = "\N{EN DASH}"

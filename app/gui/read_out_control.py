@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from PyQt6.QtWidgets import QWidget
 
-from app.acquisition import Acquisition
+from app.acquisition.instrument import Status
+from app.acquisition.worker import Acquisition
 from app.gui.answers import Answers
 from app.gui.message_strip import MessageStrip
 from app.gui.read_out_dialog import ReadOutDialog
-from app.instrument import Status
-from app.sensor_area import SensorArea, lenslets_outside
+from app.measurement.sensor_region import SensorArea, lenslets_outside
 
 
 class ReadOutControl:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QVBoxLayout, QWidget
 
+from app.acquisition.instrument import Status
 from app.gui.number_field import NumberField
 from app.gui.widgets import button, label
-from app.instrument import Status
-from app.sensor_area import SensorArea, in_steps, region_around
+from app.measurement.sensor_region import SensorArea, in_steps, region_around
 from drivers.interface import Range, Region
 
 _STEPS = "All four are in pixels of the sensor, unbinned; the camera takes them in its own steps"

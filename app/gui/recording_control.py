@@ -10,7 +10,7 @@ from pathlib import Path
 from PyQt6.QtCore import QStandardPaths
 from PyQt6.QtWidgets import QFileDialog, QWidget
 
-from app.acquisition import Acquisition
+from app.acquisition.worker import Acquisition
 from app.gui.answers import Answers
 from app.gui.message_strip import MessageStrip
 from app.gui.recording_panel import RecordingPanel

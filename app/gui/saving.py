@@ -8,7 +8,7 @@ from pathlib import Path
 from PyQt6.QtCore import QStandardPaths
 from PyQt6.QtWidgets import QFileDialog, QWidget
 
-from app.config import Bench, write_bench
+from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
 from app.files import appearing_whole
 from app.gui.message_strip import MessageStrip

@@ -9,14 +9,14 @@ from statistics import median
 import numpy as np
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
-from app.acquisition import Measurement
+from app.acquisition.instrument import Status
+from app.acquisition.worker import Measurement
 from app.gui import theme
 from app.gui.fitting_row import FittingRow
 from app.gui.reasons import REASONS
 from app.gui.timing_row import Summaries, TimingRow, timing_table
 from app.gui.widgets import label
-from app.instrument import Status
-from app.live_refinement import RefinementState
+from app.measurement.live_refinement import RefinementState
 from reconstruction.displacement import Displacement
 
 _VALID = "Lenslets whose subimage could be matched with the reference"

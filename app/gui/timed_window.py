@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from PyQt6.QtCore import QEvent
 from PyQt6.QtWidgets import QMainWindow
 
-from app.acquisition import Measurement
+from app.acquisition.worker import Measurement
 from app.timing import Timings
 
 

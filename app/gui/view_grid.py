@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
 from app.gui.colours import ColourScale, Pixels
-from reconstruction.geometry import Floats
+from reconstruction.arrays import Floats
 
 _GAP = 10
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, what is left of it, and right of it up to its numbers

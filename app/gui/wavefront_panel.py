@@ -14,7 +14,7 @@ from app.gui.quantities import PRESENTATIONS, Presentation, place
 from app.gui.scale import RANGES, SteppedScale
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, label, toggle
-from reconstruction.geometry import Floats
+from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront
 
 

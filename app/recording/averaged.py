@@ -7,8 +7,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from app.routines import Average
-from reconstruction.geometry import Floats
+from app.measurement.routines import Average
+from reconstruction.arrays import Floats
 
 _ROUNDING = 1 / 6  # counts^2, of a difference between two numbers that are rounded each
 

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
-from app.calibration import Calibration
+from app.bench.recording_settings import Pace
 from app.errors import InputError
+from app.measurement.calibration import Calibration
+from app.measurement.routines import Average
 from app.recording.averaged import AveragedFrames
 from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
-from app.recording_settings import Pace
-from app.routines import Average
 from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Disconnected, Frame, FrameLost, Range
 
 _LONGEST_GAP_S = 1.0  # beyond an exposure, in which nothing was recorded: as while a new reference was taken

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
+from app.bench.recording_settings import Pace
 from app.recording.camera import RecordedCamera
 from app.recording.reader import Recording
-from app.recording_settings import Pace
 from drivers.interface import Devices, LightSource, Range
 from drivers.stage import OneMaskStage
 

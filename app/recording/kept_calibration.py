@@ -9,12 +9,12 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from app.calibration import Calibration
-from app.config import load_bench, write_bench
+from app.bench.config import load_bench, write_bench
 from app.errors import InputError
 from app.files import appearing_whole
-from app.routines import Average
-from reconstruction.geometry import Floats
+from app.measurement.calibration import Calibration
+from app.measurement.routines import Average
+from reconstruction.arrays import Floats
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.calibration import Calibration
-from app.config import Bench, parse_bench
+from app.bench.config import Bench, parse_bench
 from app.errors import InputError
+from app.measurement.calibration import Calibration
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_line import FrameLine
 from app.recording.kept_calibration import read_calibration
@@ -34,7 +34,7 @@ from app.recording.layout import (
     start_file,
 )
 from drivers.interface import Frame
-from reconstruction.geometry import Floats
+from reconstruction.arrays import Floats
 
 _PIECE = 1 << 20  # bytes read at once
 _TELLS = "svwfs recover tells which frames are whole"

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.calibration import Calibration
-from app.measurement import LightState, Measurement
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import LightState, Measurement
 from drivers.interface import Frame
-from reconstruction.geometry import Floats
-from reconstruction.modal import ModalSolution
+from reconstruction.arrays import Floats
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import rms
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from app.errors import InputError
 from app.files import nearest
-from app.measurement import Measurement
+from app.measurement.measurement import Measurement
 from app.recording.background import BackgroundRecording, RecordingState
 from app.recording.folder import check_free, new_folder
 from app.recording.record import Record

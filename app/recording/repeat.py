@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.calibration import Calibration
 from app.errors import InputError
+from app.measurement.calibration import Calibration
 from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
+from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_modes import LegendreModes
-from reconstruction.geometry import Floats
+from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.pipeline import Reconstructor
-from reconstruction.threads import one_blas_thread
+from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront
 
 Change = Callable[[Calibration], Calibration]

@@ -11,9 +11,9 @@ from typing import IO, Any, Generic, TypeVar
 import zarr
 from numpy.typing import NDArray
 
-from app.calibration import Calibration
 from app.errors import InputError, RunError
 from app.files import make_folder
+from app.measurement.calibration import Calibration
 from app.recording.folder import check_free
 from app.recording.frame_array import FrameArray, Separator
 from app.recording.frame_line import FrameLine
@@ -33,7 +33,7 @@ from app.recording.layout import (
 from app.recording.lock import lock
 from app.recording.record import Record
 from app.run_facts import now, software_facts, write_record
-from reconstruction.geometry import Floats
+from reconstruction.arrays import Floats
 
 T = TypeVar("T")
 

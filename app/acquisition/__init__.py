@@ -1,0 +1,1 @@
+"""The live path: devices, worker thread, commands, and publication of results."""

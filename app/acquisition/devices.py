@@ -1,0 +1,143 @@
+"""The one place that knows which devices a bench has, and whether they are real or simulated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import ExitStack
+
+from app.bench.config import Bench, CameraSettings, LightSettings
+from app.bench.recording_settings import RecordingSettings
+from app.cache import cache_folder
+from app.errors import InputError
+from app.recording.devices import recorded_devices
+from app.recording.reader import Recording
+from app.recording.selection import chosen_frames
+from drivers.dcam.settings import DcamSettings
+from drivers.genicam.settings import GenicamSettings
+from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
+from drivers.manual_stage import ManualStage
+from drivers.serial_lights.coolled import CoolLEDSettings
+from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings
+from drivers.usb_lights.thorlabs_dc2200 import DC2200Settings
+from reconstruction.geometry import nominal_lattice
+from simulated_devices.bench import SimulatedBench
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.clock import Clock
+from simulated_devices.light import SimulatedLight
+from simulated_devices.stage import SimulatedStage
+
+_PITCH_TOLERANCE = 0.01
+
+
+def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
+    """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
+    with ExitStack() as stack:
+        if isinstance(bench.camera, RecordingSettings):
+            return _open_recording(bench, bench.camera, stack)
+        if not bench.is_simulated:
+            return _open_real(bench, progress, stack)
+        simulated = simulated_bench(bench, progress)
+        stack.callback(simulated.close)
+        return Devices(
+            stack.enter_context(SimulatedCamera(simulated)),
+            stage=stack.enter_context(SimulatedStage(simulated)),
+            light=stack.enter_context(SimulatedLight(simulated)),
+            _closing=stack.pop_all(),
+        )
+
+
+def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack) -> Devices:
+    """Open the devices of a real bench; what they refuse of its settings is the bench's fault."""
+    section = "camera"
+    try:
+        camera = stack.enter_context(open_camera(bench.camera))
+        _check_pitch(bench, camera)
+        progress(0.5)
+        stage = stack.enter_context(ManualStage(bench.simulation.source.mask))
+        section = "light"
+        light = stack.enter_context(open_light(bench.light))
+        progress(1.0)
+    except BadValue as error:
+        raise InputError(f"{section}: {error}") from error
+    return Devices(camera, light, stage, stack.pop_all())
+
+
+def _open_recording(bench: Bench, settings: RecordingSettings, stack: ExitStack) -> Devices:
+    recording = Recording(settings.folder)
+    frames = chosen_frames(recording, None)
+    devices = stack.enter_context(recorded_devices(recording, frames, pace=settings.pace, repeat=settings.repeat))
+    _check_pitch(bench, devices.camera)
+    stack.pop_all()
+    return devices
+
+
+def _check_pitch(bench: Bench, camera: Camera) -> None:
+    """Raise `InputError` when the camera has other pixels than the bench says."""
+    pitch_m = camera.capabilities.pixel_pitch_m
+    if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
+        raise InputError(
+            f"sensor.pixel_pitch_m = {bench.sensor.pixel_pitch_m:g}, but that of {camera.name} is {pitch_m:g}"
+        )
+
+
+def open_camera(settings: CameraSettings) -> Camera:
+    """Open a real camera."""
+    match settings:
+        case DcamSettings():
+            from drivers.dcam.camera import DcamCamera
+
+            return DcamCamera(settings)
+        case GenicamSettings():
+            from drivers.genicam.camera import GenicamCamera
+
+            return GenicamCamera(settings)
+    raise InputError(f"camera.driver = {settings.driver!r} has no device of its own")
+
+
+def open_light(settings: LightSettings) -> LightSource:
+    """Open a real light; it is off then, and set to the current that is asked for."""
+    light = _light(settings)
+    if settings.current_a is not None:
+        try:
+            light.set_current(settings.current_a)
+        except DeviceError:
+            light.close()
+            raise
+    return light
+
+
+def _light(settings: LightSettings) -> LightSource:
+    match settings:
+        case DC4100Settings():
+            from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
+
+            return ThorlabsDC4100(settings)
+        case DC2200Settings():
+            from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200
+
+            return ThorlabsDC2200(settings)
+        case CoolLEDSettings():
+            from drivers.serial_lights.coolled import CoolLED
+
+            return CoolLED(settings)
+    raise InputError(f"light.driver = {settings.driver!r} has no device of its own")
+
+
+def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:
+    """Build the bench as physics, with typical devices in place of real ones; they are told the time by `clock`."""
+    camera, light = bench.camera_model, bench.light_model
+    try:
+        return SimulatedBench(
+            bench.sensor,
+            bench.lattice or nominal_lattice(bench.sensor, camera.rows, camera.columns),
+            bench.field,
+            bench.simulation,
+            camera,
+            light,
+            cache_folder=cache_folder() / "irradiance",
+            clock=clock,
+            progress=progress,
+        )
+    except ValueError as error:  # settings that are each possible but not together, or the screen's file
+        raise InputError(f"simulation: {error}") from error

@@ -1,0 +1,139 @@
+"""What is sent to other programs: a topic, a header in JSON, then the arrays as they lie in memory."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.bench.config import Bench
+from app.measurement.measurement import Measurement
+from reconstruction.geometry import Sensor
+from reconstruction.solve.modal import ModalSolution
+from reconstruction.wavefront import Wavefront
+
+FORMAT = 1  # raised when a subscriber would have to read differently
+
+_VIEW = ("view_row", "view_column")
+_LENSLET = ("lenslet_row", "lenslet_column")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labelled:
+    """An array and what a subscriber must know of it; the names are those of the results in NetCDF."""
+
+    name: str
+    dimensions: tuple[str, ...]
+    units: str
+    values: NDArray[Any]
+
+
+def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -> list[bytes]:
+    """Return one measurement's message of a topic, part by part; empty when the method knows no such thing.
+
+    `sequence` counts all measurements that were to be published. A frame without a wavefront is told, too: no
+    arrays, and why.
+    """
+    wavefront = measurement.wavefront
+    arrays = [] if wavefront is None else TOPICS[topic](wavefront, bench.sensor)
+    if wavefront is not None and not arrays:
+        return []
+    parts = [_little_endian(array.values) for array in arrays]
+    layout = [
+        {
+            "name": array.name,
+            "dtype": part.dtype.str,
+            "shape": part.shape,
+            "dimensions": array.dimensions,
+            "units": array.units,
+        }
+        for array, part in zip(arrays, parts, strict=True)
+    ]
+    header = {
+        "format": FORMAT,
+        "sequence": sequence,
+        **_frame_facts(measurement),
+        "arrays": layout,
+        **_facts(measurement, bench),
+    }
+    return [topic.encode(), json.dumps(header, allow_nan=False).encode(), *(part.tobytes() for part in parts)]
+
+
+def _frame_facts(measurement: Measurement) -> dict[str, Any]:
+    """What is said of the frame: which it was, when, and how it fared."""
+    frame, refinement = measurement.frame, measurement.refinement
+    unix_s = time.time() - time.perf_counter()  # of the moment from which this computer counts
+    return {
+        "frame": frame.index,
+        "camera_time_s": frame.camera_time_s,
+        "host_time_s": frame.host_time_s,
+        "exposure_end_unix_s": unix_s + measurement.exposure_end_s,
+        "latency_s": measurement.latency_s,
+        "exposure_s": frame.exposure_s,
+        "em_gain": frame.em_gain,
+        "lost": measurement.counts.lost,
+        "refinement": refinement.stage,
+        "bias_age_s": None if math.isnan(refinement.age_s) else refinement.age_s,
+        "problem": measurement.problem,
+    }
+
+
+def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
+    """What is said of the calibration in force: what the arrays' axes and numbers mean."""
+    calibration = measurement.calibration
+    if calibration is not None:
+        bench = calibration.bench
+    return {
+        "sensor": asdict(bench.sensor),
+        "lattice": None if calibration is None else asdict(calibration.lattice),
+        "field": asdict(bench.field),
+        "reconstruction": asdict(bench.reconstruction),
+        "view_x_m": bench.field.view_x_m.tolist(),
+        "view_y_m": bench.field.view_y_m.tolist(),
+        "pupil_x_m": bench.sensor.pupil_x_m.tolist(),
+        "pupil_y_m": bench.sensor.pupil_y_m.tolist(),
+    }
+
+
+def _coefficients(wavefront: Wavefront, _: Sensor) -> list[Labelled]:
+    if not isinstance(wavefront.solution, ModalSolution):
+        return []
+    modes = ("pupil_mode", "field_mode")
+    return [
+        Labelled("coefficients", modes, "rad", wavefront.solution.coefficients),
+        Labelled("coefficients_sigma", modes, "rad", wavefront.solution.coefficients_sigma),
+    ]
+
+
+def _slopes(wavefront: Wavefront, sensor: Sensor) -> list[Labelled]:
+    displacement, per_px = wavefront.displacement, sensor.slope_per_px
+    vectors = (*_LENSLET, "field_mode", "xy")
+    return [
+        Labelled("slopes", vectors, "rad/m", displacement.coefficients * per_px),
+        Labelled("slopes_sigma", vectors, "rad/m", np.sqrt(displacement.variance) * per_px),
+        Labelled("valid", _LENSLET, "1", displacement.valid.astype(np.uint8)),
+    ]
+
+
+def _views(wavefront: Wavefront, _: Sensor) -> list[Labelled]:
+    return [
+        Labelled("wavefront", (*_VIEW, *_LENSLET), "rad", wavefront.views),
+        Labelled("wavefront_sigma", (*_VIEW, *_LENSLET), "rad", wavefront.sigma()),
+    ]
+
+
+TOPICS: dict[str, Callable[[Wavefront, Sensor], list[Labelled]]] = {
+    "coefficients": _coefficients,
+    "slopes": _slopes,
+    "views": _views,
+}
+
+
+def _little_endian(values: NDArray[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(values, values.dtype.newbyteorder("<"))

@@ -1,0 +1,1 @@
+"""The bench: its settings, its TOML file, and the presets."""

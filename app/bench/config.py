@@ -1,0 +1,223 @@
+"""One TOML file is one bench: read into frozen dataclasses, each owned by the package that understands it.
+
+Whatever is wrong with the file is one line that names the key and what would be right.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
+
+import cattrs
+import tomli_w
+
+from app.bench.presets import PRESETS
+from app.bench.recording_settings import RecordingSettings
+from app.bench.stream_settings import StreamSettings
+from app.errors import InputError
+from drivers.dcam.settings import DcamSettings
+from drivers.genicam.settings import GenicamSettings
+from drivers.serial_lights.coolled import CoolLEDSettings
+from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings
+from drivers.usb_lights.thorlabs_dc2200 import DC2200Settings
+from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.registration.methods import RegistrationSettings
+from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T")
+Settings = TypeVar("Settings", bound="DataclassInstance")
+
+CameraSettings: TypeAlias = SimulatedCameraSettings | DcamSettings | GenicamSettings | RecordingSettings
+LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings
+
+AUTOMATIC = "automatic"  # the word for what is left out
+_CHOSEN_IF_LEFT_OUT = (("registration", "warp"), ("reconstruction", "pupil_modes"))
+_UNKNOWN = "unknown key"
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """A whole configuration: the sections of the TOML file by their names."""
+
+    sensor: Sensor
+    field: Field
+    lattice: Lattice | None = None  # found from the reference
+    registration: RegistrationSettings = RegistrationSettings()
+    reconstruction: ReconstructionSettings = ReconstructionSettings()
+    camera: CameraSettings = SimulatedCameraSettings()
+    light: LightSettings = SimulatedLightSettings()
+    simulation: Simulation = Simulation()
+    streams: StreamSettings = StreamSettings()
+
+    def __post_init__(self) -> None:
+        has_real_light = not isinstance(self.light, SimulatedLightSettings)
+        if has_real_light and not self.is_worked_by_hand:
+            kind = "simulated camera" if self.is_simulated else "recording"
+            raise ValueError(f'light.driver = "{self.light.driver}" is of no use: a {kind} sees no real light')
+        if self.is_worked_by_hand and not has_real_light:
+            known = ", ".join(f'"{driver}"' for driver in drivers_of(LightSettings) if driver != "simulated")
+            raise ValueError(f'light.driver is missing: camera.driver = "{self.camera.driver}" needs one of {known}')
+        designed_px = self.sensor.lenslet_pitch_px
+        if self.lattice is not None and not 0.9 < self.lattice.pitch_px / designed_px < 1.1:
+            raise ValueError(
+                f"lattice.pitch_px = {self.lattice.pitch_px:g} is far from"
+                f" sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
+            )
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the simulated bench serves it, with camera, light and stage."""
+        return isinstance(self.camera, SimulatedCameraSettings)
+
+    @property
+    def is_worked_by_hand(self) -> bool:
+        """Whether a person moves the sample: there is no motor, and nothing that only seems to move."""
+        return not isinstance(self.camera, SimulatedCameraSettings | RecordingSettings)
+
+    @property
+    def camera_model(self) -> SimulatedCameraSettings:
+        """The camera as physics, for what is computed instead of seen; for a real one, a typical EMCCD."""
+        return self.camera if isinstance(self.camera, SimulatedCameraSettings) else SimulatedCameraSettings()
+
+    @property
+    def light_model(self) -> SimulatedLightSettings:
+        """The light as physics, likewise."""
+        return self.light if isinstance(self.light, SimulatedLightSettings) else SimulatedLightSettings()
+
+
+def drivers_of(kind: Any) -> dict[str, type]:
+    """Return the settings' classes of a union by the name of their driver."""
+    return {get_args(get_type_hints(each)["driver"])[0]: each for each in get_args(kind)}
+
+
+def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
+    """Read a bench from a TOML file, or a preset by its name; `overrides` are "section.key=value" as in TOML."""
+    name = str(source)
+    path = Path(source) if Path(source).exists() else PRESETS.get(name, Path(source))
+    try:
+        text = path.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: not a text file") from error
+    except OSError as error:
+        known = ", ".join(PRESETS)
+        raise InputError(f"{name}: {error.strerror}; give a bench TOML or a preset ({known})") from error
+    return parse_bench(text, name, overrides)
+
+
+def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
+    """Turn TOML text into a bench; `name` is what errors call it."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{name}: not valid TOML: {error}") from error
+    for override in overrides:
+        _override(tree, override)
+    for section, key in _CHOSEN_IF_LEFT_OUT:
+        if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
+            del tree[section][key]
+    try:
+        return _converter().structure(tree, Bench)
+    except cattrs.BaseValidationError as error:
+        faults = cattrs.transform_error(error, format_exception=_sentence)
+        faults.sort(key=lambda fault: not fault.startswith(_UNKNOWN))  # a misspelt key, then what it leaves missing
+        sentence, _, path = faults[0].rpartition(" @ $")
+        raise InputError(f"{name}: {path.lstrip('.')}{': ' if path else ''}{sentence}") from error
+
+
+def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:
+    """Change those of the values that the settings of this driver have."""
+    known = {field.name for field in dataclasses.fields(settings)}
+    return dataclasses.replace(settings, **{name: value for name, value in values.items() if name in known})
+
+
+def write_bench(bench: Bench) -> str:
+    """Return the bench as TOML text that `parse_bench` reads back to the same bench."""
+    return tomli_w.dumps(_without_none(dataclasses.asdict(bench)))
+
+
+def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
+    """TOML has no null: what is not set is left out."""
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in tree.items()
+        if value is not None
+    }
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    path, equals, value = override.partition("=")
+    *sections, key = path.strip().split(".")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"] if equals else None
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()  # a bare word is the string it looks like
+    if parsed is None or not sections or not key:
+        raise InputError(f"--set {override}: write section.key=value, for example registration.warp=affine")
+    for section in sections:
+        tree = tree.setdefault(section, {})
+        if not isinstance(tree, dict):
+            raise InputError(f"--set {override}: {section} is no section")
+    tree[key] = parsed
+
+
+def _converter() -> cattrs.Converter:
+    """A converter that takes TOML's types as they are: no text for a number, no true for a 1, no NaN."""
+    converter = cattrs.Converter(forbid_extra_keys=True)
+    converter.register_structure_hook(int, _exactly(int, "a whole number"))
+    converter.register_structure_hook(bool, _exactly(bool, "true or false"))
+    converter.register_structure_hook(str, _exactly(str, "text in quotes"))
+    converter.register_structure_hook(float, lambda value, _: _number(value))
+    converter.register_structure_hook_func(
+        lambda kind: kind in (CameraSettings, LightSettings), lambda value, kind: _by_driver(converter, value, kind)
+    )
+    return converter
+
+
+def _by_driver(converter: cattrs.Converter, value: Any, kind: Any) -> Any:
+    """Read a section into the class of the driver that it names; the simulated one where it names none."""
+    if not isinstance(value, dict):
+        raise ValueError("must be a section")  # noqa: TRY004 - told as it is
+    known, driver = drivers_of(kind), value.get("driver", "simulated")
+    if driver not in known:
+        raise ValueError(f"driver = {driver!r} is not known; known are " + ", ".join(f'"{name}"' for name in known))
+    return converter.structure(value, known[driver])
+
+
+def _exactly(kind: type[T], what: str) -> Callable[[Any, Any], T]:
+    def take(value: Any, _: Any) -> T:
+        if type(value) is not kind:
+            raise TypeError(f"must be {what}, not {value!r}")
+        return value
+
+    return take
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError(f"must be a finite number, not {value!r}")
+    return float(value)
+
+
+def _sentence(error: BaseException, kind: type | None) -> str:
+    """What is wrong, in words; cattrs adds the path of the key."""
+    if isinstance(error, cattrs.ForbiddenExtraKeysError):
+        extra = ", ".join(sorted(error.extra_fields))
+        known = ", ".join(field.name for field in dataclasses.fields(error.cl))
+        return f"{_UNKNOWN} {extra}; known are {known}"
+    if isinstance(error, KeyError):
+        return "is missing"
+    if type(None) in get_args(kind):  # it may be left out
+        kind = get_args(kind)[0]
+    if get_origin(kind) is Literal:
+        return "must be one of " + ", ".join(f'"{value}"' for value in get_args(kind))
+    if dataclasses.is_dataclass(kind) and not isinstance(error, ValueError):
+        return "must be a section"
+    return str(error)

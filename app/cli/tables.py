@@ -1,0 +1,151 @@
+"""Results as text on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from app.evaluation.selftest import Check
+from app.recording.recover import Recovered
+from app.results.recording_results import Measured
+from app.results.replay.run import Replay
+from app.results.report.residual import Residual
+from reconstruction.displacement import Outcome
+from reconstruction.geometry import Field
+from reconstruction.wavefront import Wavefront, peak_to_valley, rms
+
+
+def print_views(wavefront: Wavefront) -> None:
+    """Print RMS and PV of every view, as the views lie in the field, and what became of the lenslets."""
+    field = wavefront.field
+    table = _view_table(field, "RMS / PV (rad) of the wavefront at each field position")
+    for y_m, row in zip(field.view_y_m, wavefront.views, strict=True):
+        table.add_row(f"{y_m * 1e3:+.2f}", *(f"{rms(view):.3f} / {peak_to_valley(view):.2f}" for view in row))
+    console = Console()
+    console.print(table)
+    console.print(lenslet_summary(wavefront))
+
+
+def print_refinement(changes_rad: Sequence[float]) -> None:
+    """Say how much each round of refinement changed the wavefront."""
+    changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
+    rounds = f"{len(changes_rad)} round" + "s" * (len(changes_rad) != 1)
+    Console().print(
+        f"refined in {rounds}, each changing the wavefront by {changes} rad RMS"
+        if changes
+        else "not refined: it would not improve"
+    )
+
+
+def print_measurement(measured: Measured, out: Path) -> None:
+    """Print mean and scatter of every view's RMS over the frames, and where the results are."""
+    field = measured.bench.field
+    table = _view_table(field, f"RMS (rad) of the wavefront, mean +- scatter of {measured.reconstructed} frames")
+    for y_m, means, scatters in zip(field.view_y_m, measured.mean_rms_rad, measured.scatter_rms_rad, strict=True):
+        cells = (f"{mean:.3f} +- {scatter:.3f}" for mean, scatter in zip(means, scatters, strict=True))
+        table.add_row(f"{y_m * 1e3:+.2f}", *cells)
+    Console().print(table)
+    failed = measured.recorded - measured.reconstructed
+    why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
+    Console().print(f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}")
+
+
+def print_recovered(found: Recovered, folder: Path) -> None:
+    """Print what was found in a recording, and whether anything had to be done."""
+    stands = "was complete" if found.was_complete else "is complete now"
+    damaged = ", but damaged" if found.damage else ""
+    typer.echo(f"{folder}: {stands}{damaged}: {found.summary}")
+    for said in (*found.damage, found.readable, found.put_aside):
+        if said:
+            typer.echo(f"{folder}: {said}")
+
+
+def print_replay(made: Replay) -> None:
+    """Print whether the frames came out as recorded, or how far another bench's wavefronts are from theirs."""
+    console, compared = Console(), made.comparison
+    if compared is not None and compared.field is not None:
+        field = compared.field
+        table = _view_table(field, f"RMS (rad) as recorded > with this bench, mean of {compared.frames} frames")
+        rows = zip(compared.recorded_rms_rad, compared.rms_rad, compared.difference_rms_rad, strict=True)
+        for y_m, row in zip(field.view_y_m, rows, strict=True):
+            cells = (
+                f"{then:.3f} > {now:.3f}\n{difference:.3f} apart" for then, now, difference in zip(*row, strict=True)
+            )
+            table.add_row(f"{y_m * 1e3:+.2f}", *cells)
+        console.print(table)
+    elif compared is not None and made.reconstructed:
+        console.print(
+            "this bench has other views or lenslets than the recorded one: nothing to compare", soft_wrap=True
+        )
+    if made.unrefined:
+        console.print(f"{made.unrefined} frames were refined when they were recorded; with this bench they are not")
+    if made.verification is not None:
+        console.print(made.verification.sentence, highlight=False, soft_wrap=True)
+    failed = made.frames - made.reconstructed
+    why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
+    console.print(f"{made.frames} frames{why}", highlight=False, soft_wrap=True)
+
+
+def print_residual(residual: Residual) -> None:
+    """Print how far two recordings' mean wavefronts are apart at every view, and the paper's three numbers."""
+    field = residual.field
+    table = _view_table(field, f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames")
+    for y_m, row in zip(field.view_y_m, residual.rms_rad, strict=True):
+        table.add_row(f"{y_m * 1e3:+.2f}", *(f"{value:.3f}" for value in row))
+    Console().print(table)
+    Console().print(residual.sentence, highlight=False, soft_wrap=True)
+
+
+def print_checks(checks: Iterable[Check]) -> bool:
+    """Print each check of the selftest as it comes; return whether all pass."""
+    console = Console()
+    console.print("what was put in                       RMS (rad)   scale   residual (rad)")
+    passed = []
+    for check in checks:
+        passed.append(check.passes)
+        verdict = "[green]ok[/]" if check.passes else "[red]WRONG[/]"
+        numbers = f"{check.rms_rad:9.3f}  {check.scale:6.3f}  {check.residual_rad:15.4f}"
+        console.print(f"{check.name:36s}  {numbers}   {verdict}", highlight=False)
+    return all(passed)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error that hears what is being done and how much of it, 0 ... 1."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("starting", total=1.0)
+        yield lambda text, fraction: progress.update(task, description=text or "waiting", completed=fraction)
+
+
+def _view_table(field: Field, title: str) -> Table:
+    """An empty table whose rows and columns are the views as they lie in the field."""
+    table = Table(title=title)
+    table.add_column("y \\ x (mm)", justify="right")
+    for x_m in field.view_x_m:
+        table.add_column(f"{x_m * 1e3:+.2f}", justify="right")
+    return table
+
+
+def lenslet_summary(wavefront: Wavefront) -> str:
+    """Say how many lenslets yield a slope, why the others do not, and how near the cells' edges light has come.
+
+    As "223 of 225 lenslets valid; 2 dark; 40 % of the dynamic range used".
+    """
+    outcome = wavefront.displacement.outcome
+    lost = (
+        f"{count} {Outcome(code).name.lower().replace('_', ' ')}"
+        for code, count in zip(*np.unique(outcome, return_counts=True), strict=True)
+        if code != Outcome.CONVERGED
+    )
+    valid = f"{np.count_nonzero(wavefront.displacement.valid)} of {outcome.size} lenslets valid"
+    used = np.nanmax(wavefront.displacement.range_used, initial=0.0)
+    return "; ".join([valid, *lost, f"{100 * used:.0f} % of the dynamic range used"])

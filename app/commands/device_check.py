@@ -1,0 +1,96 @@
+"""The contract of all devices, run on one that is connected: `svwfs devices --check`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import cattrs
+
+from app.acquisition.devices import open_camera, open_light
+from app.bench.config import CameraSettings, LightSettings, drivers_of
+from app.errors import RunError
+from drivers.camera import Camera
+from drivers.contract import camera as camera_contract
+from drivers.contract import light as light_contract
+from drivers.contract.device import ContractBroken, describe
+from drivers.device import Device, Property
+from drivers.discovery import Found
+from drivers.errors import DeviceError, Disconnected
+from drivers.light_source import LightSource
+
+D = TypeVar("D", bound=Device)
+Warn = Callable[[str], None]
+
+LIGHT_SHARE = 0.05  # of the light's range: no more is used for a check
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What came of one check."""
+
+    sentence: str  # what the device is to do
+    problem: str  # how it does not; empty when it does
+
+
+def check_device(
+    settings: CameraSettings | LightSettings, warn: Warn, begin: Callable[[str, Mapping[str, Property]], None]
+) -> Iterator[Verdict]:
+    """Run the contract on it; tell first what it is by `begin`, and by `warn` how bright a light will shine.
+
+    A device that cannot be opened is a `RunError`, as is a loss on the way.
+    """
+    try:
+        if isinstance(settings, CameraSettings):
+            yield from _check_camera(partial(open_camera, settings), begin)
+        else:
+            yield from _check_light(settings, warn, begin)
+    except DeviceError as error:
+        raise RunError(str(error)) from error
+
+
+def settings_of(found: Found) -> CameraSettings | LightSettings:
+    """Return the settings that lead to the device that was found, and leave the rest as it is."""
+    kind: Any = CameraSettings if found.kind == "camera" else LightSettings
+    settings: CameraSettings | LightSettings = cattrs.structure(dict(found.settings), drivers_of(kind)[found.driver])
+    return settings
+
+
+def _check_camera(reopen: Callable[[], Camera], begin: Callable[..., None]) -> Iterator[Verdict]:
+    with reopen() as camera:
+        begin(camera.name, camera.properties())
+        for check in camera_contract.CAMERA_CHECKS:
+            yield _verdict(check, camera)
+            camera.stop()
+        yield _verdict(camera_contract.check_closes_for_good, camera)
+    with reopen() as camera:
+        yield _verdict(camera_contract.check_opens_anew, camera, reopen)
+
+
+def _check_light(settings: Any, warn: Warn, begin: Callable[..., None]) -> Iterator[Verdict]:
+    with open_light(settings) as light:
+        begin(light.name, light.properties())
+        allowed = light.current_range_a
+    limit_a = allowed.minimum + LIGHT_SHARE * (allowed.maximum - allowed.minimum)
+    warn(f"the light will shine with up to {limit_a * 1e3:.3g} mA, {LIGHT_SHARE:.0%} of its range")
+    reopen = partial(open_light, dataclasses.replace(settings, current_a=None, limit_a=limit_a))
+    with reopen() as light:
+        for check in light_contract.LIGHT_CHECKS:
+            yield _verdict(check, light)
+            light.set_on(False)
+        yield _verdict(light_contract.check_closes_for_good, light)
+    with reopen() as light:
+        yield _verdict(light_contract.check_opens_anew, light, reopen)
+
+
+def _verdict(check: Callable[..., None], device: Camera | LightSource, *more: Any) -> Verdict:
+    try:
+        check(device, *more)
+    except Disconnected:
+        raise
+    except (ContractBroken, DeviceError) as error:
+        return Verdict(describe(check), str(error))
+    return Verdict(describe(check), "")

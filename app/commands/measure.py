@@ -1,0 +1,128 @@
+"""The instrument without a window: dark, reference, sample in, so many frames recorded, results; `svwfs measure`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument
+from app.acquisition.start_up import FRAMES, calibrate, watch_sample
+from app.acquisition.streams.publisher import stream_sinks
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench
+from app.errors import InputError, Interrupted, RunError
+from app.progress import Report
+from app.prompt import ask
+from app.recording.folder import check_free
+from app.recording.layout import RUN
+from app.recording.reader import Recording
+from app.results.recording_results import Measured, write_measured
+from drivers.interface import DeviceError
+
+_POLL_S = 0.05
+
+
+def measure(
+    bench: Bench, frames: int, out: Path, report: Report, *, average: int = FRAMES, auto_expose: bool = False
+) -> Measured:
+    """Record `frames` frames into the folder `out`, and write beside them the results, the dark and the reference.
+
+    Dark and reference are means of `average` frames each; with `auto_expose` the exposure is found before them.
+    Whatever ends it early, Ctrl-C among others, the results of what has been recorded are written first. A device that
+    fails, or a reference of no use, is a `RunError`; a bench that cannot be, or a folder that holds a recording, is an
+    `InputError`.
+    """
+    check_free(out)
+    is_stopped, fault = False, ""
+    with stream_sinks(bench) as sinks:
+        acquisition = Acquisition(bench, open_devices, sinks)
+        acquisition.start()
+        try:
+            _calibrate(acquisition, bench, average, report, auto_expose=auto_expose)
+            _record(acquisition, bench, frames, out, report)
+        except Interrupted:
+            is_stopped = True
+        except DeviceError as error:
+            fault = str(acquisition.error or error)
+        finally:
+            acquisition.close()
+    if isinstance(acquisition.error, InputError):
+        raise acquisition.error
+    state = acquisition.recording
+    fault = fault or acquisition.failure or ("" if state is None else state.problem)
+    if not (out / RUN).exists():
+        raise Interrupted("stopped before the first frame") if is_stopped else RunError(fault)
+    recording = Recording(out)
+    try:
+        measured = write_measured(recording, bench, report)
+    except (Interrupted, RunError) as error:
+        why = "stopped before the results were written" if isinstance(error, Interrupted) else fault or str(error)
+        raise type(error)(
+            f"{why}: {len(recording)} frames are in {out}, and svwfs replay {out} --out makes results of them"
+        ) from error
+    if is_stopped:
+        raise Interrupted(f"stopped: {measured.reconstructed} of {frames} frames are in {out}")
+    if fault:
+        raise RunError(fault)
+    if not measured.reconstructed:
+        raise RunError(f"no frame could be reconstructed: {measured.problem}")
+    return measured
+
+
+def _calibrate(acquisition: Acquisition, bench: Bench, average: int, report: Report, *, auto_expose: bool) -> None:
+    """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample.
+
+    A reference that no frame could be reconstructed with is told at once, before the sample is moved.
+    """
+    if bench.is_worked_by_hand:
+        ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
+    _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, report)
+    while problem := acquisition.submit(_problem).result():
+        said = f"the reference is of no use: {problem}"
+        if not bench.is_worked_by_hand:
+            raise RunError(said)
+        ask(f"{said}; see to light, mask and focus, the sample out of the beam")
+        _wait([acquisition.take_reference(average)], acquisition, report)
+    if bench.is_worked_by_hand:
+        ask("put the sample into the beam")
+
+
+def _problem(instrument: Instrument) -> str:
+    """Why no frame can be reconstructed with dark and reference; empty when it can."""
+    return "" if instrument.calibration is not None else instrument.status().warning
+
+
+def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, report: Report) -> None:
+    """Record from the first frame with the sample on, or from the first that is refined."""
+
+    def begin() -> Future[None]:
+        return acquisition.start_recording(out, command="measure", frames=frames)
+
+    watched = watch_sample(acquisition)
+    _wait([watched, *([] if bench.reconstruction.refine else [begin()])], acquisition, report)
+    if bench.reconstruction.refine:
+        while acquisition.is_alive and not _is_refined(acquisition):
+            report("waiting for the first refinement", 0.0)
+            time.sleep(_POLL_S)
+        _wait([begin()], acquisition, report)
+    while acquisition.is_alive and (state := acquisition.recording) is not None and state.stage == "recording":
+        report(f"recording {frames} frames", state.frames / frames)
+        time.sleep(_POLL_S)
+
+
+def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, report: Report) -> None:
+    for step in steps:
+        while not step.done():
+            report(acquisition.activity.text, acquisition.activity.progress)
+            time.sleep(_POLL_S)
+        step.result()
+
+
+def _is_refined(acquisition: Acquisition) -> bool:
+    """Whether a frame has come for which refinement was ready, or that cannot be reconstructed at all."""
+    newest = acquisition.newest
+    return newest is not None and newest.counts.acquired > 0 and newest.refinement.stage != "preparing"

@@ -1,0 +1,83 @@
+"""From image files to a wavefront: what `svwfs reconstruct` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.bench.config import Bench
+from app.errors import InputError
+from app.files import read_image
+from app.measurement.imaging_model import BenchModel
+from reconstruction.errors import ReconstructionError
+from reconstruction.lattice.search import find_lattice
+from reconstruction.pipeline import Reconstructor
+from reconstruction.refinement import Refinement
+from reconstruction.wavefront import Wavefront
+
+
+@dataclass(frozen=True, slots=True)
+class Reconstructed:
+    """What came of a frame."""
+
+    wavefront: Wavefront
+    changes_rad: tuple[float, ...]  # mean over the views of the RMS by which each round of refinement changed it
+
+
+Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
+
+
+def reconstruct_files(
+    frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, report: Report
+) -> Reconstructed:
+    """Reconstruct one frame from image files and refine it in at most `refine` rounds.
+
+    Whatever is wrong with the files is an `InputError` that names the file.
+    """
+    frame_image, reference_image = read_image(frame), read_image(reference)
+    dark_image = None if dark is None else read_image(dark)
+    for path, image in ((frame, frame_image), (dark, dark_image)):
+        if image is not None and image.shape != reference_image.shape:
+            raise InputError(
+                f"{path}: has {_size(image)} pixels (rows x columns), but the reference {reference} has"
+                f" {_size(reference_image)}"
+            )
+    paths = {"frame": frame, "reference": reference, "dark": dark}
+    try:
+        reconstructor = Reconstructor(
+            reference_image,
+            sensor=bench.sensor,
+            lattice=bench.lattice or find_lattice(reference_image, bench.sensor),
+            field=bench.field,
+            registration=bench.registration,
+            reconstruction=bench.reconstruction,
+            dark=dark_image,
+            full_scale=min(full_scale(image, bench.camera_model.bits) for image in (reference_image, frame_image)),
+        )
+        displacement = reconstructor.register(frame_image)
+        wavefront = reconstructor.solve(displacement)
+        changes_rad = []
+        if refine:
+            report("modelling the bench", 0.0)
+            refinement = Refinement(reconstructor, BenchModel(bench, reconstructor))
+            for done, step in enumerate(refinement.rounds(displacement, refine), 1):
+                wavefront = step.wavefront
+                changes_rad.append(step.change_rad)
+                report("refining", done / refine)
+        return Reconstructed(wavefront, tuple(changes_rad))
+    except ReconstructionError as error:
+        raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
+
+
+def full_scale(image: NDArray[Any], bits: int) -> float:
+    """The count at which a camera of so many bits saturates, or at which the file's integers do."""
+    return min(2.0**bits, np.iinfo(image.dtype).max + 1.0 if image.dtype.kind in "ui" else np.inf) - 1
+
+
+def _size(image: NDArray[Any]) -> str:
+    return " x ".join(str(length) for length in image.shape)

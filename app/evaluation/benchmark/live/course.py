@@ -1,0 +1,140 @@
+"""The course of a run: up to the first wavefront, a warm-up, and the span that is measured.
+
+It knows no window: whoever runs it, a window's timer or a plain loop, has it look some ten times a second.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+from app.acquisition.devices import open_devices
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench
+from app.errors import InputError, RunError
+from app.evaluation.benchmark.live.memory import resident_mb
+from app.evaluation.benchmark.live.tally import FrameCounts, Tally
+from app.measurement.measurement import Measurement
+from app.progress import Report
+from app.timing import Timings
+
+_GIVE_UP_S = 600.0  # how long a bench may take to be rendered, and everything to be compiled
+_DONE = object()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Span:
+    """What was measured after the warm-up."""
+
+    first_wavefront_s: float  # since the course was made, devices opened and calibrated on the way
+    began_s: float  # by time.perf_counter()
+    seconds: float
+    frames: FrameCounts
+    timings: Timings  # of these seconds alone
+    memory_mb: tuple[float | None, float | None]  # resident, at the begin and at the end of its last seconds
+
+    @property
+    def rate_hz(self) -> float:
+        """Wavefronts a second."""
+        return self.frames.reconstructed / self.seconds
+
+    @property
+    def redrawn_hz(self) -> float:
+        """How often a window was painted with something new."""
+        return self.timings.summary()["draw"].count / self.seconds
+
+
+class Course:
+    """One run of an acquisition of its own, which whoever runs it starts and closes."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        report: Report,
+        *,
+        warm_up_s: float,
+        seconds: float,
+        memory_s: float = 0.0,
+        record_into: Path | None = None,
+        sinks: tuple[Callable[[Measurement], None], ...] = (),
+    ) -> None:
+        """Prepare for `seconds` after a warm-up, over the last `memory_s` of which the memory is looked at."""
+        self._tally = Tally()
+        self.acquisition = Acquisition(bench, open_devices, (self._tally.take, *sinks))
+        self._report, self._record_into = report, record_into
+        self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
+        self._kept = 2 * ceil(seconds / bench.camera_model.exposure_s)
+        self._expected: tuple[Future[Any], ...] = ()
+        self._span: Span | None = None
+        self._made_s = time.perf_counter()
+        self._steps = self._run()
+
+    def begin(self) -> tuple[Future[Any], ...]:
+        """Have the acquisition, which has been started, calibrate itself and watch the sample."""
+        self._expected = start_up(self.acquisition)
+        return self._expected
+
+    def look(self) -> bool:
+        """Go on with what is due, and say whether all is measured; `RunError` or `InputError` when it cannot be."""
+        return next(self._steps, _DONE) is _DONE
+
+    @property
+    def span(self) -> Span:
+        """What was measured."""
+        if self._span is None:
+            raise RunError("the run has ended before all was measured")
+        return self._span
+
+    def _run(self) -> Iterator[None]:
+        first_s = yield from self._until_first_wavefront()
+        if self._record_into is not None:
+            self._expected += (self.acquisition.start_recording(self._record_into, command="benchmark"),)
+        yield from self._wait(first_s + self._warm_up_s, first_s, "warming up")
+        began_s, before = time.perf_counter(), self._tally.counts
+        timings, end_s = self.acquisition.timings.begin_span(self._kept), began_s + self._seconds
+        yield from self._wait(end_s - self._memory_s, first_s, "measuring")
+        memory_mb = resident_mb()
+        yield from self._wait(end_s, first_s, "measuring")
+        ended_s, after = time.perf_counter(), self._tally.counts
+        self.acquisition.timings.end_span(timings)
+        self._span = Span(
+            first_wavefront_s=first_s - self._made_s,
+            began_s=began_s,
+            seconds=ended_s - began_s,
+            frames=after.since(before),
+            timings=timings,
+            memory_mb=(memory_mb, resident_mb()),
+        )
+
+    def _until_first_wavefront(self) -> Generator[None, None, float]:
+        while (first_s := self._tally.first_wavefront_s) is None:
+            if time.perf_counter() > self._made_s + _GIVE_UP_S:
+                newest = self.acquisition.newest
+                raise RunError(f"no wavefront within {_GIVE_UP_S:g} s: {newest.problem if newest else 'no frame came'}")
+            self._check()
+            activity = self.acquisition.activity
+            self._report(activity.text or "waiting for the first wavefront", 0.0)
+            yield
+        return first_s
+
+    def _wait(self, until_s: float, first_s: float, text: str) -> Iterator[None]:
+        while (now_s := time.perf_counter()) < until_s:
+            self._check()
+            self._report(text, min(1.0, (now_s - first_s) / (self._warm_up_s + self._seconds)))
+            yield
+
+    def _check(self) -> None:
+        """Raise why the run cannot go on, if it cannot."""
+        failed = (step.exception() for step in self._expected if step.done())
+        error = self.acquisition.error or next(filter(None, failed), None)
+        if error is None:
+            return
+        if isinstance(error, InputError | RunError):
+            raise error
+        raise RunError(self.acquisition.failure or str(error) or type(error).__name__) from error

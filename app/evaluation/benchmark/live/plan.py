@@ -1,0 +1,89 @@
+"""What is measured for how long, and the folder of the recording: on a disk with room for it, and gone afterwards."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.bench.config import Bench
+from app.errors import InputError
+from app.progress import Report
+from app.recording.recorder import RECENT_S
+from app.signals import ended_by
+
+LEAST_S, MOST_S = 1.0, 3600.0
+_WITHOUT_WINDOW_S = 20.0  # at most
+_MEMORY_S = 50.0  # at the end of the run, at most
+_MOST_FIELD_MODES = 10
+_BLOCKS_BYTES = 4 * 4096  # that a frame's folder, files and line may take beyond what they hold
+_MORE_FRAMES = 50  # as many as dark, reference and what else is written once take
+_MARGIN = 1.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LivePlan:
+    """What is measured: a simulated bench, for so many seconds after the warm-up."""
+
+    bench: Bench
+    seconds: float
+    record_in: Path | None  # where the recording lies as long as it is needed; None for none
+    warm_up_s: float = RECENT_S + 2.0  # until the frames that are kept in memory are as many as they will be
+
+    def __post_init__(self) -> None:
+        if not LEAST_S <= self.seconds <= MOST_S:
+            raise InputError(f"--live {self.seconds:g}: must be {LEAST_S:g} ... {MOST_S:g} seconds")
+        if not self.bench.is_simulated:
+            raise InputError(f"--live runs the simulated camera; this bench has {self.bench.camera.driver}")
+
+    @property
+    def without_window_s(self) -> float:
+        """How long it is measured without window and recording."""
+        return min(_WITHOUT_WINDOW_S, self.seconds / 3)
+
+    @property
+    def memory_s(self) -> float:
+        """Over how long, at the end, memory must be flat."""
+        return min(_MEMORY_S, self.seconds * 5 / 6)
+
+    @property
+    def recording_bytes(self) -> float:
+        """What the recording takes at most, as far as can be said before."""
+        camera, sensor = self.bench.camera_model, self.bench.sensor
+        pixels = camera.rows * camera.columns * 2
+        displacements = sensor.lenslet_rows * sensor.lenslet_columns * _MOST_FIELD_MODES * 2 * 8
+        frames = (self.warm_up_s + self.seconds) / camera.exposure_s + _MORE_FRAMES
+        return frames * (pixels + displacements + _BLOCKS_BYTES) * _MARGIN
+
+
+@contextmanager
+def recording_folder(plan: LivePlan, report: Report) -> Iterator[Path | None]:
+    """Give a folder for the recording, which is removed at the end however that comes; None when there is to be none.
+
+    `InputError` when there is no such folder to make it in, or no room.
+    """
+    where = plan.record_in
+    if where is None:
+        yield None
+        return
+    if not where.is_dir():
+        raise InputError(f"{where}: no such folder")
+    free, needed = shutil.disk_usage(where).free, plan.recording_bytes
+    if free < needed:
+        raise InputError(
+            f"{where}: the recording takes up to {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free:"
+            " name a folder on another disk with --record-in, or give --no-record"
+        )
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="svwfs-benchmark-", dir=where))
+    except OSError as error:
+        raise InputError(f"{where}: nothing may be written there: {error.strerror or error}") from error
+    try:
+        yield folder / "recording"
+    finally:
+        with ended_by(lambda *_: None):  # a second Ctrl-C must not leave half of it
+            report("removing the recording", 1.0)
+            shutil.rmtree(folder)

@@ -1,0 +1,88 @@
+"""Frames of the simulated bench without any noise, with their truth: rendered once and remembered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from app.bench.config import Bench
+from app.cache import Arrays, remembered
+from app.errors import InputError
+from reconstruction.arrays import Floats, Image
+from reconstruction.geometry import nominal_lattice
+from simulated_devices.bench import PHOTONS_PER_S_M2_A
+from simulated_devices.rendering import Renderer, Scene
+from simulated_devices.sample import Sample
+from simulated_devices.settings import Screen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFreeFrame:
+    """A frame with the sample in, and what it should show."""
+
+    photons: Image  # mean number that meets each pixel in a second, (row, column)
+    truth: Floats  # wavefronts, rad, (view_row, view_column, lenslet_row, lenslet_column)
+
+
+class NoiseFreeFrames:
+    """The frames of one bench, each rendered when it is first asked for."""
+
+    def __init__(self, bench: Bench) -> None:
+        camera = bench.camera_model
+        self._scene = Scene(
+            sensor=bench.sensor,
+            lattice=bench.lattice or nominal_lattice(bench.sensor, camera.rows, camera.columns),
+            field=bench.field,
+            simulation=bench.simulation,
+            rows=camera.rows,
+            columns=camera.columns,
+            pixel_fill_factor=camera.pixel_fill_factor,
+        )
+        self._renderer = Renderer(self._scene)
+        self._light = np.float32(PHOTONS_PER_S_M2_A * bench.light_model.current_a)
+
+    def reference(self, mask: str) -> Image:
+        """Mean photons in a second on each pixel without the sample, (row, column)."""
+        # It is the same whatever screen is in the bench.
+        empty = replace(self._scene, simulation=replace(self._scene.simulation, seed=0, screen=Screen()))
+        rendered = self._remembered(empty, f"{mask}-reference", lambda: {"photons": self._renderer.reference(mask)})
+        return rendered["photons"]
+
+    def frame(self, mask: str, state: int = 0) -> NoiseFreeFrame:
+        """Return the frame with the sample in one of its states."""
+        kept = self._remembered(
+            self._scene,
+            f"{mask}-{state}",
+            lambda: {
+                "photons": self._renderer.state(mask, state),
+                "truth": self._renderer.truth_wavefront(state),
+            },
+        )
+        return NoiseFreeFrame(kept["photons"], kept["truth"])
+
+    @property
+    def sample(self) -> Sample:
+        """The phase screen in the beam."""
+        try:
+            return self._renderer.sample
+        except ValueError as error:
+            raise InputError(f"simulation: {error}") from error
+
+    def _remembered(self, scene: Scene, name: str, render: Callable[[], Arrays]) -> Arrays:
+        def lit() -> Arrays:
+            images = dict(render())
+            images["photons"] = images["photons"] * self._light
+            return images
+
+        try:
+            return remembered("noise_free", f"{scene.fingerprint()}-{self._light:.6g}-{name}", lit)
+        except ValueError as error:  # settings that are each possible but not together, or the screen's file
+            raise InputError(f"simulation: {error}") from error
+
+
+def seeded(bench: Bench, seeds: int, first: int | None = None) -> list[Bench]:
+    """Return the bench with so many screens, one after the other, from its own seed or from `first` on."""
+    start = bench.simulation.seed if first is None else first
+    return [replace(bench, simulation=replace(bench.simulation, seed=start + index)) for index in range(seeds)]

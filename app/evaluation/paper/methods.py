@@ -1,0 +1,60 @@
+"""The methods that the tables compare: which light they need, how they register, how they integrate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.registration.methods import RegistrationSettings
+
+Mask = Literal["square", "stars"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Method:
+    """One row of a table."""
+
+    mask: Mask = "square"
+    registration: RegistrationSettings
+    reconstruction: ReconstructionSettings
+
+    @property
+    def is_peer(self) -> bool:
+        """Whether it needs the extra `svwfs[peers]`."""
+        return self.registration.method in {"itk_affine", "demons", "ffd"}
+
+
+PAPER_MODES = 45
+ZONAL = ReconstructionSettings(method="zonal")
+MODAL = ReconstructionSettings(method="modal", pupil_modes=PAPER_MODES)
+MODAL_MANY = ReconstructionSettings(method="modal", pupil_modes=91)
+
+METHODS: dict[str, Method] = {
+    "stars_zonal": Method(mask="stars", registration=RegistrationSettings(method="centroids"), reconstruction=ZONAL),
+    "correlation_zonal": Method(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
+    "itk_affine_zonal": Method(registration=RegistrationSettings(method="itk_affine"), reconstruction=ZONAL),
+    "itk_affine_modal": Method(registration=RegistrationSettings(method="itk_affine"), reconstruction=MODAL),
+    "block_flow_zonal": Method(registration=RegistrationSettings(method="block_flow"), reconstruction=ZONAL),
+    "demons_zonal": Method(registration=RegistrationSettings(method="demons"), reconstruction=ZONAL),
+    "ffd_zonal": Method(registration=RegistrationSettings(method="ffd"), reconstruction=ZONAL),
+    "affine_zonal": Method(registration=RegistrationSettings(warp="affine"), reconstruction=ZONAL),
+    "affine_modal": Method(registration=RegistrationSettings(warp="affine"), reconstruction=MODAL),
+    "quadratic_zonal": Method(registration=RegistrationSettings(warp="quadratic"), reconstruction=ZONAL),
+    "quadratic_modal": Method(registration=RegistrationSettings(warp="quadratic"), reconstruction=MODAL_MANY),
+    "cubic_zonal": Method(registration=RegistrationSettings(warp="cubic"), reconstruction=ZONAL),
+    "cubic_modal": Method(registration=RegistrationSettings(warp="cubic"), reconstruction=MODAL_MANY),
+}
+
+# What the paper prints for a method of ours: table 1 and 2, rad (minimum, maximum, mean over the views).
+PAPER_TABLE_1 = {
+    "stars_zonal": (0.108, 0.197, 0.147),
+    "itk_affine_zonal": (0.275, 0.589, 0.421),
+    "itk_affine_modal": (0.383, 0.465, 0.417),
+    "correlation_zonal": (0.511, 1.260, 0.830),
+}
+PAPER_TABLE_2 = {
+    "itk_affine_zonal": (0.558, 2.450, 1.378),
+    "itk_affine_modal": (0.617, 2.449, 1.461),
+    "correlation_zonal": (1.850, 10.228, 5.984),
+}

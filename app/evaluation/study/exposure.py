@@ -1,0 +1,102 @@
+"""How many frames auto-exposure needs, from any start, on cameras of any depth and range, in any light.
+
+The routine is the product's own; the bench is `simulated_devices.exposure_bench`, which costs no time. The right
+exposure, at the current that was found, lies anywhere in the camera's range, ends included: there the light is the
+other handle.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from app.bench.config import Bench
+from app.evaluation.study.trials import Trial, TrialStudy
+from app.measurement.routines import RoutineError, auto_expose
+from app.measurement.routines.auto_exposure import FILL, TOLERANCE
+from app.measurement.routines.exposure_search import MOST_FRAMES
+from app.progress import Report
+from drivers.interface import Range
+from reconstruction.arrays import Floats
+from simulated_devices.exposure_bench import PITCH_PX, Scene, exposure_bench, spots, squares
+from simulated_devices.settings import exposure_range_s
+
+_STARTS, _RIGHT = 9, 7  # exposures over the range, log-spaced, to begin with and to be found
+_CURRENTS_A = (0.0, 0.35, 1.0)  # that are found; the highest is 1 A
+_USUAL_A = 0.35
+_IMAGES: dict[str, Floats] = {"squares": squares(), "broad": squares(13.0), "haze": squares(8.0, 0.2), "spots": spots()}
+_LIGHT_LEFT_ON = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Camera:
+    name: str
+    exposures_s: Range
+    detector: dict[str, Any]  # of the scene
+
+
+_SIXTEEN = {"bits": 16, "offset_counts": 500.0, "read_noise_counts": 6.4, "counts_per_electron": 1 / 5.8}
+_TWELVE = {"bits": 12, "offset_counts": 100.0, "read_noise_counts": 2.0, "counts_per_electron": 0.2}
+_EIGHT = {"bits": 8, "offset_counts": 4.0, "read_noise_counts": 0.8, "counts_per_electron": 0.02}
+_CUT_OFF = {**_EIGHT, "offset_counts": 0.0}  # half of the noise lies below 0
+_WIDEST = Range(1e-5, 7200.0)
+_CAMERAS = (
+    _Camera("C9100, EM, speed 3", exposure_range_s("em", 3), _SIXTEEN),
+    _Camera("C9100, EM, speed 2", exposure_range_s("em", 2), _SIXTEEN),
+    _Camera("C9100, normal", exposure_range_s("normal", 1), _SIXTEEN),
+    _Camera("16 bits", _WIDEST, _SIXTEEN),
+    _Camera("12 bits", _WIDEST, _TWELVE),
+    _Camera("8 bits", _WIDEST, _EIGHT),
+    _Camera("8 bits, no offset", _WIDEST, _CUT_OFF),
+)
+
+
+def _run(_bench: Bench, seeds: int, report: Report) -> Iterator[Trial]:
+    cells = list(itertools.product(_CAMERAS, _CURRENTS_A))
+    for done, (camera, current_a) in enumerate(cells):
+        report(f"{camera.name}, {current_a:g} A", done / len(cells))
+        allowed = camera.exposures_s
+        rights_s, starts_s = (np.geomspace(allowed.minimum, allowed.maximum, count) for count in (_RIGHT, _STARTS))
+        for (image, right_s, start_s), seed in itertools.product(
+            itertools.product(_IMAGES, rights_s, starts_s), range(seeds)
+        ):
+            begin_s = min(max(float(start_s), allowed.minimum), allowed.maximum)  # geomspace rounds
+            yield _trial(camera, current_a, image, float(right_s), begin_s, seed)
+
+
+def _trial(camera: _Camera, current_a: float, image: str, right_s: float, begin_s: float, seed: int) -> Trial:
+    full_scale = 2 ** camera.detector["bits"] - 1
+    light = (FILL * full_scale - camera.detector["offset_counts"]) / (_USUAL_A * right_s)
+    scene = Scene(
+        counts_per_a_s=light,
+        exposure_range_s=camera.exposures_s,
+        image=_IMAGES[image],
+        seed=seed,
+        **camera.detector,
+    )
+    devices, instrument, lamp = exposure_bench(scene, exposure_s=begin_s, current_a=current_a)
+    refusal, fill = "", math.nan
+    try:
+        fill = auto_expose(devices, PITCH_PX, progress=lambda *_: None, should_stop=lambda: False).fill
+    except RoutineError as error:
+        refusal = str(error)
+    frames = len(instrument.exposed_s)
+    return Trial(
+        case=f"{camera.name}, {current_a:g} A",
+        name=f"{image}, {right_s:.3g} s wanted, from {begin_s:.3g} s, seed {seed}",
+        figures={
+            "frames": frames if not refusal else math.nan,
+            "fill beside 70 % (%)": 100 * abs(fill - FILL),
+            "light left on": float(lamp.is_on),
+        },
+        asked={"frames": MOST_FRAMES, "fill beside 70 % (%)": 100 * TOLERANCE, "light left on": _LIGHT_LEFT_ON},
+        refusal=refusal,
+    )
+
+
+EXPOSURE = TrialStudy(name="exposure", title="Auto-exposure from any start", run=_run)

@@ -1,0 +1,1 @@
+"""One measurement: calibration, routines, refinement, and the result for one frame."""

@@ -1,0 +1,152 @@
+"""Which part of its sensor a camera reads out, how it bins the pixels, and where the lattice then lies in the frame.
+
+Regions are in pixels of the sensor, unbinned, whatever the binning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from app.bench.config import Bench, with_known
+from drivers.interface import BadValue, Camera, DeviceError, Disconnected, Region
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Lattice, Sensor, centered_steps
+
+_AROUND = 0.5  # pitches that are left about the lattice
+
+
+@dataclass(frozen=True, slots=True)
+class SensorArea:
+    """What of the sensor makes the frame."""
+
+    region: Region
+    binning: int
+
+    def __str__(self) -> str:
+        region = self.region
+        where = f"{region.rows} x {region.columns} pixels from row {region.top}, column {region.left}"
+        return where if self.binning == 1 else f"{where}, {self.binning} x {self.binning} binned"
+
+    @classmethod
+    def of(cls, camera: Camera) -> SensorArea:
+        """Ask the camera."""
+        return cls(camera.region, camera.binning)
+
+
+def set_area(camera: Camera, area: SensorArea) -> SensorArea:
+    """Have a stopped camera read out an area, its region made larger to whole steps; return what it really took.
+
+    A camera that refuses either reads out what it did before.
+    """
+    before = SensorArea.of(camera)
+    try:
+        _write(camera, area)
+    except Disconnected:
+        raise
+    except DeviceError:
+        _write(camera, before)
+        raise
+    return SensorArea.of(camera)
+
+
+def in_steps(region: Region, sensor: Region, step_px: int) -> Region:
+    """Return the smallest region of the sensor in whole steps that holds what of `region` lies on it."""
+    bottom, right = region.top + region.rows, region.left + region.columns
+    if region.top <= 0 and region.left <= 0 and bottom >= sensor.rows and right >= sensor.columns:
+        return sensor  # whatever its size
+    top, rows = _side_in_steps(region.top, region.rows, sensor.rows, step_px)
+    left, columns = _side_in_steps(region.left, region.columns, sensor.columns, step_px)
+    return Region(top, left, rows, columns)
+
+
+def moved(bench: Bench, before: SensorArea, after: SensorArea, sensor: Region | None) -> Bench:
+    """Return the bench with lattice, pixels and camera as they are with another area of the `sensor`.
+
+    `BadValue` when too few pixels would be left.
+    """
+    finer, region = before.binning / after.binning, after.region
+    read_out = {
+        "binning": after.binning,
+        "region": None if region == sensor else region,
+        "rows": region.rows,  # of a simulated camera, which becomes a smaller one
+        "columns": region.columns,
+    }
+    try:
+        return replace(
+            bench,
+            sensor=replace(bench.sensor, pixel_pitch_m=bench.sensor.pixel_pitch_m / finer),
+            lattice=None if bench.lattice is None else moved_lattice(bench.lattice, before, after),
+            camera=with_known(bench.camera, read_out),
+        )
+    except ValueError as error:
+        raise _too_few(after, error) from error
+
+
+def moved_lattice(lattice: Lattice, before: SensorArea, after: SensorArea) -> Lattice:
+    """Return where the same lenslets lie in the frame of another area; see `moved`."""
+    finer = before.binning / after.binning
+
+    def along(center_px: float, start_px: int, other_start_px: int) -> float:
+        return (start_px - other_start_px) / after.binning + (center_px + 0.5) * finer - 0.5
+
+    try:
+        return replace(
+            lattice,
+            center_x_px=along(lattice.center_x_px, before.region.left, after.region.left),
+            center_y_px=along(lattice.center_y_px, before.region.top, after.region.top),
+            pitch_px=lattice.pitch_px * finer,
+        )
+    except ValueError as error:
+        raise _too_few(after, error) from error
+
+
+def region_around(lattice: Lattice, sensor: Sensor, area: SensorArea) -> Region:
+    """Return the part of the sensor that holds all lenslets, with half a pitch about them; it may reach beyond it.
+
+    The lattice lies in the frame of `area`.
+    """
+    whole = moved_lattice(lattice, area, SensorArea(Region(0, 0, 0, 0), 1))
+    corners = _cell_corners_px(whole, sensor).reshape(-1, 2)
+    margin_px = _AROUND * whole.pitch_px
+    left, top = (int(low) for low in np.floor(corners.min(axis=0) - margin_px + 0.5))
+    right, bottom = (int(high) for high in np.ceil(corners.max(axis=0) + margin_px + 0.5))
+    return Region(top, left, bottom - top, right - left)
+
+
+def lenslets_outside(lattice: Lattice, sensor: Sensor, area: SensorArea) -> int:
+    """Return how many lenslets' cells do not lie wholly in the frame."""
+    corners = _cell_corners_px(lattice, sensor)
+    size = np.array([area.region.columns, area.region.rows]) // area.binning
+    return int(np.any((corners < -0.5) | (corners > size - 0.5), axis=(-2, -1)).sum())
+
+
+def _cell_corners_px(lattice: Lattice, sensor: Sensor) -> Floats:
+    """Corners of all cells on the camera, (lenslet_row, lenslet_column, corner, xy)."""
+    y, x = np.meshgrid(centered_steps(sensor.lenslet_rows), centered_steps(sensor.lenslet_columns), indexing="ij")
+    corner = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    return lattice.to_camera_px((np.stack([x, y], axis=-1)[..., None, :] + corner) * lattice.pitch_px)
+
+
+def _side_in_steps(start_px: int, length_px: int, whole_px: int, step_px: int) -> tuple[int, int]:
+    """Where one side of a region begins and how long it is, in whole steps."""
+    most_px = whole_px - whole_px % step_px
+    start = min(max(start_px, 0) // step_px * step_px, most_px - step_px)
+    end = min(-(-(start_px + length_px) // step_px) * step_px, most_px)
+    return start, max(end - start, step_px)
+
+
+def _too_few(area: SensorArea, error: ValueError) -> BadValue:
+    return BadValue(f"{area} are too few: {error}")
+
+
+def _write(camera: Camera, area: SensorArea) -> None:
+    allowed = camera.capabilities
+    if area.binning != camera.binning:
+        if allowed.sensor is not None:
+            camera.set_region(allowed.sensor)  # no region has to fit the steps of two binnings
+        camera.set_binning(area.binning)
+        allowed = camera.capabilities
+    if allowed.sensor is not None:
+        camera.set_region(in_steps(area.region, allowed.sensor, allowed.region_step_px))

@@ -1,0 +1,1 @@
+"""Results as files and figures: NetCDF, plots, export, replay, and the PDF report."""

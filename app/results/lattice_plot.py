@@ -1,0 +1,134 @@
+"""A picture of the lattice over the frame it was found in: which cells are lit, dark, beside the sensor's, or cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from app.files import appearing_whole
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Lattice, centered_steps
+from reconstruction.lattice.cells import cell_index
+from reconstruction.lattice.search import Survey
+
+_SHOWN_PERCENT = (0.5, 99.8)  # of the pixels lie within the grey scale
+_OUTLINE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+_LIT, _DARK, _BESIDE, _CUT = "#35d0ba", "#ff5a5f", "#ffd166", "#9aa5b1"
+_CENTER = "#d1495b"
+
+
+def plot_lattice(reference: NDArray[Any], found: Survey, path: Path) -> None:
+    """Draw the lattice over the reference (row, column) into an image file."""
+    with appearing_whole(path) as temporary:
+        lattice_figure(reference, found).savefig(temporary, dpi=150)
+
+
+def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
+    """The figure of `plot_lattice`: the frame with its cells, the typical lenslet, and which lie beside the lattice."""
+    lattice, lit = found.lattice, found.illuminated
+    figure = Figure(figsize=(13.6, 10.2), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=[2.35, 1])
+    figure.suptitle(
+        f"pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
+        f" centre ({lattice.center_x_px:.2f}, {lattice.center_y_px:.2f}) px\n"
+        f"{found.rows} x {found.columns} whole lenslets, {lit.sum()} of the sensor's {lit.size} lit,"
+        f" {found.residual_px:.3f} px RMS off the lattice"
+    )
+    _draw_frame(figure.add_subplot(grid[:, 0]), reference, found)
+    _draw_typical(figure.add_subplot(grid[0, 1]), found)
+    _draw_displacement(figure.add_subplot(grid[1, 1]), found)
+    figure.legend(loc="outside lower center", ncols=5, frameon=False)
+    return figure
+
+
+def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
+    lattice, lit = found.lattice, found.illuminated
+    darkest, brightest = np.percentile(reference, _SHOWN_PERCENT)
+    axes.imshow(reference, cmap="gray", vmin=darkest, vmax=brightest)
+    own = np.stack(np.meshgrid(*(centered_steps(count) for count in lit.shape[::-1])), axis=-1)
+    beside, cut = _others(lattice, lit.shape, reference.shape)
+    width = np.clip(lattice.pitch_px / 25, 0.4, 1.3)
+    for index, colour, style, name in (
+        (cut, _CUT, ":", "cut by the frame's edge"),
+        (beside, _BESIDE, "--", "whole, beside the sensor's lenslets"),
+        (own[lit], _LIT, "-", "lit"),
+        (own[~lit], _DARK, "-", "dark"),
+    ):
+        corners = lattice.to_camera_px((index[:, None] + 0.94 * _OUTLINE) * lattice.pitch_px)
+        face = (*_rgb(colour), 0.22) if colour == _DARK else "none"
+        label = f"{len(index)} {name}"
+        cells = PolyCollection(list(corners), facecolors=face, edgecolors=colour, linestyles=style, linewidths=width)
+        cells.set_label(label)
+        if len(index):
+            axes.add_collection(cells)
+    axes.plot(lattice.center_x_px, lattice.center_y_px, "+", color="white", markersize=14, markeredgewidth=3)
+    axes.plot(
+        lattice.center_x_px,
+        lattice.center_y_px,
+        "+",
+        color=_CENTER,
+        markersize=13,
+        markeredgewidth=1.4,
+        label="centre",
+    )
+    rows, columns = reference.shape
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x (px)", ylabel="y (px)")
+
+
+def _draw_typical(axes: Axes, found: Survey) -> None:
+    half_px = found.lattice.pitch_px / 2
+    axes.imshow(found.typical, cmap="gray", extent=(-half_px, half_px, half_px, -half_px))
+    axes.axhline(0, color=_CENTER, linewidth=0.8)
+    axes.axvline(0, color=_CENTER, linewidth=0.8)
+    axes.set_title(f"the typical lenslet; the others are alike to {100 * found.likeness:.0f} %", fontsize=10)
+    axes.set(xlabel="from the lenslet's centre (px)", ylabel="px")
+
+
+def _draw_displacement(axes: Axes, found: Survey) -> None:
+    rows, columns = found.illuminated.shape
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    shift = found.displacement_px
+    largest_px = float(np.nanmax(np.hypot(*np.moveaxis(shift, -1, 0)), initial=0)) or 1.0
+    arrow_px = _round_number(largest_px)
+    arrows = axes.quiver(
+        *(x, y, shift[..., 0], shift[..., 1]),
+        angles="xy",
+        scale_units="xy",
+        scale=arrow_px,
+        width=0.004,
+        color="#1d7874",
+        pivot="tail",
+    )
+    axes.plot(*np.nonzero(~found.illuminated)[::-1], "x", color=_DARK, markersize=5)
+    axes.quiverkey(arrows, 0.93, -0.17, arrow_px, f"{arrow_px:g} px", labelpos="W", fontproperties={"size": 9})
+    axes.set(xlim=(-1, columns), ylim=(rows, -1), aspect="equal", xlabel="lenslet column", ylabel="lenslet row")
+    axes.set_title("each lenslet's light beside the lattice", fontsize=10)
+
+
+def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Cells beside those `own` rows and columns, in pitches: whole on a frame of that shape, and cut by its edge."""
+    half = np.mod(np.array(own[::-1]) - 1, 2) / 2  # the middle of an even number of lenslets lies between two
+    center_x_px, center_y_px = lattice.to_camera_px(half * lattice.pitch_px)
+    on_a_lenslet = replace(lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px))
+    frame = shape[0], shape[1]
+    whole, cut = (half + cell_index(on_a_lenslet, frame, partial=partial) for partial in (False, True))
+    is_own = np.all(np.abs(whole) < np.array(own[::-1]) / 2, axis=1)
+    return whole[~is_own], cut
+
+
+def _round_number(value: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above `value`."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in (1, 2, 5) if step * power <= value * 1.000001) * power)
+
+
+def _rgb(colour: str) -> tuple[float, float, float]:
+    red, green, blue = (int(colour[first : first + 2], 16) / 255 for first in (1, 3, 5))
+    return red, green, blue

@@ -1,0 +1,128 @@
+"""A picture of a result: every view's wavefront and point-spread function, and how far one wavefront serves."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, PowerNorm
+from matplotlib.figure import Figure, SubFigure
+
+from app.errors import InputError
+from app.files import appearing_whole
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Sensor
+from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
+from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
+from reconstruction.wavefront import Wavefront, peak_to_valley, rms
+
+_CURVES_HEIGHT = 2.6  # inches
+
+
+def check_plot_path(path: Path) -> None:
+    """Raise `InputError`, before any work is done, if no picture can be written under that name."""
+    formats = sorted(Figure().canvas.get_supported_filetypes())
+    if path.suffix.lstrip(".").lower() not in formats:
+        raise InputError(f"{path}: give a picture's name that ends in one of {', '.join(formats)}")
+
+
+def plot_views(wavefront: Wavefront, sensor: Sensor, path: Path) -> None:
+    """Draw the views as they lie in the field, +x to the right and +y down as on the camera, into an image file."""
+    with appearing_whole(path) as temporary:
+        views_figure(wavefront, sensor).savefig(temporary, dpi=150)
+
+
+def views_figure(wavefront: Wavefront, sensor: Sensor) -> Figure:
+    """The figure of `plot_views`: wavefronts, point-spread functions; below them transfer and isoplanatism."""
+    views, field = wavefront.views, wavefront.field
+    height = 2.5 * field.view_rows + 0.4
+    figure = Figure(figsize=(4.4 * field.view_columns + 2.8, height + _CURVES_HEIGHT), layout="constrained")
+    (maps,), (curves,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[height, _CURVES_HEIGHT])
+    ((left, right),) = maps.subfigures(1, 2, squeeze=False)
+    limit = float(np.nanmax(np.abs(views), initial=0)) or 1.0
+    captions = [[f"RMS {rms(view):.3f}  PV {peak_to_valley(view):.2f} rad" for view in row] for row in views]
+    draw_maps(left, views, _with_places(field, captions), ("RdBu_r", Normalize(-limit, limit), "wavefront (rad)"))
+    _draw_psf(right, wavefront, sensor)
+    middle = field.view_rows // 2, field.view_columns // 2
+    axes = curves.subplots(1, 2)
+    draw_transfer(axes[0], mtf(views[middle], sensor), place(field, *middle))
+    draw_structure(axes[1], isoplanatism(wavefront))
+    return figure
+
+
+def draw_maps(
+    figure: SubFigure,
+    maps: Floats,
+    captions: list[list[str]],
+    colours: tuple[str, Normalize, str],
+    *,
+    fontsize: float = 8,
+) -> None:
+    """Draw a map (row, column) of every view, with its caption, on one colour scale; what is NaN is grey.
+
+    `colours` are the name of a colour map, its scale and its title.
+    """
+    name, scale, title = colours
+    axes = figure.subplots(len(captions), len(captions[0]), squeeze=False)
+    for (row, column), axis in np.ndenumerate(axes):
+        axis.imshow(maps[row, column], cmap=name, norm=scale)
+        axis.set_title(captions[row][column], fontsize=fontsize)
+        axis.set_xticks([])
+        axis.set_yticks([])
+        axis.set_facecolor("0.6")
+    figure.colorbar(ScalarMappable(scale, name), ax=axes, label=title, shrink=0.8)
+
+
+def _draw_psf(figure: SubFigure, wavefront: Wavefront, sensor: Sensor) -> None:
+    """Draw the point-spread function of every view, as far as there is light."""
+    reach_rad = psf_reach_rad(wavefront.views, sensor)
+    angle_rad = psf_angles_rad(sensor, reach_rad if math.isfinite(reach_rad) else 1e-3)
+    maps = psf(wavefront.views, sensor, angle_rad=angle_rad)
+    middle = angle_rad.size // 2
+    captions = [[f"Strehl {one[middle, middle]:.3f}  peak {one.max():.3f}" for one in row] for row in maps]
+    scale = PowerNorm(0.5, 0, float(np.nanmax(maps, initial=0)) or 1.0)
+    title = f"point-spread function within $\\pm${angle_rad[-1] * 1e3:.2g} mrad (ideal peak 1)"
+    draw_maps(figure, maps, _with_places(wavefront.field, captions), ("inferno", scale, title))
+
+
+def draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
+    """Draw the modulation transfer along x and y at the position that is called `where`."""
+    for name, frequency_per_rad, values, limit in (
+        ("x", transfer.frequency_x_per_rad, transfer.along_x, transfer.limit_x),
+        ("y", transfer.frequency_y_per_rad, transfer.along_y, transfer.limit_y),
+    ):
+        (line,) = axis.plot(frequency_per_rad / 1e3, values, label=f"along {name}")
+        axis.plot(frequency_per_rad / 1e3, limit, "--", linewidth=0.8, color=line.get_color())
+    axis.set(title=f"modulation transfer at {where}", xlabel="cycles per mrad", xlim=(0, None), ylim=(0, 1))
+    axis.legend(title="- - diffraction limit", fontsize=8, title_fontsize=8)
+
+
+def draw_structure(axis: Axes, found: Isoplanatism) -> None:
+    """Draw how wavefronts differ with their separation in the field, with tilt and without."""
+    for name, curve in (("all", found.curve), ("without tilt", found.curve_without_tilt)):
+        separation_mm = np.append(0.0, curve.separation_m * 1e3)
+        rms_rad, least_rad, most_rad = (
+            np.append(0.0, values) for values in (curve.rms_rad, curve.least_rad, curve.most_rad)
+        )
+        (line,) = axis.plot(separation_mm, rms_rad, label=name)
+        axis.fill_between(separation_mm, least_rad, most_rad, color=line.get_color(), alpha=0.15, linewidth=0)
+    axis.axhline(1.0, linestyle="--", linewidth=0.8, color="0.4")
+    title = f"one wavefront for the whole field is off by {found.error_rad:.2f} rad RMS"
+    axis.set(title=title, xlabel="separation in the field (mm)", ylabel="RMS difference (rad)", xlim=(0, None))
+    axis.set_ylim(0, None)
+    axis.legend(fontsize=8)
+
+
+def place(field: Field, row: int, column: int) -> str:
+    """Where in the field a view lies."""
+    return f"({field.view_x_m[column] * 1e3:+.2f}, {field.view_y_m[row] * 1e3:+.2f}) mm"
+
+
+def _with_places(field: Field, captions: list[list[str]]) -> list[list[str]]:
+    return [
+        [f"{place(field, row, column)}\n{caption}" for column, caption in enumerate(line)]
+        for row, line in enumerate(captions)
+    ]

@@ -1,0 +1,81 @@
+"""The results of a recording: `results.nc` beside it, made piece by piece, so that memory does not grow with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+
+from app.bench.config import Bench
+from app.files import write_image
+from app.progress import Report
+from app.recording.reader import Recording
+from app.recording.repeat import Repeated, repeated
+from app.results.dataset import write_pieces
+from app.results.replay.results import results_in_pieces
+from reconstruction.arrays import Floats
+from reconstruction.wavefront import rms
+
+
+@dataclass(slots=True)
+class Measured:
+    """What there is to say of all frames together."""
+
+    bench: Bench
+    mean_rms_rad: Floats  # of each view, over the frames, (view_row, view_column)
+    square_rms_rad: Floats  # likewise the mean of the squares, rad^2
+    recorded: int = 0
+    reconstructed: int = 0
+    lost: int = 0  # by the camera
+    problem: str = ""  # of the first frame that could not be reconstructed; empty when all could
+
+    @property
+    def scatter_rms_rad(self) -> Floats:
+        """Standard deviation of each view's RMS over the frames, rad, (view_row, view_column)."""
+        return np.sqrt(np.maximum(self.square_rms_rad - self.mean_rms_rad**2, 0))
+
+    def take(self, made: Repeated) -> None:
+        """Take one more frame into account."""
+        self.recorded, self.lost = self.recorded + 1, self.lost + made.line.lost
+        if made.wavefront is None:
+            self.problem = self.problem or made.problem
+            return
+        self.reconstructed += 1
+        values = rms(made.wavefront.views)
+        self.mean_rms_rad = self.mean_rms_rad + (values - self.mean_rms_rad) / self.reconstructed
+        self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
+
+
+def write_measured(recording: Recording, bench: Bench, report: Report) -> Measured:
+    """Write `results.nc`, `dark.tif` and `reference.tif` into a recording's folder, and say what came out.
+
+    Every frame is reconstructed, also those that were passed over live. Without any there is no `results.nc`.
+    """
+    shape = bench.field.view_rows, bench.field.view_columns
+    measured = Measured(bench, np.zeros(shape), np.zeros(shape))
+    _write_calibration(recording)
+    pieces = results_in_pieces((made, {}) for made in _counted(recording, measured, report))
+    first = next(pieces, None)
+    if first is not None:
+        names = {"dark": "dark.tif", "reference": "reference.tif"}
+        write_pieces(recording.folder / "results.nc", chain([first], pieces), bench=bench, inputs=names)
+    return measured
+
+
+def _write_calibration(recording: Recording) -> None:
+    """Write dark and reference of the first calibration as images."""
+    if len(recording) and (number := recording.line(0).calibration) is not None:
+        calibration = recording.calibration(number)
+        for name, average in (("dark", calibration.dark), ("reference", calibration.reference)):
+            if average is not None:
+                write_image(recording.folder / f"{name}.tif", average.mean)
+
+
+def _counted(recording: Recording, measured: Measured, report: Report) -> Iterator[Repeated]:
+    """Every frame, counted as it comes."""
+    for made in repeated(recording):
+        measured.take(made)
+        report("writing the results", (made.line.index + 1) / len(recording))
+        yield made

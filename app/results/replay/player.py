@@ -1,0 +1,83 @@
+"""A recording played into the live view, by the calibrations that its frames had."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+
+from app.acquisition.instrument import Instrument
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench
+from app.errors import InputError
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import Measurement
+from app.recording.camera import RecordedCamera
+from app.recording.devices import recorded_devices
+from app.recording.reader import Recording
+from app.recording.selection import chosen_frames
+from app.results.replay.change import change_of
+from drivers.interface import Devices
+
+
+class Player:
+    """Serves one acquisition after another: devices that play a recording, and the calibration of each frame."""
+
+    def __init__(
+        self, folder: Path, *, bench: str | None = None, settings: tuple[str, ...] = (), frames: str | None = None
+    ) -> None:
+        """With another `bench`, or `settings` of its own changed, the frames are shown as these make them."""
+        self._recording = Recording(folder)
+        self._frames = chosen_frames(self._recording, frames)
+        self._change = change_of(bench, settings)
+        self._camera: RecordedCamera | None = None
+        self._acquisition: Acquisition | None = None
+        numbers = (self._recording.line(index).calibration for index in self._frames)
+        first = next((number for number in numbers if number is not None), None)
+        if first is None:
+            raise InputError(f"{folder}: these frames have no calibration: there is nothing to reconstruct them with")
+        self._first = self._asked = first
+        self.bench = self._calibration(first).bench
+
+    def open_devices(self, _bench: Bench, _progress: Callable[[float], None]) -> Devices:
+        """Open what plays the recording, from its first frame."""
+        devices = recorded_devices(self._recording, self._frames)
+        self._camera = devices.camera if isinstance(devices.camera, RecordedCamera) else None
+        return devices
+
+    def begin(self, acquisition: Acquisition) -> tuple[Future[None], ...]:
+        """Have the recorded calibration used and the camera started, in place of taking dark and reference."""
+        self._acquisition, self._asked = acquisition, self._first
+        used = self._use(acquisition, self._first)
+        return (used, acquisition.submit(_show))
+
+    def take(self, _: Measurement) -> None:
+        """Look, between two frames, whether the next one has another calibration, and have it used.
+
+        That frame waits until it is: else a computer that is behind would take it before.
+        """
+        if self._camera is None or self._acquisition is None:
+            return
+        number = self._recording.line(self._camera.next_frame).calibration
+        if number is not None and number != self._asked:
+            self._asked = number
+            self._use(self._acquisition, number)
+
+    def _calibration(self, number: int) -> Calibration:
+        recorded = self._recording.calibration(number)
+        return recorded if self._change is None else self._change(recorded)
+
+    def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
+        def use(instrument: Instrument) -> None:
+            if self._camera is not None:
+                self._camera.in_force = number
+            instrument.use(self._calibration(number))
+
+        return acquisition.submit(use)
+
+
+def _show(instrument: Instrument) -> None:
+    """Let the camera see the recorded frames."""
+    instrument.devices.light.set_on(True)
+    instrument.devices.stage.set_sample_in(True)
+    instrument.devices.camera.start()

@@ -1,0 +1,93 @@
+"""The second page of a report: how steady the wavefront was, how sure it is, and how far it serves."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import FigureBase
+from matplotlib.patches import Patch
+
+from app.results.plot import draw_structure, draw_transfer, place
+from app.results.report.layout import PAGE_INCHES, TITLE_INCHES, parts, write_title
+from app.results.report.summary import Found, Summary
+from reconstruction.displacement import Outcome
+from reconstruction.quality.image_quality import mtf
+from reconstruction.quality.isoplanatism import isoplanatism
+
+_REASONS = {
+    Outcome.DARK: ("dark", "#4d4d4d"),
+    Outcome.SATURATED: ("saturated", "#e69f00"),
+    Outcome.DIVERGED: ("diverged", "#cc3311"),
+    Outcome.LEFT_CELL: ("left its cell", "#0077bb"),
+    Outcome.OFF_CAMERA: ("off the camera", "#aa4499"),
+}
+_VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
+
+
+def draw_certainty(figure: FigureBase, summary: Summary, found: Found) -> None:
+    """Draw the page."""
+    rest = PAGE_INCHES[1] - TITLE_INCHES
+    title, trend, maps, curves = parts(figure, [TITLE_INCHES, 0.3 * rest, 0.36 * rest, 0.34 * rest])
+    write_title(title, TITLE_INCHES, summary.name, "how steady the wavefront was, how sure it is, how far it serves")
+    _draw_trend(trend.subplots(), summary, found)
+    lost, sigma = maps.subplots(1, 2)
+    _draw_lost(lost, found)
+    image = sigma.imshow(found.sigma, cmap="viridis", vmin=0)
+    sigma.set(title="uncertainty of one frame, from noise alone", xticks=[], yticks=[], facecolor="0.6")
+    maps.colorbar(image, ax=sigma, label="standard deviation (rad)", shrink=0.8)
+    field, views = found.wavefront.field, found.wavefront.views
+    middle = field.view_rows // 2, field.view_columns // 2
+    transfer, structure = curves.subplots(1, 2)
+    draw_transfer(transfer, mtf(views[middle], summary.bench.sensor), place(field, *middle))
+    draw_structure(structure, isoplanatism(found.wavefront))
+    for axis in (*trend.axes, *maps.axes, *curves.axes):
+        axis.title.set_fontsize(8.5)
+
+
+def _draw_trend(axis: Axes, summary: Summary, found: Found) -> None:
+    """Draw the RMS of every frame as it was measured live, and with error bars what was made again."""
+    lines = summary.lines
+    time_s = {line.index: line.host_time_s - lines[0].host_time_s for line in lines}
+    live_rad = [np.nan if line.rms_rad is None else line.rms_rad for line in lines]
+    axis.plot(list(time_s.values()), live_rad, "-", color="0.7", linewidth=1, label="as recorded", zorder=1)
+    at_s = [time_s[index] for index in found.frames.tolist()]
+    name = f"{summary.frames_looked_at} made again; bars: at most one standard deviation of the noise"
+    axis.errorbar(at_s, found.rms_rad, found.rms_sigma_rad, fmt=".", capsize=2, linewidth=0.8, label=name, zorder=2)
+    gaps_s = [time_s[line.index] for line in lines if line.lost]
+    if gaps_s:
+        axis.vlines(gaps_s, 0, 1, transform=axis.get_xaxis_transform(), color="#cc3311", lw=0.8, label="frames lost")
+    failed_s = [time_s[line.index] for line in lines if line.problem]
+    if failed_s:
+        axis.plot(
+            failed_s, [0.03] * len(failed_s), "x", transform=axis.get_xaxis_transform(), label="no live wavefront"
+        )
+    axis.set(title="RMS of the wavefront, mean over the views", xlabel="time since the first frame (s)", ylabel="rad")
+    axis.ticklabel_format(useOffset=False)
+    axis.margins(y=0.1)
+    axis.legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
+
+
+def _draw_lost(axis: Axes, found: Found) -> None:
+    """Draw which lenslets yield no slope, the fainter the fewer frames it concerns, and why."""
+    colours = np.broadcast_to(_VALID, (*found.lost.shape, 3)).copy()
+    handles = []
+    for code, (name, colour) in _REASONS.items():
+        where = found.reason == code
+        if where.any():
+            part = 0.3 + 0.7 * found.lost[where, None]
+            colours[where] = part * np.array(to_rgb(colour)) + (1 - part) * _VALID
+            handles.append(Patch(color=colour, label=f"{name}: {where.sum()}"))
+    axis.imshow(colours)
+    rows, columns = found.lost.shape
+    axis.set_xticks(np.arange(columns + 1) - 0.5, labels=[], minor=True)
+    axis.set_yticks(np.arange(rows + 1) - 0.5, labels=[], minor=True)
+    axis.grid(which="minor", color="white", linewidth=0.6)
+    axis.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
+    ever, always = int((found.lost > 0).sum()), int((found.lost == 1).sum())
+    text = f"{ever} of {found.lost.size} lenslets lost, {always} of them always" if ever else "no lenslet was lost"
+    axis.set_title(text)
+    if handles:
+        axis.legend(
+            handles=handles, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False
+        )

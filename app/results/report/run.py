@@ -1,0 +1,68 @@
+"""A recording on pages: what `svwfs report` does."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from matplotlib.backends.backend_pdf import PdfPages
+
+from app.errors import InputError
+from app.files import appearing_whole
+from app.progress import Report
+from app.recording.reader import Recording
+from app.results.replay.change import change_of
+from app.results.report.certainty import draw_certainty
+from app.results.report.comparison import draw_comparison
+from app.results.report.layout import Page, all_pages, one_page
+from app.results.report.overview import draw_overview
+from app.results.report.residual import Residual, residual_of
+from app.results.report.summary import Summary, summarise
+
+_PNG_DPI = 110
+
+
+def report_pages(
+    folder: Path,
+    out: Path,
+    *,
+    beside: Path | None,
+    settings: tuple[str, ...],
+    frames: str | None,
+    overwrite: bool,
+    report: Report,
+) -> tuple[Summary, Residual | None]:
+    """Write the report of a recording as PDF, page after page, or as one PNG; with its facts return what is left.
+
+    With `beside`, another recording of the same sample, its wavefronts are subtracted. `frames` and changed
+    `settings` are those of the first.
+    """
+    if out.suffix.lower() not in {".pdf", ".png"}:
+        raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
+    if out.exists() and not overwrite:
+        raise InputError(f"{out}: is there already; --overwrite replaces it")
+    recordings = [Recording(folder), *([] if beside is None else [Recording(beside)])]
+    summary = summarise(recordings[0], frames, report, change=change_of(None, settings))
+    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, report))
+    write_pages(out, _pages(summary, residual))
+    return summary, residual
+
+
+def write_pages(out: Path, pages: list[Page]) -> None:
+    """Write pages as PDF, or below one another as PNG; the file appears whole."""
+    with appearing_whole(out) as temporary:
+        if out.suffix.lower() == ".png":
+            all_pages(pages).savefig(temporary, dpi=_PNG_DPI)
+            return
+        with PdfPages(temporary) as file:
+            for page in pages:
+                file.savefig(one_page(page))
+
+
+def _pages(summary: Summary, residual: Residual | None) -> list[Page]:
+    pages: list[Page] = [partial(draw_overview, summary=summary)]
+    if summary.found is not None:
+        pages.append(partial(draw_certainty, summary=summary, found=summary.found))
+    if residual is not None:
+        pages.append(partial(draw_comparison, residual=residual))
+    return pages

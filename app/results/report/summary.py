@@ -1,0 +1,150 @@
+"""A recording in a few numbers and maps, made again from its frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.bench.config import Bench
+from app.errors import InputError
+from app.measurement.calibration import Calibration
+from app.progress import Report
+from app.recording.frame_line import FrameLine
+from app.recording.reader import Recording
+from app.recording.repeat import Change, Repeated, repeated
+from app.recording.selection import chosen_frames
+from app.results.replay.comparison import are_alike
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Outcome
+from reconstruction.refinement import mean_rms
+from reconstruction.wavefront import Wavefront
+
+_LOOKED_AT = 200  # frames, spread evenly, that are reconstructed again
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What the frames that were reconstructed again say together, lenslet by lenslet and one by one."""
+
+    frames: NDArray[np.int64]  # their indices in the recording, (frame,)
+    mean: Floats  # wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where never known
+    sigma: Floats  # of one frame, rad, root mean square over views and frames, (lenslet_row, lenslet_column)
+    lost: Floats  # part of the frames in which the lenslet yields no slope, (lenslet_row, lenslet_column)
+    reason: NDArray[np.int8]  # the most frequent `Outcome` of those, CONVERGED where there are none; likewise
+    rms_rad: Floats  # mean over the views, (frame,)
+    rms_sigma_rad: Floats  # RMS of the wavefront's standard deviation: that of the RMS is at most so much, (frame,)
+    wavefront: Wavefront  # of the one in the middle
+    refined: int  # of them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Summary:
+    """A recording, or a part of it."""
+
+    recording: Recording
+    lines: list[FrameLine]  # of the frames that are meant
+    problems: Counter[str]  # why frames were not reconstructed live, or cannot be again; how many
+    looked_at: int  # frames that were made again
+    calibration: Calibration | None  # of the first frame that has one, as changed
+    calibrations: int  # how many of them were in force
+    found: Found | None  # None when no frame has a wavefront
+
+    @property
+    def name(self) -> str:
+        """What the recording is called."""
+        return self.recording.folder.resolve().name
+
+    @property
+    def bench(self) -> Bench:
+        """The bench that the frames were reconstructed with."""
+        return self.recording.bench if self.calibration is None else self.calibration.bench
+
+    @property
+    def frames_looked_at(self) -> str:
+        """How many frames were made again, in words."""
+        whole = f"{len(self.lines)} frame" + "s" * (len(self.lines) != 1)
+        count = 0 if self.found is None else len(self.found.frames)
+        return whole if count == len(self.lines) else f"{count} of {whole}"
+
+
+def summarise(recording: Recording, frames: str | None, report: Report, *, change: Change | None = None) -> Summary:
+    """Look through some frames of a recording, all without `frames`; of more than 200, so many are made again.
+
+    With a `change` of their calibrations, something else is made of them.
+    """
+    chosen = chosen_frames(recording, frames)
+    lines = [recording.line(index) for index in chosen]
+    numbers = [line.calibration for line in lines if line.calibration is not None]
+    some = chosen[:: -(-len(chosen) // _LOOKED_AT)]
+    again: Counter[str] = Counter()
+    sums = _Sums()
+    for done, frame in enumerate(repeated(recording, some, change), 1):
+        if frame.problem and not frame.line.problem:
+            again[frame.problem] += 1
+        sums.take(frame, is_early=2 * done <= len(some) + 1)
+        report(f"looking at {recording.folder.name}", done / len(some))
+    problems = Counter(line.problem for line in lines if line.problem)
+    first = recording.calibration(numbers[0]) if numbers else None
+    return Summary(
+        recording=recording,
+        lines=lines,
+        problems=problems + again,
+        looked_at=len(some),
+        calibration=first if first is None or change is None else change(first),
+        calibrations=len(set(numbers)),
+        found=sums.found(),
+    )
+
+
+class _Sums:
+    """Hears of one frame after the other; only sums are kept."""
+
+    def __init__(self) -> None:
+        self._frames: list[int] = []
+        self._rms_rad: list[float] = []
+        self._rms_sigma_rad: list[float] = []
+        self._wavefront: Wavefront | None = None
+        self._views = self._known = self._variance = self._variances = np.zeros(())
+        self._outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # how often each, (outcome, ...)
+        self._refined = 0
+
+    def take(self, frame: Repeated, *, is_early: bool) -> None:
+        """Add a frame; the last early one that has a wavefront is kept whole, or else the first of all."""
+        wavefront = frame.wavefront
+        if wavefront is None:
+            return
+        views, variance = wavefront.views, wavefront.sigma() ** 2
+        if self._wavefront is not None and not are_alike(wavefront, self._wavefront):
+            raise InputError("the settings changed between the frames: choose some that go together")
+        if is_early or self._wavefront is None:
+            self._wavefront = wavefront
+        self._views, self._known = self._views + np.nan_to_num(views), self._known + np.isfinite(views)
+        self._variance = self._variance + np.nansum(variance, axis=(0, 1))
+        self._variances = self._variances + np.isfinite(variance).sum(axis=(0, 1))
+        self._outcomes = self._outcomes + (wavefront.displacement.outcome == np.array(Outcome)[:, None, None])
+        self._frames.append(frame.line.index)
+        self._rms_rad.append(mean_rms(views))
+        self._rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
+        self._refined += frame.is_refined
+
+    def found(self) -> Found | None:
+        """What they say together."""
+        if self._wavefront is None:
+            return None
+        lost = self._outcomes.copy()
+        lost[Outcome.CONVERGED] = 0
+        with np.errstate(invalid="ignore"):  # where nothing was ever known
+            return Found(
+                frames=np.array(self._frames),
+                mean=self._views / self._known,
+                sigma=np.sqrt(self._variance / self._variances),
+                lost=lost.sum(axis=0) / len(self._frames),
+                reason=np.argmax(lost, axis=0).astype(np.int8),
+                rms_rad=np.array(self._rms_rad),
+                rms_sigma_rad=np.array(self._rms_sigma_rad),
+                wavefront=self._wavefront,
+                refined=self._refined,
+            )

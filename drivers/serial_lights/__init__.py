@@ -1,0 +1,1 @@
+"""LED light sources on a serial port."""

@@ -1,0 +1,231 @@
+"""Thorlabs DC2200, LED driver on USB: one of its two terminals, at constant current or gated by a TTL signal.
+
+Its commands are those of the manual, section 4.3, in the short forms of Thorlabs' own driver (`SOUR:CCUR`, with one R).
+After each of them `SYST:ERR?` tells whether it was carried out. Its output is off when it is opened and when it is
+closed. With `gate = "ttl"` the light follows the modulation input while it is switched on: connected to the camera's
+exposure output it shines only during the exposure.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from usb.backend import IBackend
+
+from drivers.device import Property
+from drivers.discovery import Found
+from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
+from drivers.light_source import LightSource
+from drivers.range import Range
+from drivers.usb_lights import usbtmc
+from drivers.usb_lights.usbtmc import Instrument, Usbtmc
+
+_VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one where a firmware update is allowed
+_STEP_A = 1e-4  # currents are sent with so many digits
+_ERROR = re.compile(r'([+-]?\d+),\s*"?([^"]*)"?')
+_MOST_ERRORS = 32  # more than its queue holds
+_TRIPS = {
+    "OUTP:PROT:TEMP:DRIV:TRIP?": "its driver is too hot",
+    "OUTP:PROT:TEMP:HEAD:TRIP?": "the LED's head is too hot",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DC2200Settings:
+    """What a bench says of it: which one it is, and what it feeds."""
+
+    driver: Literal["thorlabs_dc2200"] = "thorlabs_dc2200"
+    serial_number: str = ""  # needed where there is more than one
+    terminal: int = 1  # 1 has 12 pins and up to 10 A, 2 has 4 pins and up to 2 A
+    gate: Literal["internal", "ttl"] = "internal"
+    current_a: float | None = None  # to begin with; as it was left
+    limit_a: float | None = None  # never more, though its head allows it
+
+    def __post_init__(self) -> None:
+        if self.terminal not in {1, 2}:
+            raise ValueError("terminal must be 1 or 2")
+        if self.gate not in {"internal", "ttl"}:
+            raise ValueError('gate must be "internal" or "ttl"')
+        if self.limit_a is not None and not 0 < self.limit_a <= 10:
+            raise ValueError("limit_a must be positive, and at most 10")
+
+
+def find(backend: IBackend | None = None) -> tuple[Found, ...]:
+    """Return those that are connected, without a word to them; raise `Unsupported` where libusb is missing."""
+    return tuple(
+        Found(
+            kind="light",
+            driver="thorlabs_dc2200",
+            description=f"Thorlabs DC2200 {instrument.serial_number}".rstrip(),
+            settings={"serial_number": instrument.serial_number} if instrument.serial_number else {},
+            missing=instrument.trouble,
+        )
+        for instrument in _instruments(backend)
+    )
+
+
+def _instruments(backend: IBackend | None) -> list[Instrument]:
+    return usbtmc.find(_VENDOR_ID, _PRODUCT_IDS, backend)
+
+
+class ThorlabsDC2200(LightSource):
+    """One terminal of a DC2200."""
+
+    def __init__(
+        self,
+        settings: DC2200Settings,
+        *,
+        backend: IBackend | None = None,
+        timeout_s: float = 3.0,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        super().__init__(limit_a=settings.limit_a, sleep=sleep)
+        self._terminal, self._gate = settings.terminal, settings.gate
+        self._mode, self._source = ("CC", "SOUR:CCUR") if settings.gate == "internal" else ("TTL", "SOUR:TTL")
+        self._is_wanted_lit = False
+        instrument = _choose(_instruments(backend), settings.serial_number)
+        self._what = f"the DC2200 {instrument.serial_number}"
+        self._usb = Usbtmc(instrument, what=self._what, timeout_s=timeout_s, sleep=sleep)
+        try:
+            self._open()
+        except BaseException:  # Ctrl-C, too
+            self._usb.close()
+            raise
+        self._begin()
+
+    def _open(self) -> None:
+        maker, model, self._serial_number, self._firmware = self._identity()
+        self._name = f"{maker} {model} {self._serial_number} terminal {self._terminal}"
+        self._usb.write("OUTP 0")
+        if self._number("OUTP:TERM?") != self._terminal:
+            self._set(f"OUTP:TERM {self._terminal}")
+        self._head = self._usb.query(f"SYST:TERM{self._terminal}:HTYP?")
+        if "no head" in self._head:
+            raise WrongState(f"there is no LED at terminal {self._terminal} of {self._what}; plug its head in")
+        self._set(f"SOUR:MODE {self._mode}")
+
+    def _identity(self) -> tuple[str, str, str, str]:
+        answer = self._usb.query("*IDN?")
+        parts = [part.strip() for part in answer.split(",")]
+        if len(parts) != 4 or parts[1] != "DC2200":
+            raise DeviceError(f"{self._what} calls itself {answer[:60]!r}, which is no DC2200")
+        return parts[0], parts[1], parts[2], parts[3]
+
+    @property
+    def name(self) -> str:
+        """Maker, model, serial number and terminal."""
+        return self._name
+
+    def properties(self) -> dict[str, Property]:
+        """What every light tells, and what the driver and its head tell of themselves."""
+        common = super().properties()
+        with self._guarded():
+            return common | {
+                "firmware": self._firmware,
+                "terminal": self._terminal,
+                "gate": self._gate,
+                "head": self._head,
+                "user_limit_a": self._number("SOUR:CURR:LIM:AMPL?"),
+                "head_maximum_a": self._number("SOUR:CURR:LIM:AMPL? MAX"),
+                "measured_current_a": self._number("MEAS:CURR?"),
+                "fault": self._trip(),
+            }
+
+    def _read_range(self) -> Range:
+        limit_a, maximum_a = self._number("SOUR:CURR:LIM:AMPL?"), self._number("SOUR:CURR:LIM:AMPL? MAX")
+        return Range(0.0, min(limit_a, maximum_a))
+
+    def _read_current(self) -> float:
+        return self._number(f"{self._source}?")
+
+    def _set_current(self, current_a: float) -> float:
+        asked_a = int(current_a / _STEP_A + 1e-6) * _STEP_A  # never above what was asked, but for rounding
+        self._set(f"{self._source} {asked_a:.4f}")
+        taken_a = self._read_current()
+        if abs(taken_a - asked_a) > 0.01 * asked_a + 0.001:  # more than a step of its own
+            raise DeviceError(f"{self._what} was asked for {asked_a:g} A and set {taken_a:g} A")
+        self._check_lit()
+        return taken_a
+
+    def _is_lit(self) -> bool:
+        self._check_lit()
+        return self._is_output_on()
+
+    def _switch(self, *, on: bool) -> None:
+        if on:
+            self._usb.write("OUTP 1")
+            refusal = self._error()
+            self._is_wanted_lit = True
+            self._check_lit(refusal)
+        else:
+            self._is_wanted_lit = False
+            self._usb.write("OUTP 0")
+            self._error()
+            if self._is_output_on():
+                raise DeviceError(f"{self._what} is still on, though it was told to switch off; unplug its head")
+
+    def _close(self) -> None:
+        self._usb.close()
+
+    def _check_lit(self, refusal: str = "") -> None:
+        """Raise if the light should be on and is not."""
+        if self._is_wanted_lit:
+            if trip := self._trip():
+                raise DeviceError(f"{self._what} has switched off: {trip}; let it cool")
+            if not self._is_output_on():
+                raise DeviceError(f"{self._what} is off: {refusal or 'switched off at its screen, or by itself'}")
+
+    def _trip(self) -> str:
+        """Why it has switched off by itself, or nothing."""
+        return "; ".join(words for question, words in _TRIPS.items() if self._number(question))
+
+    def _is_output_on(self) -> bool:
+        return self._number("OUTP?") == 1
+
+    def _number(self, question: str) -> float:
+        """Ask for a number; a finite one, not negative."""
+        answer = self._usb.query(question)
+        words = {"ON": 1.0, "OFF": 0.0}
+        if answer in words:
+            return words[answer]
+        if not re.fullmatch(r"\+?\d+(\.\d*)?([eE][+-]?\d{1,2})?", answer):
+            raise DeviceError(f"{self._what} answered “{question}” with {answer[:60]!r}")
+        return float(answer)
+
+    def _set(self, command: str) -> None:
+        """Send what is not answered, and ask whether it was carried out."""
+        self._usb.write("*CLS")  # somebody at its screen may have left an error
+        self._usb.write(command)
+        if refusal := self._error():
+            raise BadValue(f"{self._what} refuses “{command}”: {refusal}")
+
+    def _error(self) -> str:
+        """Empty the queue of errors and return the oldest, or nothing."""
+        oldest = ""
+        for _ in range(_MOST_ERRORS):
+            answer = self._usb.query("SYST:ERR?")
+            match = _ERROR.fullmatch(answer)
+            if match is None:
+                raise DeviceError(f"{self._what} answered “SYST:ERR?” with {answer[:60]!r}")
+            if int(match[1]) == 0:
+                return oldest
+            oldest = oldest or f"{match[2]} (error {match[1]})"
+        raise DeviceError(f"the errors of {self._what} have no end, the first is {oldest}")
+
+
+def _choose(found: list[Instrument], serial_number: str) -> Instrument:
+    """Return the one that is meant."""
+    if len(found) == 1 and found[0].trouble:
+        raise DeviceError(found[0].trouble)
+    those = [one for one in found if serial_number in {"", one.serial_number}]
+    numbers = ", ".join(one.serial_number or one.trouble for one in found)
+    if not those:
+        wanted = f" {serial_number}" if serial_number else ""
+        raise Disconnected(f"there is no DC2200{wanted} on USB; found: {numbers or 'none'}")
+    if len(those) > 1:
+        raise BadValue(f"there are several DC2200; say which by serial_number: {numbers}")
+    return those[0]

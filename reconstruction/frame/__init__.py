@@ -1,0 +1,1 @@
+"""Camera frames: noise, bad pixels, and spline interpolation."""

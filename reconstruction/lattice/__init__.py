@@ -1,0 +1,1 @@
+"""Search for the lattice of lenslets in a reference frame."""

@@ -1,0 +1,94 @@
+"""Where a lattice shows in the spectrum of a frame: its pitch and rotation, roughly.
+
+Light that repeats over a square lattice stands at two points of the spectrum, one for the lattice's rows and one for
+its columns. They are looked for together, so that neither noise nor stripes in one direction pass for a lattice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft, ndimage
+
+from reconstruction.arrays import Image
+
+REACH = 0.16  # of the pitch, by which the designed one may be wrong
+_BINNED_PITCH_PX = 12  # as coarse as a first guess may see the lattice
+_FINENESS = 4  # steps of the search over the width of a peak
+_PADDING = 2  # the spectrum's samples are so much denser than the frame has pixels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Peak:
+    """The square lattice whose two harmonics are the strongest together."""
+
+    pitch_px: float
+    rotation_rad: float  # -45 ... 45 degrees: a square lattice looks the same after a quarter turn
+    strength: tuple[float, float]  # of the harmonics along its rows and columns, over what is usual at that pitch
+    hexagonal_strength: float  # of the strongest three harmonics that lie 60 degrees apart, likewise
+
+
+def strongest_peak(image: Image, pitch_px: float) -> Peak:
+    """Find the square lattice of about `pitch_px` that shows most in an image (row, column) of any unit."""
+    binning = max(1, int(pitch_px / _BINNED_PITCH_PX))
+    light, near_px = _binned(image, binning), pitch_px / binning
+    amplitude = _amplitude(light, near_px)
+    cells = max(light.shape) / near_px
+    pitches_px = near_px * np.linspace(1 - REACH, 1 + REACH, int(2 * REACH * _FINENESS * cells) + 8)
+    angles = 3 * (int(np.pi / 6 * _FINENESS * cells) + 3)
+    angle_rad = (np.arange(2 * angles) / angles - 0.5) * np.pi / 2  # of both harmonics, a quarter turn apart
+    frequency = np.stack([np.sin(angle_rad), np.cos(angle_rad)])[:, None] / pitches_px[:, None]  # (row, column)
+    frequency = np.where(frequency[1] < 0, -frequency, frequency)  # of a real image, its conjugate
+    index = frequency * np.array(_padded(light.shape))[:, None, None]
+    strength = ndimage.map_coordinates(amplitude, index, order=1, mode="grid-wrap")
+    strength /= max(float(np.median(strength)), float(np.finfo(np.float32).tiny))
+    first, second = strength[:, :angles], strength[:, angles:]
+    best = np.unravel_index(np.argmax(first * second), first.shape)
+    sixty = 2 * angles // 3
+    three = strength * np.roll(strength, sixty, axis=1) * np.roll(strength, -sixty, axis=1)
+    return Peak(
+        pitch_px=float(pitches_px[best[0]]) * binning,
+        rotation_rad=float(angle_rad[best[1]]),
+        strength=(float(first[best]), float(second[best])),
+        hexagonal_strength=float(np.cbrt(three.max())),
+    )
+
+
+def without_peaks(image: Image) -> Image:
+    """Make no pixel of an image (row, column) brighter than the brightest of the four beside it: none is hot any more.
+
+    It is quick, and good enough for a first look; `bad_pixels` knows better.
+    """
+    edged = np.pad(image, 1, mode="edge")
+    edged[0], edged[-1], edged[:, 0], edged[:, -1] = (-np.inf,) * 4
+    brightest = np.maximum(edged[:-2, 1:-1], edged[2:, 1:-1])
+    np.maximum(brightest, edged[1:-1, :-2], out=brightest)
+    np.maximum(brightest, edged[1:-1, 2:], out=brightest)
+    return np.asarray(np.minimum(image, brightest))
+
+
+def _binned(image: Image, binning: int) -> Image:
+    """Means over binning x binning pixels; what is left over at the far edges is left out."""
+    rows, columns = (length // binning for length in image.shape)
+    blocks = image[: rows * binning, : columns * binning].reshape(rows, binning, columns, binning)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), np.float32)
+
+
+def _padded(shape: tuple[int, ...]) -> list[int]:
+    """How long the axes of the spectrum of an image of that shape are."""
+    return [fft.next_fast_len(_PADDING * length) for length in shape]
+
+
+def _amplitude(light: Image, pitch_px: float) -> Image:
+    """Amplitude spectrum of what repeats, zero frequency first: less the mean over a pitch, and fading to the edges.
+
+    All frequencies along the rows, (row, column), but only those columns of it that are looked at.
+    """
+    repeating = light - ndimage.uniform_filter(light, max(2, round(pitch_px)), mode="mirror")
+    for axis, length in enumerate(light.shape):
+        fade = np.hanning(length + 2)[1:-1].astype(np.float32)
+        repeating *= fade if axis else fade[:, None]
+    rows, columns = _padded(light.shape)
+    looked_at = int(columns / (pitch_px * (1 - REACH))) + 2
+    return np.asarray(np.abs(fft.fft(fft.rfft(repeating, columns, axis=1)[:, :looked_at], rows, axis=0)))

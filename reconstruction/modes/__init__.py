@@ -1,0 +1,1 @@
+"""Polynomials over the field and the pupil."""

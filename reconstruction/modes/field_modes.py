@@ -1,0 +1,110 @@
+"""Functions of the field position in which a lenslet's displacement is written: d(x, y) = sum_q c_q T_q(x, y).
+
+Positions are normalised: x, y in [-1, 1] over the half width of the field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from reconstruction.arrays import Floats
+from reconstruction.modes.legendre import legendre, legendre_gradients
+from reconstruction.modes.zernike import zernike, zernike_gradients
+
+
+class FieldModes(Protocol):
+    """A set of functions T_q of the field position."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        ...
+
+    def __hash__(self) -> int:
+        """Field modes are what is computed of them kept by."""
+        ...
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        ...
+
+
+class PolynomialModes(FieldModes, Protocol):
+    """Field modes with gradients, of which a warp can be made."""
+
+    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class LegendreModes:
+    """The first `count` products of Legendre polynomials, for a square field."""
+
+    count: int
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        return legendre(self.count, x, y)
+
+    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
+        return legendre_gradients(self.count, x, y)
+
+
+@dataclass(frozen=True, slots=True)
+class ZernikeModes:
+    """The first `count` Zernike polynomials in Noll's order, for a circular field."""
+
+    count: int
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        return zernike(self.count, x, y)
+
+    def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
+        return zernike_gradients(self.count, x, y)
+
+
+class SampledModes:
+    """Displacements known at the nodes of a grid, with the polynomial through them in between.
+
+    T_q is the product of the Lagrange polynomials that are 1 at node q and 0 at all others, nodes row by row; so c_q is
+    the displacement at node q itself.
+    """
+
+    def __init__(self, x: Floats, y: Floats) -> None:
+        """Take nodes at all combinations of the normalised x (column,) and y (row,)."""
+        self.x, self.y = x, y
+
+    @property
+    def count(self) -> int:
+        """How many nodes there are."""
+        return self.x.size * self.y.size
+
+    @property
+    def nodes(self) -> tuple[Floats, Floats]:
+        """Normalised x and y of every node, (field_mode,) each."""
+        y, x = np.meshgrid(self.y, self.x, indexing="ij")
+        return x.ravel(), y.ravel()
+
+    def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """T_q at normalised positions: (field_mode, *broadcast shape)."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        products = _lagrange(self.y, y)[:, None] * _lagrange(self.x, x)[None, :]
+        return products.reshape(self.count, *x.shape)
+
+
+def _lagrange(nodes: Floats, x: Floats) -> Floats:
+    """The Lagrange polynomials of the nodes (node,) at x: (node, *shape of x)."""
+    polynomials = []
+    for index, node in enumerate(nodes):
+        others = np.delete(nodes, index)
+        factors = [(x - other) / (node - other) for other in others]
+        polynomials.append(np.prod(factors, axis=0) if factors else np.ones_like(x))
+    return np.stack(polynomials)

@@ -1,0 +1,94 @@
+"""Functions of the pupil position in which a wavefront is written: phi(u) = sum_p e_p R_p(u)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.geometry import Sensor, centered_steps
+from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, legendre_orders
+from reconstruction.modes.zernike import noll_orders, zernike, zernike_lenslet_gradients
+
+PupilBasis = Literal["legendre", "zernike"]
+
+_HIGHEST_DEGREE = 16  # up to it the mean gradients of both bases are exact, and the modes few enough for one frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PupilModes:
+    """The modes R_p on the lenslets of a sensor, piston first."""
+
+    values: Floats  # at the lenslet centres, (pupil_mode, lenslet_row, lenslet_column)
+    gradients: Floats  # mean over each lenslet, 1/m, (pupil_mode, lenslet_row, lenslet_column, xy)
+    inside: Mask  # the lenslets that the pupil covers, (lenslet_row, lenslet_column)
+    degree: Floats  # of the polynomial, (pupil_mode,)
+    products: Floats  # R_p as a sum of products P_m(xi) P_n(eta): (pupil_mode, n, m), xi, eta over the whole lattice
+
+
+def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
+    """The first `count` modes: Legendre over the whole lattice, or Zernike over the circle inscribed in it.
+
+    A lenslet belongs to the circle if its centre does; its gradients are means over the whole lenslet. Without a
+    `count` there are as many as the lattice carries: of a degree below its number of lenslets a side, and 16 at most.
+    """
+    rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
+    if count is None:
+        highest = min(rows - 1, columns - 1, _HIGHEST_DEGREE)
+        count = (highest + 1) * (highest + 2) // 2
+    half_x_m, half_y_m = sensor.pupil_half_width_m
+    if basis == "legendre":
+        orders = np.array(legendre_orders(count))
+        degree = orders.sum(axis=1)
+        products = np.zeros((count, degree.max() + 1, degree.max() + 1))
+        products[np.arange(count), orders[:, 1], orders[:, 0]] = 1.0
+        return PupilModes(
+            values=legendre(count, sensor.pupil_x_m / half_x_m, sensor.pupil_y_m[:, None] / half_y_m),
+            gradients=legendre_lenslet_gradients(count, rows, columns) / sensor.pupil_half_width_m,
+            inside=np.ones((rows, columns), np.bool_),
+            degree=degree.astype(np.float64),
+            products=products,
+        )
+    radius_m = min(half_x_m, half_y_m)
+    x, y = sensor.pupil_x_m / radius_m, sensor.pupil_y_m[:, None] / radius_m
+    edges_x, edges_y = (
+        centered_steps(lenslets + 1) * sensor.lenslet_pitch_m / radius_m for lenslets in (columns, rows)
+    )
+    degree = np.array([n for n, _ in noll_orders(count)], np.float64)
+    return PupilModes(
+        values=zernike(count, x, y),
+        gradients=zernike_lenslet_gradients(count, edges_x, edges_y) / radius_m,
+        inside=np.asarray(x**2 + y**2 <= 1),
+        degree=degree,
+        products=_legendre_products(count, int(degree.max()), half_x_m / radius_m, half_y_m / radius_m),
+    )
+
+
+def _legendre_products(count: int, degree: int, half_x: float, half_y: float) -> Floats:
+    """Zernike modes as products of Legendre polynomials, (count, n, m); the lattice's half widths are in radii.
+
+    A polynomial's part along P_m P_n is its integral with them times (2m + 1)(2n + 1) / 4: Gauss's rule has it exactly.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)
+    parts = np.polynomial.legendre.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
+    return np.asarray(np.einsum("kyx,yn,xm->knm", values, parts, parts))
+
+
+class PupilGrid:
+    """Evaluates wavefronts at all combinations of some positions along x and along y, prepared once."""
+
+    def __init__(self, modes: PupilModes, sensor: Sensor, x_m: Floats, y_m: Floats) -> None:
+        """Prepare for the pupil positions x_m (x,) and y_m (y,)."""
+        half_x_m, half_y_m = sensor.pupil_half_width_m
+        highest = modes.products.shape[1] - 1
+        self._products = modes.products
+        self._along_x = np.polynomial.legendre.legvander(x_m / half_x_m, highest).T.astype(np.float32)
+        self._along_y = np.polynomial.legendre.legvander(y_m / half_y_m, highest).astype(np.float32)
+
+    def __call__(self, coefficients: Floats) -> Image:
+        """Phase (y, x), rad, of the wavefront with the `coefficients` (pupil_mode,), rad."""
+        products = np.tensordot(coefficients, self._products, axes=1).astype(np.float32)
+        return np.asarray(self._along_y @ (products @ self._along_x), np.float32)

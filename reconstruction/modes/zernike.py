@@ -1,0 +1,99 @@
+"""Zernike polynomials in Noll's order, with unit RMS over the unit circle, and their gradients.
+
+Z = N Q(x^2 + y^2) H(x, y), with H the real or imaginary part of (x + iy)^m and r^m Q(r^2) the radial polynomial R_n^m:
+so values and gradients are polynomials in x and y, without an angle and without a singular middle (R. J. Noll, J. Opt.
+Soc. Am. 66, 207, 1976). Noll counts from 1; here as everywhere in the program modes count from 0, piston first.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike
+
+from reconstruction.arrays import Floats
+
+_NODES = 8  # of the Gauss-Legendre rule across a lenslet: exact up to degree 15
+
+
+def noll_orders(count: int) -> tuple[tuple[int, int], ...]:
+    """Return radial and azimuthal order (n, m) of the first `count` modes; m < 0 stands for the sine."""
+    orders = []
+    for n in range(count):
+        index = n * (n + 1) // 2 + 1  # Noll's index of the first mode of radial order n
+        for m in range(n % 2, n + 1, 2):
+            for _ in range(1 if m == 0 else 2):  # a cosine where Noll's index is even, a sine where it is odd
+                orders.append((n, m if m == 0 or index % 2 == 0 else -m))
+                index += 1
+    return tuple(orders[:count])
+
+
+def zernike(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
+    """Values of the first `count` modes at (x, y), in units of the circle's radius: (count, *broadcast shape)."""
+    x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    return np.stack([radial(x**2 + y**2) * _harmonic(m, x, y) for radial, m in _factors(count)])
+
+
+def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
+    """Gradients of the first `count` modes at (x, y), per radius: (count, *broadcast shape, xy)."""
+    x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    square = x**2 + y**2
+    gradients = []
+    for radial, m in _factors(count):
+        value, slope, harmonic = radial(square), radial.deriv()(square), _harmonic(m, x, y)
+        along_x, along_y = _harmonic_gradient(m, x, y)
+        gradients.append(
+            np.stack([2 * x * slope * harmonic + value * along_x, 2 * y * slope * harmonic + value * along_y], axis=-1)
+        )
+    return np.stack(gradients)
+
+
+def zernike_lenslet_gradients(count: int, edges_x: Floats, edges_y: Floats) -> Floats:
+    """Mean gradient of each mode over each lenslet of a lattice, per radius.
+
+    `edges_x` (lenslet_column + 1,) and `edges_y` (lenslet_row + 1,) are where lenslets begin and end, in radii. The
+    mean is a Gauss-Legendre rule, exact for these polynomials up to radial order 16. Shape (count, lenslet_row,
+    lenslet_column, xy).
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    x = _within(edges_x, nodes)[None, None, :, :]
+    y = _within(edges_y, nodes)[:, :, None, None]
+    gradients = zernike_gradients(count, x, y)  # (count, lenslet_row, node, lenslet_column, node, xy)
+    return np.asarray(np.einsum("kricjv,i,j->krcv", gradients, weights, weights) / 4)
+
+
+def _within(edges: Floats, nodes: Floats) -> Floats:
+    """Positions of the rule's nodes in every lenslet: (lenslet, node)."""
+    middle, half = (edges[1:] + edges[:-1]) / 2, (edges[1:] - edges[:-1]) / 2
+    return middle[:, None] + half[:, None] * nodes
+
+
+def _factors(count: int) -> list[tuple[Polynomial, int]]:
+    """N Q as a polynomial in the squared radius, and m, of each mode."""
+    factors = []
+    for n, signed_m in noll_orders(count):
+        m = abs(signed_m)
+        coefficients = np.zeros((n - m) // 2 + 1)
+        for k in range((n - m) // 2 + 1):
+            sign = -1 if k % 2 else 1
+            denominator = math.factorial(k) * math.factorial((n + m) // 2 - k) * math.factorial((n - m) // 2 - k)
+            coefficients[(n - m) // 2 - k] = sign * math.factorial(n - k) / denominator
+        norm = math.sqrt(n + 1) if m == 0 else math.sqrt(2 * (n + 1))
+        factors.append((Polynomial(norm * coefficients), signed_m))
+    return factors
+
+
+def _harmonic(m: int, x: Floats, y: Floats) -> Floats:
+    """r^|m| cos(m theta) for m >= 0, r^|m| sin(|m| theta) for m < 0."""
+    power = (x + 1j * y) ** abs(m)
+    return np.asarray(power.real if m >= 0 else power.imag)
+
+
+def _harmonic_gradient(m: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of `_harmonic` along x and y."""
+    if m == 0:
+        return np.zeros_like(x), np.zeros_like(x)
+    lower = abs(m) * (x + 1j * y) ** (abs(m) - 1)
+    return (lower.real, -lower.imag) if m > 0 else (lower.imag, lower.real)

@@ -1,0 +1,1 @@
+"""Image quality of a wavefront, and how it varies over the field."""

@@ -1,0 +1,128 @@
+"""How far one wavefront serves: how wavefronts differ with their separation in the field.
+
+The classical isoplanatic angle is the one at which the mean square difference of two wavefronts reaches 1 rad^2 (Fried,
+J. Opt. Soc. Am. 72, 52, 1982). Here it is the separation in the field, in metres, at which its root reaches 1 rad. A
+difference in tip and tilt displaces the image without blurring it; so everything is also said without them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, centered_steps
+from reconstruction.wavefront import Wavefront, rms, without_piston
+
+_LIMIT_RAD = 1.0  # RMS difference that ends the isoplanatic patch
+_ACROSS = 7  # positions across the field
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StructureCurve:
+    """RMS difference, piston removed, of the wavefronts of all pairs of positions, by their separation.
+
+    The separations are those of the positions, whatever is known; a bin is NaN where no pair of it is.
+    """
+
+    separation_m: Floats  # root mean square of the pairs in the bin, (separation,), rising
+    rms_rad: Floats  # root mean square over the pairs in the bin, (separation,)
+    least_rad: Floats  # of the pairs in the bin, (separation,)
+    most_rad: Floats  # (separation,)
+
+    @property
+    def patch_m(self) -> float:
+        """Separation at which the RMS difference first reaches 1 rad, by straight lines from (0, 0) on.
+
+        Infinite when it does not within the field, NaN when nothing is known.
+        """
+        known = np.isfinite(self.rms_rad)
+        if not known.any():
+            return float("nan")
+        separation_m, rms_rad = np.append(0.0, self.separation_m[known]), np.append(0.0, self.rms_rad[known])
+        beyond = np.flatnonzero(rms_rad >= _LIMIT_RAD)
+        if not beyond.size:
+            return float("inf")
+        pair = slice(beyond[0] - 1, beyond[0] + 1)
+        return float(np.interp(_LIMIT_RAD, rms_rad[pair], separation_m[pair]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Isoplanatism:
+    """What one wavefront for the whole field, the mean over it, would miss; and from which separation on."""
+
+    curve: StructureCurve
+    curve_without_tilt: StructureCurve
+    error_rad: float  # RMS over the field and the pupil of what the mean wavefront misses
+    error_without_tilt_rad: float
+    view_error_rad: Floats  # the same at each view, (view_row, view_column); NaN outside the field
+
+
+def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
+    """Compare the wavefronts of 7 x 7 positions, each in the middle of an equal part of the field."""
+    field = wavefront.field
+    position_m = field_positions_m(field, _ACROSS)
+    x, y = position_m.T / field.half_width_m
+    phase = wavefront.solution.wavefront(np.moveaxis(wavefront.displacement.modes.values(x, y), 0, -1))
+    flat = without_tilt(phase)
+    step_m = 2 * field.half_width_m / _ACROSS
+    mean = without_piston(np.mean(phase, axis=0))
+    return Isoplanatism(
+        curve=structure_curve(phase, position_m, bin_m=step_m),
+        curve_without_tilt=structure_curve(flat, position_m, bin_m=step_m),
+        error_rad=global_error_rad(phase),
+        error_without_tilt_rad=global_error_rad(flat),
+        view_error_rad=rms(wavefront.views - mean),
+    )
+
+
+def field_positions_m(field: Field, across: int) -> Floats:
+    """The middles of `across` x `across` equal parts of the field's width, those within the field: (position, xy)."""
+    steps = centered_steps(across) * 2 / across
+    position = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    return position[field.contains(*position.T)] * field.half_width_m
+
+
+def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> StructureCurve:
+    """Compare all pairs of wavefronts (position, lenslet_row, lenslet_column), rad, seen from positions (position, xy).
+
+    Bins are `bin_m` wide, the first around that separation itself. A pair is compared over the lenslets that both know.
+    """
+    first, second = np.triu_indices(len(phase), 1)
+    difference_rad = rms(phase[first] - phase[second])
+    separation_m = np.hypot(*(position_m[first] - position_m[second]).T)
+    number = np.rint(separation_m / bin_m)
+    bins = [number == one for one in np.unique(number)]
+    known = [difference_rad[one & np.isfinite(difference_rad)] for one in bins]
+    return StructureCurve(
+        separation_m=np.array([_root_mean_square(separation_m[one]) for one in bins]),
+        rms_rad=np.array([_root_mean_square(each) if each.size else np.nan for each in known]),
+        least_rad=np.array([each.min() if each.size else np.nan for each in known]),
+        most_rad=np.array([each.max() if each.size else np.nan for each in known]),
+    )
+
+
+def global_error_rad(phase: Floats) -> float:
+    """RMS of what the mean of the wavefronts (position, lenslet_row, lenslet_column), rad, misses of them all.
+
+    NaN when no lenslet is known in all of them.
+    """
+    error_rad = rms(phase - np.mean(phase, axis=0))
+    return _root_mean_square(error_rad)
+
+
+def without_tilt(phase: Floats) -> Floats:
+    """The wavefronts (..., lenslet_row, lenslet_column) minus the plane that fits each best, NaN left out."""
+    rows, columns = phase.shape[-2:]
+    v, u = np.meshgrid(centered_steps(rows), centered_steps(columns), indexing="ij")
+    planes = np.stack([np.ones_like(u), u, v])
+    known = np.isfinite(phase)
+    normal = np.einsum("prc,...rc,qrc->...pq", planes, known.astype(np.float64), planes)
+    moments = np.einsum("prc,...rc->...p", planes, np.where(known, phase, 0))
+    plane = (np.linalg.pinv(normal, hermitian=True) @ moments[..., None])[..., 0]
+    return np.asarray(phase - np.tensordot(plane, planes, axes=1))
+
+
+def _root_mean_square(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,1 @@
+"""Registration: displacement of each subimage relative to the reference."""

@@ -1,0 +1,1 @@
+"""Registration by flux-conserving Gauss-Newton steps."""

@@ -1,0 +1,270 @@
+"""Compiled Gauss-Newton steps of one lenslet: the fit of a warp from one start.
+
+The steps use the inverse A that `template` prepared. Pixels that must not count, n in B, are left out exactly, by the
+down-dated equations (1 - sum_B A_n J_n^T) x = sum_not-B A_n r_n, with J the steepest-descent images.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Floats, Image
+from reconstruction.registration.gauss_newton.kernel import Scratch, look, warp_polynomials, warp_value
+from reconstruction.runtime.compilation import compiled
+
+LOST_PX = np.float32(1e6)  # the last step of a fit that has run away
+
+_BOUND_PX = np.float32(
+    100.0
+)  # no coefficient of a displacement is larger; beyond it float32 has no fractions of a pixel
+_GROWTH = np.float32(2.0)  # of the residual after a step, squares, that must not be; on good ways 1.5 was seen
+_SMALL_PX = np.float32(0.1)  # steps that cannot do harm, although the residual may grow a little
+_HALVINGS = 4
+_FIRST_SHRINKS = np.float32(0.3)  # the second step over the first, for want of a measured one
+_SHRINKS = np.float32(0.15)  # a step over the last at least: one coefficient may have settled before the others
+_PIVOT = 1e-12  # of the elimination; below it the pixels that are left do not tell the displacement
+
+
+class Grid(NamedTuple):
+    """The reference as the steps of one warp see it: L lenslets, N pixels, Q field modes, P = 2Q + 2 parameters."""
+
+    uv: Image  # normalised positions of the pixels about the lenslet centre, (xy, N)
+    scale: tuple[np.float32, np.float32]  # px per unit of u and v; 1 over that where flux is conserved, else 0
+    monomials: Image  # the field modes as polynomials of u and v, (Q, monomial)
+    light: Image  # I0, counts, (L, N)
+    inverse: Image  # A: x modes, y modes, gain, offset, (L, P, N)
+    descent: Image  # J, the steepest-descent images, (L, P, N)
+    weight: Image  # of the pixels, one on average; 0 for those that do not count, (L, N)
+
+
+class View(NamedTuple):
+    """A frame, and how the lattice lies on it."""
+
+    coefficients: Image  # of the spline, (row, column)
+    bad: NDArray[np.bool_]  # pixels of the camera that show no light, (row, column)
+    sees_bad: NDArray[np.bool_]  # lenslets that may see one of them, (L,)
+    center_px: Floats  # of the lenslets, (L, xy)
+    turn: Image  # of the lattice, (cosine, sine)
+    half_cell_px: np.float32  # beyond it is the neighbour's light
+
+
+class State(NamedTuple):
+    """A fit and how well it matches."""
+
+    square: np.float32  # weighted sum of the residual's squares, as if no pixel were left out
+    step_px: np.float32  # largest change of a coefficient in the last step, or what is still to come of it
+    gain: np.float32
+    contrast: np.float32  # standard deviation of the light where the fit began, counts
+    careful: bool  # whether pixels were left out
+
+
+@compiled
+def settle(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to fast code
+    view: View, grid: Grid, lenslet: int, displacement: Image, limits: tuple[int, np.float32], scratch: Scratch
+) -> State:
+    """Improve the displacement (xy, Q), px, of one lenslet in place.
+
+    `limits`: how many times to look at the frame, and the tolerance, px. A step after which the residual has grown is
+    halved; a fit that still grows, or leaves all bounds, is lost. Gain and offset start from means and contrasts.
+    """
+    modes, inverse, weight = displacement.shape[1], grid.inverse[lenslet], grid.weight[lenslet]
+    parameters = inverse.shape[0]
+    change, step = np.zeros(parameters, np.float32), np.float32(np.inf)
+    gain, offset, contrast = np.float32(1.0), np.float32(0.0), np.float32(0.0)
+    gain_before, offset_before, before, square = gain, offset, np.float32(np.inf), np.float32(np.inf)
+    careful: bool = False
+    renew, halvings = True, 0
+    left = np.empty((0, 0), np.float64)
+    for iteration in range(limits[0]):
+        if not np.max(np.abs(displacement)) < _BOUND_PX:
+            return State(np.float32(np.inf), LOST_PX, gain, contrast, careful)
+        warp = warp_polynomials(displacement, grid.monomials)
+        look(view.coefficients, warp, grid.uv, view.center_px[lenslet], view.turn, grid.scale, scratch)
+        if iteration == 0:
+            gain, offset, contrast = _brightness(scratch.light, grid.light[lenslet])
+            gain_before, offset_before = gain, offset
+            if not 0 < contrast < np.inf:  # nothing to be seen, or more than numbers hold
+                return State(np.float32(np.inf), LOST_PX, gain, np.float32(0.0), careful)
+        if renew:
+            careful = bool(view.sees_bad[lenslet]) or _leaves_cell(warp, grid, view.half_cell_px)
+            if careful:
+                _mask(view, lenslet, scratch)
+                left = _left_over(inverse, grid.descent[lenslet], scratch.masked)
+        square = _subtract(gain, offset, grid.light[lenslet], weight, scratch)
+        if careful:
+            square = _leave_out(weight, scratch)
+        if not square < np.inf:
+            return State(square, LOST_PX, gain, contrast, careful)
+        if square > _GROWTH * before and step > _SMALL_PX:
+            halvings += 1
+            if halvings > _HALVINGS:
+                return State(square, LOST_PX, gain, contrast, careful)
+            for p in range(parameters):
+                change[p] *= np.float32(0.5)
+            for axis in range(2):
+                for q in range(modes):
+                    displacement[axis, q] += change[axis * modes + q]
+            step *= np.float32(0.5)
+        else:
+            before, gain_before, offset_before = square, gain, offset
+            _project(inverse, scratch.residual, change)
+            if careful and not _solve(left.copy(), change):
+                return State(square, LOST_PX, gain, contrast, careful)
+            _carry(change, warp, grid.scale[0])
+            last, step = step, np.float32(0.0)
+            for axis in range(2):
+                for q in range(modes):
+                    displacement[axis, q] -= change[axis * modes + q]
+                    step = max(step, abs(change[axis * modes + q]))
+            # What is still to come, if the steps go on to shrink as they did.
+            shrinks = _FIRST_SHRINKS if iteration == 0 else min(max(step / last, _SHRINKS), np.float32(0.9))
+            if step * shrinks / (np.float32(1.0) - shrinks) < limits[1]:
+                break
+        renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two masks would never settle
+        fainter = np.float32(1.0) - change[-2]
+        gain, offset = gain_before * fainter, offset_before * fainter - change[-1]
+    if not (gain > 0 and np.max(np.abs(displacement)) < _BOUND_PX):
+        step = LOST_PX
+    return State(square, step, gain, contrast, careful)
+
+
+@compiled
+def _carry(change: Image, warp: Image, per_unit: np.float32) -> None:
+    """Turn a change of the displacement (P,) as the reference sees it into one as the frame does, in place.
+
+    A warp (xy, monomial) that stretches the image stretches what is still missing, too: by its gradient in the middle.
+    """
+    modes = change.size // 2 - 1
+    for q in range(modes):
+        x, y = change[q], change[modes + q]
+        change[q] += (warp[0, 1] * x + warp[0, 2] * y) / per_unit
+        change[modes + q] += (warp[1, 1] * x + warp[1, 2] * y) / per_unit
+
+
+@compiled
+def _leaves_cell(warp: Image, grid: Grid, half_cell_px: np.float32) -> bool:
+    """Whether the border of a window that a warp (xy, monomial) moves lies in a neighbour's cell."""
+    edge = abs(grid.uv[0, 0])  # the first pixel is a corner
+    for row in range(-1, 2):
+        for column in range(-1, 2):
+            u, v = edge * np.float32(column), edge * np.float32(row)
+            x = warp_value(warp[0], u, v) + u * grid.scale[0]
+            y = warp_value(warp[1], u, v) + v * grid.scale[0]
+            if max(abs(x), abs(y)) > half_cell_px:
+                return True
+    return False
+
+
+@compiled
+def _brightness(light: Image, template: Image) -> tuple[np.float32, np.float32, np.float32]:
+    """Gain and offset that give light (N,) the mean and the contrast of the template (N,); the light's contrast."""
+    pixels = np.float32(light.size)
+    mean, template_mean = np.float32(0.0), np.float32(0.0)
+    for n in range(light.size):
+        mean += light[n]
+        template_mean += template[n]
+    mean, template_mean = mean / pixels, template_mean / pixels
+    power, template_power = np.float32(0.0), np.float32(0.0)
+    for n in range(light.size):
+        power += (light[n] - mean) * (light[n] - mean)
+        template_power += (template[n] - template_mean) * (template[n] - template_mean)
+    gain = np.sqrt(template_power / power)
+    return gain, template_mean - gain * mean, np.sqrt(power / pixels)
+
+
+@compiled
+def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Image, scratch: Scratch) -> np.float32:
+    """Fill in the residual; return the weighted sum of its squares."""
+    light, stretch, residual = scratch.light, scratch.stretch, scratch.residual
+    for n in range(light.size):
+        residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
+    square = np.float32(0.0)
+    for n in range(light.size):
+        square += weight[n] * residual[n] * residual[n]
+    return square
+
+
+@compiled
+def _leave_out(weight: Image, scratch: Scratch) -> np.float32:
+    """Take the masked pixels out of the residual; return the weighted sum of squares as if none were missing."""
+    square, total, kept = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for n in range(weight.size):
+        total += weight[n]
+        if scratch.masked[n]:
+            scratch.residual[n] = np.float32(0.0)
+        else:
+            kept += weight[n]
+            square += weight[n] * scratch.residual[n] * scratch.residual[n]
+    return square * total / max(kept, np.float32(1e-6))
+
+
+@compiled
+def _project(inverse: Image, residual: Image, change: Image) -> None:
+    """Carry a residual (N,) to a change of the parameters (P,)."""
+    for p in range(change.size):
+        total, row = np.float32(0.0), inverse[p]
+        for n in range(residual.size):
+            total += row[n] * residual[n]
+        change[p] = total
+
+
+@compiled
+def _mask(view: View, lenslet: int, scratch: Scratch) -> None:
+    """Mask the pixels that land in the neighbour's cell or between bad pixels."""
+    cosine, sine = view.turn[0], view.turn[1]
+    for n in range(scratch.x.size):
+        x, y = scratch.x[n], scratch.y[n]
+        column, row = int(x), int(y)
+        along, across = x - np.float32(view.center_px[lenslet, 0]), y - np.float32(view.center_px[lenslet, 1])
+        beyond = max(abs(cosine * along + sine * across), abs(cosine * across - sine * along)) > view.half_cell_px
+        scratch.masked[n] = beyond or (
+            view.sees_bad[lenslet]
+            and (
+                view.bad[row, column]
+                or view.bad[row + 1, column]
+                or view.bad[row, column + 1]
+                or view.bad[row + 1, column + 1]
+            )
+        )
+
+
+@compiled
+def _left_over(inverse: Image, descent: Image, masked: NDArray[np.bool_]) -> Floats:
+    """1 - sum A_n J_n^T over the masked pixels (N,): (P, P)."""
+    parameters = inverse.shape[0]
+    left = np.eye(parameters)
+    for n in range(masked.size):
+        if masked[n]:
+            for i in range(parameters):
+                for j in range(parameters):
+                    left[i, j] -= inverse[i, n] * descent[j, n]
+    return left
+
+
+@compiled
+def _solve(matrix: Floats, x: Image) -> bool:
+    """Solve matrix (P, P) y = x in place by elimination with pivoting, x (P,) becoming y; False if it is singular."""
+    size = x.size
+    for i in range(size):
+        pivot_row = i
+        for row in range(i + 1, size):
+            if abs(matrix[row, i]) > abs(matrix[pivot_row, i]):
+                pivot_row = row
+        if not abs(matrix[pivot_row, i]) > _PIVOT:
+            return False
+        for column in range(i, size):
+            matrix[i, column], matrix[pivot_row, column] = matrix[pivot_row, column], matrix[i, column]
+        x[i], x[pivot_row] = x[pivot_row], x[i]
+        for row in range(i + 1, size):
+            factor = matrix[row, i] / matrix[i, i]
+            for column in range(i, size):
+                matrix[row, column] -= factor * matrix[i, column]
+            x[row] -= np.float32(factor) * x[i]
+    for i in range(size - 1, -1, -1):
+        for column in range(i + 1, size):
+            x[i] -= np.float32(matrix[i, column]) * x[column]
+        x[i] /= np.float32(matrix[i, i])
+    return True

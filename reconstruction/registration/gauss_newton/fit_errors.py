@@ -1,0 +1,111 @@
+"""The error bars of fitted warps: what the camera's noise does to them, and to the residual.
+
+The broad steepest-descent images see the slow part of the noise, which interpolation leaves as it is: so the covariance
+is that of pixels without interpolation. The residual holds all of the noise, and so less than the pixels' own.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Floats, Mask
+from reconstruction.frame.spline import noise_power
+from reconstruction.registration.gauss_newton.lenslet_fits import Fits
+from reconstruction.registration.gauss_newton.template import Propagated, Template
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.runtime.compilation import compiled
+
+
+class Errors(NamedTuple):
+    """How wrong the fits of L lenslets may be."""
+
+    covariance: Floats  # px^2, (L, Q, xy, Q, xy); without known noise, of what the warp cannot explain
+    chi_square: Floats  # reduced, (L,); NaN where the noise is not known
+    unexplained: Floats  # weighted sum of squares of the residual, less what noise leaves in it, counts^2, (L,)
+    known: Floats  # share of what a lenslet's pixels say about its parameters that the good ones say, (L,)
+
+
+class FitErrors:
+    """Propagates noise through the fits against one reference."""
+
+    def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Mask) -> None:
+        """Prepare for a template on some pixels (N,) of the reference's windows."""
+        self._noise, self._template = reference.noise, template
+        self._of_reference = 1 / reference.reference_frames
+        # Interpolation has weakened the noise of the reference, too: of uniform noise, of shot noise, (L, 2).
+        power = noise_power(reference.position_px[:, pixels])
+        weight = np.stack([template.grid.weight, template.grid.weight * np.maximum(template.grid.light, 0)], axis=-1)
+        total = np.maximum(weight.sum(axis=1), np.finfo(np.float32).tiny)
+        self._reference_power = np.einsum("ln,lnk->lk", power, weight) / total
+
+    @property
+    def expected_square(self) -> Floats:
+        """Weighted sum of the squares of all noise, as a polynomial of the gain: (L, 3); zero where it is not known."""
+        square = np.zeros((len(self._template.contrast), 3))
+        if self._noise is not None:
+            shot = self._noise.counts_per_light * self._template.per_light.square
+            read = self._noise.read_noise_counts**2 * self._template.per_pixel.square
+            square[:, 0], square[:, 1], square[:, 2] = (shot + read) * self._of_reference, shot, read
+        return square
+
+    def __call__(self, fits: Fits) -> Errors:
+        """Say how wrong the fits are; of those that ran away it may say anything."""
+        template, lenslets = self._template, len(fits.gain)
+        errors = Errors(
+            np.empty_like(template.per_pixel.covariance), np.empty(lenslets), np.empty(lenslets), np.ones(lenslets)
+        )
+        noise = (np.nan, np.nan)
+        if self._noise is not None:
+            noise = self._noise.counts_per_light, self._noise.read_noise_counts**2
+        prepared = *noise, self._of_reference, self._reference_power
+        _propagate(fits, np.arange(lenslets), template.per_pixel, template.per_light, *prepared, errors)
+        careful = np.flatnonzero(fits.careful)
+        if careful.size:
+            per_pixel, per_light, errors.known[careful] = template.without(careful, fits.masked[careful])
+            _propagate(fits, careful, per_pixel, per_light, *prepared, errors)
+        return errors
+
+
+@compiled
+def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by their place
+    fits: Fits,
+    lenslets: NDArray[np.intp],
+    per_pixel: Propagated,
+    per_light: Propagated,
+    shot: float,
+    read: float,
+    of_reference: float,
+    reference_power: Floats,
+    errors: Errors,
+) -> None:
+    """Fill in what is wrong with the fits of some lenslets (K,), of which `per_pixel` and `per_light` tell.
+
+    `shot`, the variance (counts^2) of each count of light, and `read`, that of each pixel, are NaN where they are not
+    known; the reference has the share `of_reference` of them, weakened by interpolation to `reference_power` (L, 2).
+    """
+    for k in range(lenslets.size):
+        lenslet = lenslets[k]
+        gain, square, power = fits.gain[lenslet], fits.square[lenslet], fits.noise_power[lenslet]
+        still = reference_power[lenslet]
+        of_pixels, of_light, expected = 0.0, 0.0, 0.0
+        if np.isnan(shot):
+            of_pixels = square / (power[0] * per_pixel.square[k] - per_pixel.fitted[k])
+            errors.chi_square[lenslet] = np.nan
+        else:
+            # Of the frame, raised by the gain to the brightness of the reference, and of the reference itself.
+            shot_frame, read_frame = shot * gain, read * gain * gain
+            shot_reference, read_reference = shot * of_reference, read * of_reference
+            of_pixels, of_light = read_frame + read_reference, shot_frame + shot_reference
+            left_pixels = read_frame * power[0] + read_reference * still[0]
+            left_light = shot_frame * power[1] + shot_reference * still[1]
+            expected = left_pixels * per_pixel.square[k] - of_pixels * per_pixel.fitted[k]
+            expected += left_light * per_light.square[k] - of_light * per_light.fitted[k]
+            errors.chi_square[lenslet] = square / expected
+        errors.unexplained[lenslet] = square - expected
+        to = errors.covariance[lenslet].reshape(-1)
+        pixels, light = per_pixel.covariance[k].reshape(-1), per_light.covariance[k].reshape(-1)
+        for n in range(to.size):
+            to[n] = of_pixels * pixels[n] + of_light * light[n]

@@ -1,0 +1,159 @@
+"""Registration by flux-conserving Gauss-Newton: the method of this instrument.
+
+Light imaged at x in the reference arrives at x + d(x). Light is neither made nor lost on the way, so that
+
+    I0(x) = (gain I1(x + d(x)) + offset) det(1 + dd/dx),    d(x) = sum_q c_q T_q(x / h)
+
+with T_q the field modes and h the half width of the field on the subimage. One mode is a translation, three Legendre
+modes are the paper's affine map, six and ten bend. The c_q follow from Gauss-Newton steps that need of the reference
+only what `template` prepares once. They start from the frame before, or from a translation found on every other pixel;
+where that ends in no match, from the whole-pixel shift of the best correlation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.frame.spline import noise_power_polynomial
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes
+from reconstruction.registration.gauss_newton.alignment import View
+from reconstruction.registration.gauss_newton.fit_errors import FitErrors
+from reconstruction.registration.gauss_newton.lenslet_fits import Fits, Limits, fit_lenslets
+from reconstruction.registration.gauss_newton.template import prepare_template
+from reconstruction.registration.gauss_newton.whole_pixel_search import prepare_search
+from reconstruction.registration.outcomes import judged
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.threads import worker_pool
+
+# How far beyond the field's edge pixels are looked at, in blurs. Further out is only what diffraction scatters, which
+# no warp describes: with 0.8 the wavefronts of physics.md, section 7, are 0.157 rad wrong for the shortest correlation
+# length, with 1.3 0.098, as with all pixels of the cell; those of cubic warps 0.094 instead of 0.098.
+_MARGIN_BLURS = 1.3
+_CONVERGED_PX = 0.05  # a last step above it is no convergence
+_MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
+# Likewise, and over that of most lenslets: above both, the frame shows something more in a cell. On the screens of
+# physics.md, section 7, none is above 0.041 or 2.6; half covered, a lenslet of dim light has 0.15.
+_ODD, _OUTLYING = 0.08, 2.5
+_NOISE_SHARE = 0.3  # of the noise's square, by which a residual's may be more by chance
+_POOR = 0.3  # likewise; above it another start may do better
+_NOISE_AT_MOST = 1.5  # the square of a residual's noise over its mean
+_INFORMATION_LEFT = 0.75  # of a lenslet's; with less it is lost
+
+
+class GaussNewton:
+    """Registers frames against one reference; everything that depends on the reference alone is prepared here."""
+
+    def __init__(
+        self, reference: ReferenceSubimages, modes: PolynomialModes, *, conserve_flux: bool, threads: int = 2
+    ) -> None:
+        """Prepare for warps of the given field modes, and for so many threads that share the lenslets."""
+        self._reference, self._modes, self._threads = reference, modes, threads
+        offset_px = reference.offset_px
+        near = np.abs(offset_px).max(axis=1) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
+        coarse = near & np.all(np.mod(offset_px - offset_px[0], 2) == 0, axis=1)
+        self._start = prepare_template(reference, LegendreModes(1), coarse, conserve_flux=conserve_flux)
+        self._warp = prepare_template(reference, modes, near, conserve_flux=conserve_flux, noise=reference.noise)
+        self._search = prepare_search(reference)
+        self._errors = FitErrors(reference, self._warp, near)
+        self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
+        self._power = noise_power_polynomial()
+        poor_square = _NOISE_AT_MOST * self._errors.expected_square
+        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(near)
+        self._limits = Limits(
+            start_iterations=8,
+            start_tolerance_px=np.float32(0.1),  # only a start for the warp
+            iterations=16,
+            tolerance_px=np.float32(3e-4),
+            converged_px=np.float32(_CONVERGED_PX),
+            poor_square=poor_square.astype(np.float32),
+        )
+        # Numba compiles, or loads what it has compiled, at the first call: let that not be a camera's first frame.
+        self._fit(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.bool_), None)
+
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
+        """Compare a frame with the reference; see `displacement.Estimator`."""
+        reference, warp = self._reference, self._warp
+        coefficients = reference.spline(light, saturated=saturated, threads=self._threads)
+        bad = reference.bad | saturated
+        fits = self._fit(coefficients, bad, start)
+
+        errors = self._errors(fits)
+        found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < self._unexplained)
+        found &= ~_stands_out(errors.unexplained, fits.square, self._unexplained, found)
+        spoilt = errors.known < _INFORMATION_LEFT
+        return judged(
+            reference,
+            self._modes,
+            fits.displacement.astype(np.float64),
+            covariance=errors.covariance,
+            residual_rms=np.sqrt(fits.square / warp.grid.uv.shape[1]) / warp.contrast.max(),
+            chi_square=errors.chi_square,
+            contrast=fits.contrast,
+            faults={
+                Outcome.DIVERGED: ~found,
+                Outcome.LEFT_CELL: spoilt,
+                Outcome.DARK: spoilt & reference.touched(reference.bad),
+                Outcome.SATURATED: spoilt & reference.touched(saturated),
+            },
+        )
+
+    def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
+        """Fit the lenslets, shared among threads, to a frame of which the spline coefficients are given."""
+        reference, grid = self._reference, self._warp.grid
+        lenslets, pixels = grid.light.shape
+        fits = Fits(
+            displacement=self._begin(start),
+            contrast=np.zeros(lenslets),
+            gain=np.ones(lenslets),
+            square=np.full(lenslets, np.inf),
+            step_px=np.full(lenslets, np.inf),
+            noise_power=np.ones((lenslets, 2)),
+            careful=np.zeros(lenslets, np.bool_),
+            masked=np.zeros((lenslets, pixels), np.bool_),
+        )
+        view = View(
+            coefficients=coefficients,
+            bad=bad,
+            sees_bad=reference.near(bad),
+            center_px=reference.center_px,
+            turn=reference.turn[0].astype(np.float32),
+            half_cell_px=np.float32(reference.pitch_px / 2),
+        )
+
+        threads = self._threads
+
+        def part(first: int) -> None:
+            fit_lenslets(view, self._start.grid, grid, self._search, self._limits, self._power, fits, first, threads)
+
+        others = [worker_pool(threads - 1).submit(part, first) for first in range(1, threads)]
+        part(0)
+        for other in others:
+            other.result()
+        return fits
+
+    def _begin(self, start: Displacement | None) -> Image:
+        """Where the fits begin, (L, xy, Q), px: NaN for those that have no start but their own."""
+        shape = len(self._reference.light), self._modes.count, 2
+        if start is None or start.coefficients.size != np.prod(shape):
+            return np.full((shape[0], 2, shape[1]), np.nan, np.float32)
+        return np.ascontiguousarray(np.swapaxes(start.coefficients.reshape(shape), 1, 2), np.float32)
+
+
+@compiled
+def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Mask) -> Mask:
+    """Which lenslets (L,) show something that most do not, as when a part of the cell is covered.
+
+    `unexplained` (L,) of the residual's `square` (L,), counts^2, is more than its noise, and must be less than
+    `at_most` (L,) in any case; `found` (L,) have a match.
+    """
+    out = np.zeros_like(found)
+    if found.any():
+        share = unexplained * (_MISFIT**2 / at_most)
+        usual = np.median(np.maximum(share[found], 0.0))
+        for lenslet in range(found.size):
+            noise = (square[lenslet] - unexplained[lenslet]) * (_MISFIT**2 / at_most[lenslet])
+            out[lenslet] = share[lenslet] > max(_ODD**2, _OUTLYING**2 * usual) + _NOISE_SHARE * noise
+    return out

@@ -1,0 +1,63 @@
+"""What becomes of each lenslet: the same judgement for every method of registration."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Floats, Mask
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.modes.field_modes import FieldModes
+from reconstruction.registration.subimages import DARK_CONTRAST, ReferenceSubimages
+
+
+def judged(
+    reference: ReferenceSubimages,
+    modes: FieldModes,
+    coefficients: Floats,
+    *,
+    covariance: Floats,
+    residual_rms: Floats,
+    chi_square: Floats | None = None,
+    contrast: NDArray[np.floating[Any]],
+    faults: dict[Outcome, Mask],
+) -> Displacement:
+    """Say what became of each of L lenslets and arrange the results on the lattice, NaN where lost.
+
+    coefficients c_q, px, (L, xy, Q) and their covariance (L, Q, xy, Q, xy); residual_rms (L,) over the contrast of the
+    reference's best subimage; contrast (L,) of the frame's subimages. `faults` says which lenslets (L,) the method
+    itself has found lost; of several faults the last counts, and darkness above all.
+    """
+    lost = np.zeros(len(coefficients), np.bool_)
+    for fault in faults.values():
+        lost |= fault
+    range_used = reference.range_used(np.where(lost[:, None, None], 0, coefficients), modes)
+    outcome = np.full(len(coefficients), Outcome.CONVERGED, np.int8)
+    outcome[range_used > 1] = Outcome.LEFT_CELL
+    for reason, fault in faults.items():
+        outcome[fault] = reason
+    contrast = np.where(np.isfinite(contrast), contrast, 0)
+    outcome[~reference.lit | ~(contrast > DARK_CONTRAST * np.median(contrast[reference.lit]))] = Outcome.DARK
+    outcome[reference.off_camera] = Outcome.OFF_CAMERA
+    lost = outcome != Outcome.CONVERGED
+    far = outcome == Outcome.LEFT_CELL
+
+    def arranged(values: Floats, wanted: Mask) -> Floats:
+        kept = values
+        if not wanted.all():
+            kept = np.full_like(values, np.nan)
+            kept[wanted] = values[wanted]
+        return kept.reshape(*reference.lenslets, *values.shape[1:])
+
+    unknown = np.full(len(coefficients), np.nan)
+    return Displacement(
+        modes=modes,
+        coefficients=arranged(np.swapaxes(coefficients, 1, 2), ~lost),
+        covariance=arranged(covariance, ~lost),
+        outcome=outcome.reshape(reference.lenslets),
+        residual_rms=arranged(residual_rms, ~lost),
+        chi_square=arranged(unknown if chi_square is None else chi_square, ~lost),
+        range_used=arranged(range_used, ~lost | far & (range_used > 0)),
+    )

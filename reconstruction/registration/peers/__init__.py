@@ -1,0 +1,1 @@
+"""Registration methods from the literature, for comparison."""

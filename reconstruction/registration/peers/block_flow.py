@@ -1,0 +1,159 @@
+"""Block-wise optical flow: the method of Wu et al. 2021 (Cell 184, 3318), as the paper describes it.
+
+The image of the field is divided into 7 x 7 areas; each is searched for in the frame's subimage at the place of maximum
+correlation; cubic interpolation makes of the 7 x 7 shifts one for every pixel.
+
+The description leaves open what a source needs that is not full of structure, as a uniform square is not:
+
+* A seventh of the field is 2.5 pixels, less than the diffraction blur. So a block is wider than the area that it
+  stands for, and blocks overlap.
+* The peak is that of the normalised correlation, which a neighbour's brightness does not shift, between pixels by a
+  parabola along x and another along y, for a whole pixel is 2.3 rad over a lenslet. No joint quadratic in x and y is
+  fitted, as along an edge it is flat in one direction.
+* Inside the square the correlation is undefined, and along an edge it is so in one direction. The structure tensor of a
+  block, sum of grad I0 grad I0^T, says which shifts it can see. A direction with less than a fraction of the best
+  block's structure counts for nothing, and the shifts are filled in from the neighbours as a thin plate would be:
+  the smallest second differences that pass through what was seen.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.interpolate import make_interp_spline
+
+from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.displacement import Displacement
+from reconstruction.geometry import centered_steps
+from reconstruction.modes.field_modes import FieldModes
+from reconstruction.registration.peers.flow import FlowReading
+from reconstruction.registration.subimages import ReferenceSubimages
+
+_BLOCKS = 7  # along x and along y
+_BLOCK_PX = 9  # width of a block; odd, so that it has a middle pixel; 7 see too little of a square's blurred edge
+_FAINT = 0.1  # of the best block's structure; below it a direction is not seen
+_STIFFNESS = 1e-2  # of the plate, in units of the best block's structure: it bends wherever anything is seen
+_REST = 1e-9  # likewise; holds what nothing holds
+_FLAT = 1e-3  # of the subimage's contrast; where the frame varies less, nothing correlates
+
+
+class BlockFlow:
+    """Registers frames against one reference by the correlation of blocks."""
+
+    def __init__(self, reference: ReferenceSubimages, modes: FieldModes) -> None:
+        """Prepare for one reference, displacements written in `modes` (see `flow.FlowReading`)."""
+        self._reference = reference
+        self._read = FlowReading(reference, modes)
+        self._reach = max(1, int(np.ceil(reference.reach_px - reference.half_width_px)))  # of the shifts, px
+        # Blocks lie on whole pixels; one shift more than is wanted, so that each peak has neighbours.
+        self._center_px = np.rint(centered_steps(_BLOCKS) * (2 * reference.half_width_px / _BLOCKS))
+        pixels_px = np.clip(centered_steps(reference.width), -reference.half_width_px, reference.half_width_px)
+        self._interpolation = make_interp_spline(self._center_px, np.eye(_BLOCKS), k=3)(pixels_px)  # (width, block)
+
+        windows = reference.light.reshape(-1, reference.width, reference.width)
+        blocks = self._blocks(windows)
+        blocks = blocks - blocks.mean(axis=(-2, -1), keepdims=True)
+        norm = np.sqrt(np.sum(blocks**2, axis=(-2, -1), keepdims=True))
+        self._templates = blocks / np.where(norm > 0, norm, 1.0)  # (L, block_row, block_column, row, column)
+        self._structure, self._plate = self._prepare_plate()
+
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
+        """Compare a frame with the reference; see `displacement.Estimator`."""
+        subimages = self._reference.cut(light)
+        seen = self._structure @ self._search(subimages)[..., None]
+        shift = self._plate @ seen.reshape(len(seen), -1, 1)
+        shift = shift.reshape(-1, _BLOCKS, _BLOCKS, 2)
+        flow = np.einsum("yi,xj,lijd->lyxd", self._interpolation, self._interpolation, shift, optimize=True)
+        return self._read(flow.reshape(len(flow), -1, 2), subimages, saturated=saturated)
+
+    def _padded(self, windows: Floats, reach: int) -> tuple[Floats, NDArray[np.intp]]:
+        """Go on with the windows (L, width, width) beyond their edges, as far as blocks moved by `reach` may lie.
+
+        Also says where in it the blocks begin, along x as along y, when they are moved by -reach.
+        """
+        margin = reach + _BLOCK_PX
+        padded = np.pad(windows, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
+        middle = self._reference.width // 2 + margin
+        return padded, (self._center_px + middle).astype(np.intp) - _BLOCK_PX // 2 - reach
+
+    def _blocks(self, windows: Floats) -> Floats:
+        """Every block of the windows (L, width, width): (L, block_row, block_column, row, column)."""
+        padded, first = self._padded(windows, 0)
+        return sliding_window_view(padded, (_BLOCK_PX, _BLOCK_PX), axis=(1, 2))[:, first[:, None], first]
+
+    def _search(self, subimages: Floats) -> Floats:
+        """Shift of the best normalised correlation of every block, px, (L, block_row, block_column, xy)."""
+        correlation = self._correlation(subimages)
+        # A peak at the very end of the search has no neighbour to tell where it lies: only inner shifts are asked.
+        inner = correlation[..., 1:-1, 1:-1]
+        best = np.argmax(inner.reshape(*inner.shape[:3], -1), axis=-1)
+        row, column = np.unravel_index(best, inner.shape[3:])
+        lenslet, i, j = np.ogrid[: len(subimages), :_BLOCKS, :_BLOCKS]
+        peak = sliding_window_view(correlation, (3, 3), axis=(3, 4))[lenslet, i, j, row, column]
+        across = np.stack([peak[..., 1, :], peak[..., :, 1]], axis=-2)  # through the peak along x, along y
+        return np.stack([column, row], axis=-1) - self._reach + _vertex(across)
+
+    def _correlation(self, subimages: Floats) -> Floats:
+        """Normalised correlation of every block with the subimages (L, width, width) at every shift.
+
+        (L, block_row, block_column, shift_row, shift_column), one shift more at each end than the search may find.
+        """
+        reach = self._reach + 1
+        shifts = 2 * reach + 1
+        padded, first = self._padded(subimages, reach)
+        mean, mean_square = (
+            ndimage.uniform_filter(image, (0, _BLOCK_PX, _BLOCK_PX), mode="nearest") for image in (padded, padded**2)
+        )
+        spread = np.sqrt(np.maximum(mean_square - mean**2, 0))  # of the block about each pixel
+        flat = np.maximum(_FLAT * subimages.std(axis=(1, 2)), np.finfo(np.float32).tiny)
+        norm = _BLOCK_PX * np.maximum(spread, flat[:, None, None])
+        half = _BLOCK_PX // 2
+        correlation = np.empty((len(subimages), _BLOCKS, _BLOCKS, shifts, shifts))
+        for i, row in enumerate(first):
+            for j, column in enumerate(first):
+                around = padded[:, row : row + shifts + 2 * half, column : column + shifts + 2 * half]
+                moved = sliding_window_view(around, (_BLOCK_PX, _BLOCK_PX), axis=(1, 2))
+                middle = norm[:, row + half : row + half + shifts, column + half : column + half + shifts]
+                correlation[:, i, j] = np.einsum("lstyx,lyx->lst", moved, self._templates[:, i, j]) / middle
+        return correlation
+
+    def _prepare_plate(self) -> tuple[Floats, Floats]:
+        """What each block of the reference can see, and the plate bent by what the blocks see.
+
+        The structure tensors (L, block_row, block_column, xy, xy), and the matrices (L, shifts, shifts) that make the
+        filled shifts of tensor times shift; both in units of the best block's structure.
+        """
+        gradient = self._reference.gradient.reshape(-1, self._reference.width, self._reference.width, 2)
+        along_x, along_y = (self._blocks(gradient[..., axis]) for axis in (0, 1))
+        tensor = np.empty((*along_x.shape[:3], 2, 2))
+        tensor[..., 0, 0], tensor[..., 1, 1] = np.sum(along_x**2, axis=(-2, -1)), np.sum(along_y**2, axis=(-2, -1))
+        tensor[..., 0, 1] = tensor[..., 1, 0] = np.sum(along_x * along_y, axis=(-2, -1))
+        strength, direction = np.linalg.eigh(tensor)
+        best = strength.max(axis=(1, 2, 3), keepdims=True)
+        strength = strength / np.where(best > 0, best, 1.0)
+        strength = np.where(strength > _FAINT, strength, 0.0)
+        structure = (direction * strength[..., None, :]) @ np.swapaxes(direction, -1, -2)
+
+        bend = np.diff(np.eye(_BLOCKS), 2, axis=0)
+        slope = np.diff(np.eye(_BLOCKS), axis=0)
+        plain = np.eye(_BLOCKS)
+        bends = [np.kron(bend, plain), np.sqrt(2) * np.kron(slope, slope), np.kron(plain, bend)]
+        energy = sum(matrix.T @ matrix for matrix in bends)
+        blocks = _BLOCKS**2
+        system = np.zeros((len(structure), blocks, 2, blocks, 2))
+        diagonal = np.arange(blocks)
+        # Where nothing at all is seen, as in the dark, the least of pulls towards no shift keeps the system regular.
+        system[:] = np.kron(_STIFFNESS * energy + _REST * np.eye(blocks), np.eye(2)).reshape(system.shape[1:])
+        system[:, diagonal, :, diagonal] += np.swapaxes(structure.reshape(-1, blocks, 2, 2), 0, 1)
+        plate = np.linalg.inv(system.reshape(-1, 2 * blocks, 2 * blocks))
+        return np.asarray(structure, np.float64), np.asarray(plate, np.float64)
+
+
+def _vertex(values: Floats) -> Floats:
+    """Where the parabola through three neighbours (..., 3) has its peak, px from the middle one, at most half."""
+    before, middle, after = np.moveaxis(values, -1, 0)
+    curvature = before - 2 * middle + after
+    peaked = curvature < 0
+    return np.where(peaked, np.clip((before - after) / (2 * np.where(peaked, curvature, 1.0)), -0.5, 0.5), 0.0)

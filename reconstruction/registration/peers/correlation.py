@@ -1,0 +1,133 @@
+"""Registration by one shift per lenslet: the space-invariant method that the paper compares with.
+
+Every subimage is laid over its reference at all whole-pixel shifts within reach; between the pixels, a 2-D quadratic
+through the 3 x 3 values about the best one has its minimum where the shift is. The mismatch is either the sum of
+squared differences (square difference function) or follows from the cross-correlation, by FFT. Both after Löfdahl
+2010, Astronomy & Astrophysics 524, A90.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import require
+from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.registration.outcomes import judged
+from reconstruction.registration.subimages import ReferenceSubimages
+
+Mismatch = Literal["square_difference", "fft"]
+
+_MISFIT = 0.7  # residual over contrast above which the frame shows something else than the reference, however deformed
+
+
+class Correlation:
+    """Finds the shift of each subimage against one reference, prepared here."""
+
+    def __init__(self, reference: ReferenceSubimages, *, method: Mismatch = "square_difference") -> None:
+        """Prepare for shifts that leave the field inside the lenslet's cell."""
+        require({f"method must be one of {', '.join(get_args(Mismatch))}": method in get_args(Mismatch)})
+        range_px = reference.reach_px - reference.half_width_px
+        if range_px < 1:
+            raise ReconstructionError("the field fills the lenslets' cells: no shift of it can be correlated")
+        self._reference, self._method, self._modes = reference, method, LegendreModes(1)
+        self._search = int(range_px) + 1  # the outermost shifts are looked at, but are only neighbours
+        self._light = normalised(reference.light.reshape(-1, reference.width, reference.width))
+        self._spectrum = correlation_spectrum(self._light)
+
+    def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
+        """Compare a frame with the reference; see `displacement.Estimator`."""
+        reference = self._reference
+        window = reference.cut(light)
+        mismatch, pixels = self._mismatch(normalised(window))
+        shift, variance, least, found = _quadratic_minimum(mismatch)
+        residual_rms = np.sqrt(least / pixels)
+        variance *= least[:, None] / (pixels - 3)  # what the shift does not explain is taken for noise
+
+        return judged(
+            reference,
+            self._modes,
+            (shift - self._search)[..., None],
+            covariance=diagonal_covariance(variance[:, None]),
+            residual_rms=residual_rms * reference.contrast / reference.contrast.max(),
+            contrast=window.std(axis=(1, 2)),
+            faults={
+                Outcome.DIVERGED: ~(found & (residual_rms < _MISFIT)),
+                Outcome.SATURATED: reference.touched(saturated),
+            },
+        )
+
+    def _mismatch(self, window: Floats) -> tuple[Floats, int]:
+        """Sum of squared differences at all shifts, (L, shift_y, shift_x), and over how many pixels."""
+        search, width = self._search, self._reference.width
+        if self._method == "fft":
+            correlation = cross_correlation(self._spectrum, window, search)
+            return 2 * (width**2 - correlation), width**2
+        inner = width - 2 * search  # of the reference only its middle, so that every shift of it lies in the window
+        middle = self._light[:, search : search + inner, search : search + inner]
+        shifts = 2 * search + 1
+        mismatch = np.empty((len(window), shifts, shifts))
+        for row, column in np.ndindex(shifts, shifts):
+            difference = window[:, row : row + inner, column : column + inner] - middle
+            mismatch[:, row, column] = np.einsum("lyx,lyx->l", difference, difference)
+        return mismatch, inner**2
+
+
+def normalised(window: Floats) -> Floats:
+    """Windows (L, row, column) less their mean and over their contrast: neither gain nor offset is left."""
+    window = window - window.mean(axis=(1, 2), keepdims=True)
+    return np.asarray(window / np.maximum(window.std(axis=(1, 2), keepdims=True), 1e-30))
+
+
+def correlation_spectrum(light: Floats) -> NDArray[np.complex128]:
+    """Spectrum of normalised reference windows (L, width, width), as `cross_correlation` wants it."""
+    return np.asarray(np.conj(fft.rfft2(light)))
+
+
+def cross_correlation(spectrum: NDArray[np.complex128], window: Floats, search: int) -> Floats:
+    """Sum of the products of windows (L, width, width) and reference at shifts up to `search` px.
+
+    Shifts wrap around: at the borders of both is the same darkness, and with zeros there instead, which the
+    mean is not, everything would seem to have moved less. Returns (L, shift_y, shift_x), from -search to search.
+    """
+    products = fft.irfft2(fft.rfft2(window) * spectrum, window.shape[1:])
+    shifts = np.arange(-search, search + 1)
+    return np.asarray(products[:, shifts[:, None], shifts])
+
+
+def _quadratic_minimum(mismatch: Floats) -> tuple[Floats, Floats, Floats, Mask]:
+    """Where a quadratic about the least of the mismatches (L, shift_y, shift_x) has its minimum.
+
+    Returns its position in samples (L, xy); the position's variance (L, xy) per unit of variance of a pixel; the
+    mismatch there (L,); and whether there is a minimum inside the border, (L,).
+    """
+    lenslets, rows, columns = mismatch.shape
+    least = mismatch.reshape(lenslets, -1).argmin(axis=1)
+    row, column = np.divmod(least, columns)
+    inside = (row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1)
+    row, column = np.clip(row, 1, rows - 2), np.clip(column, 1, columns - 2)
+    around = np.arange(-1, 2)
+    s = mismatch[
+        np.arange(lenslets)[:, None, None], row[:, None, None] + around[:, None], column[:, None, None] + around
+    ]
+
+    slope_x, slope_y = (s[:, 1, 2] - s[:, 1, 0]) / 2, (s[:, 2, 1] - s[:, 0, 1]) / 2
+    bend_x = s[:, 1, 2] - 2 * s[:, 1, 1] + s[:, 1, 0]
+    bend_y = s[:, 2, 1] - 2 * s[:, 1, 1] + s[:, 0, 1]
+    twist = (s[:, 2, 2] - s[:, 2, 0] - s[:, 0, 2] + s[:, 0, 0]) / 4
+    determinant = bend_x * bend_y - twist**2
+    convex = (bend_x > 0) & (determinant > 0)
+    determinant = np.where(convex, determinant, 1.0)
+    step_x = (twist * slope_y - bend_y * slope_x) / determinant
+    step_y = (twist * slope_x - bend_x * slope_y) / determinant
+    found = inside & convex & (np.maximum(np.abs(step_x), np.abs(step_y)) <= 1)
+    position = np.stack([column + step_x, row + step_y], axis=-1)
+    variance = 2 * np.stack([bend_y, bend_x], axis=-1) / determinant[:, None]  # the bends are twice sum (dI0/dx)^2
+    bottom = np.maximum(s[:, 1, 1] + (slope_x * step_x + slope_y * step_y) / 2, 0)
+    return position, variance, bottom, found

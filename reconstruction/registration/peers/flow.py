@@ -1,0 +1,120 @@
+"""Dense displacements: what the methods that find one for every pixel of a subimage have in common.
+
+A flow d(x) is the displacement, px, of the light at every pixel x of the reference's window: (L, N, xy). The rest of
+the instrument asks for coefficients c_q of field modes; they follow from the flow by one matrix for all lenslets.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from reconstruction.arrays import Floats, Mask
+from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.errors import ReconstructionError
+from reconstruction.modes.field_modes import FieldModes, SampledModes
+from reconstruction.registration.outcomes import judged
+from reconstruction.registration.subimages import ReferenceSubimages
+
+_MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
+
+
+class FlowReading:
+    """Turns flows into displacements written in field modes; the matrix that does it is prepared once."""
+
+    def __init__(self, reference: ReferenceSubimages, modes: FieldModes) -> None:
+        """Prepare to write flows in `modes`.
+
+        `SampledModes` take the flow at their nodes as it is, by bilinear interpolation between four pixels: nothing of
+        the flow's own shape is lost. Other modes are fitted to it by least squares over the field's square
+        |x|, |y| <= 1, all pixels weighted alike; what they cannot hold is left out.
+        """
+        self._reference, self._modes = reference, modes
+        x, y = reference.offset_px.T / reference.half_width_px
+        if isinstance(modes, SampledModes):
+            self._matrix = _at_nodes(modes, reference.half_width_px, reference.width)
+        else:
+            inside = np.maximum(np.abs(x), np.abs(y)) <= 1
+            self._matrix = np.zeros((modes.count, x.size))
+            self._matrix[:, inside] = np.linalg.pinv(modes.values(x[inside], y[inside])).T
+        # If each pixel's displacement had an error of its own, that of their mean, a translation, would be
+        # sigma^2 / sum |dI0/dx|^2: so one pixel's is N times that, and the matrix carries it to the coefficients.
+        strength = np.sum(reference.gradient**2, axis=1)  # (L, xy)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixel = np.where(reference.lit[:, None], x.size / strength, 0.0)
+        self._variance = pixel[:, :, None] * np.sum(self._matrix**2, axis=1)
+
+    def __call__(self, flow: Floats, subimages: Floats, *, saturated: Mask) -> Displacement:
+        """Write the flow (L, N, xy), px, NaN where lost, of the frame's subimages (L, width, width) in the modes.
+
+        saturated (row, column): pixels of the frame at full scale.
+        """
+        residual_rms = misfit(self._reference, subimages, flow)
+        return displacement_of(
+            self._reference,
+            self._modes,
+            np.swapaxes(self._matrix @ flow, 1, 2),
+            covariance=diagonal_covariance(np.swapaxes(self._variance * residual_rms[:, None, None] ** 2, 1, 2)),
+            residual_rms=residual_rms,
+            contrast=subimages.std(axis=(1, 2)),
+            saturated=saturated,
+        )
+
+
+def _at_nodes(modes: SampledModes, half_width_px: float, width: int) -> Floats:
+    """Bilinear weights of the window's pixels for the value at each node: (Q, N)."""
+    along = [np.array(nodes) * half_width_px + (width - 1) / 2 for nodes in modes.nodes]
+    if not all(np.all((position >= 0) & (position <= width - 1)) for position in along):
+        raise ReconstructionError("the views lie beside the subimages: check the field's half_width_m and its views")
+    x, y = (np.maximum(1 - np.abs(position[:, None] - np.arange(width)), 0) for position in along)
+    return np.asarray(y[:, :, None] * x[:, None, :]).reshape(modes.count, -1)
+
+
+def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> Floats:
+    """RMS of I0(x) - gain I1(x + d(x)) - offset over each window, counts, (L,), with the best gain and offset.
+
+    subimages (L, width, width); flow (L, N, xy), px. NaN where the flow is.
+    """
+    lenslets, width = len(subimages), reference.width
+    position = flow + reference.offset_px + (width - 1) / 2
+    known = np.isfinite(position).all(axis=(1, 2))
+    lenslet = np.broadcast_to(np.arange(lenslets)[:, None], position.shape[:2])
+    where = np.stack([lenslet, position[..., 1], position[..., 0]])[:, known]
+    moved = ndimage.map_coordinates(subimages, where, order=1, mode="nearest")
+    still = reference.light[known]
+    moved, still = (image - image.mean(axis=1, keepdims=True) for image in (moved, still))
+    power = np.sum(moved**2, axis=1)
+    gain = np.sum(moved * still, axis=1) / np.where(power > 0, power, 1.0)
+    residual_rms = np.full(lenslets, np.nan)
+    residual_rms[known] = np.sqrt(np.mean((still - gain[:, None] * moved) ** 2, axis=1))
+    return residual_rms
+
+
+def displacement_of(
+    reference: ReferenceSubimages,
+    modes: FieldModes,
+    coefficients: Floats,
+    *,
+    covariance: Floats,
+    residual_rms: Floats,
+    contrast: NDArray[np.floating[Any]],
+    saturated: Mask,
+) -> Displacement:
+    """Judge each lenslet by its misfit and arrange the result on the lattice, NaN where lost.
+
+    coefficients c_q, px, (L, xy, Q) and their covariance (L, Q, xy, Q, xy); residual_rms (L,), counts; any of them NaN
+    where the method found nothing. contrast (L,) of the frame's subimages; saturated (row, column).
+    """
+    found = np.isfinite(coefficients).all(axis=(1, 2)) & (residual_rms < _MISFIT * reference.contrast)
+    return judged(
+        reference,
+        modes,
+        coefficients,
+        covariance=covariance,
+        residual_rms=residual_rms / reference.contrast.max(),
+        contrast=contrast,
+        faults={Outcome.DIVERGED: ~found, Outcome.SATURATED: reference.touched(saturated)},
+    )

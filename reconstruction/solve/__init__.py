@@ -1,0 +1,1 @@
+"""From displacements to the wavefront: zonal and modal."""

@@ -1,0 +1,126 @@
+"""Zonal reconstruction: Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980) for the lenslet centres.
+
+Between two neighbouring lenslets a pitch apart the wavefront rises by the mean of their slopes times the pitch. The
+weighted least-squares solution over all pairs of valid lenslets is found by one sparse factorisation, which depends
+on the valid lenslets and their weights alone and is kept until these change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import SuperLU, splu
+
+from reconstruction.arrays import Floats, Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ZonalSolution:
+    """Slopes whose wavefront is integrated when it is asked for."""
+
+    slopes: Floats  # of every field mode, rad/m, (lenslet_row, lenslet_column, field_mode, xy)
+    valid: Mask  # (lenslet_row, lenslet_column)
+    pitch_m: float
+    weights: Floats | None = None  # how much each slope counts, in any unit, (lenslet_row, lenslet_column)
+    slope_covariance: Floats | None = None  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
+
+    def wavefront(self, field_modes: Floats) -> Floats:
+        """Wavefront, rad, where the field modes have the values (..., field_mode); see `wavefront.Solution`."""
+        slopes = np.tensordot(field_modes, self.slopes, axes=([-1], [2]))
+        return zonal_wavefront(slopes, self.valid, pitch_m=self.pitch_m, weights=self.weights)
+
+    def sigma(self, field_modes: Floats) -> Floats:
+        """Standard deviation of `wavefront`, rad, the same shape: what the noise of the slopes makes of it."""
+        sigma = np.full((*field_modes.shape[:-1], self.valid.size), np.nan)
+        equations = _equations(self.valid, self.weights)
+        if equations is not None and self.slope_covariance is not None:
+            unit = np.eye(self.valid.size)
+            by_slope = [equations.solve(unit, axis) * self.pitch_m for axis in (0, 1)]  # each (node, lenslet)
+            noise = self.slope_covariance.reshape(self.valid.size, *self.slope_covariance.shape[2:])
+            noise = np.where(self.valid.ravel()[:, None, None, None, None], noise, 0.0)
+            at_view = np.einsum("...q,lqarb,...r->...lab", field_modes, noise, field_modes, optimize=True)
+            variance = sum(
+                at_view[..., a, b] @ (by_slope[a] * by_slope[b]).T for a, b in ((0, 0), (0, 1), (1, 0), (1, 1))
+            )
+            sigma[..., equations.node] = np.sqrt(variance)
+        return sigma.reshape(*field_modes.shape[:-1], *self.valid.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Southwell:
+    """The equations for one set of lenslets, factorised; nodes are the lenslets that hang together."""
+
+    node: NDArray[np.intp]  # flat index of every lenslet with an equation, (node,)
+    mean: tuple[sparse.csr_array, sparse.csr_array]  # of x slopes, of y slopes, over their pairs: (pair, lenslet)
+    weighted: tuple[sparse.csr_array, sparse.csr_array]  # difference^T weight, of x pairs, of y pairs: (node - 1, pair)
+    factors: SuperLU  # of difference^T weight difference; the first node is held at zero
+
+    def solve(self, slopes: Floats, axis: int) -> Floats:
+        """Wavefronts without piston (node, case) per pitch, of slopes (lenslet, case) along one axis."""
+        phase = self.factors.solve(np.asarray(self.weighted[axis] @ (self.mean[axis] @ slopes)))
+        phase = np.concatenate([np.zeros((1, slopes.shape[1])), phase])
+        return np.asarray(phase - phase.mean(axis=0))
+
+
+def zonal_wavefront(slopes: Floats, valid: Mask, *, pitch_m: float, weights: Floats | None = None) -> Floats:
+    """Integrate slopes (..., lenslet_row, lenslet_column, xy), rad/m, to wavefronts (..., lenslet_row, lenslet_column).
+
+    The wavefronts are in rad, without piston, all leading axes at once. `weights` (lenslet_row, lenslet_column)
+    say how much each lenslet counts, in any unit. Only lenslets that hang together with the largest connected set of
+    valid ones share its piston; all others are NaN, as is everything without a valid pair.
+    """
+    flat = np.where(valid[..., None], slopes, 0.0).reshape(-1, valid.size, 2)
+    wavefront = np.full((len(flat), valid.size), np.nan)
+    equations = _equations(valid, weights)
+    if equations is not None:
+        phase = sum(equations.solve(flat[..., axis].T, axis) for axis in (0, 1))
+        wavefront[:, equations.node] = np.transpose(phase) * pitch_m
+    return wavefront.reshape(*slopes.shape[:-3], *valid.shape)
+
+
+def _equations(valid: Mask, weights: Floats | None) -> _Southwell | None:
+    weights = np.ones(valid.shape) if weights is None else np.asarray(weights, np.float64)
+    return _southwell(valid.tobytes(), weights.tobytes(), *valid.shape)
+
+
+@lru_cache(maxsize=16)
+def _southwell(valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int) -> _Southwell | None:
+    """Set up and factorise the equations for a set of valid lenslets; None when no two of them are neighbours.
+
+    The mean of two slopes is as uncertain as the two together: a pair's weight is 1 / (1/w_1 + 1/w_2).
+    """
+    valid = np.frombuffer(valid_bytes, np.bool_)
+    weights = np.frombuffer(weight_bytes, np.float64)
+    index = np.arange(rows * columns).reshape(rows, columns)
+    pairs = [
+        np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()]),
+        np.stack([index[:-1].ravel(), index[1:].ravel()]),
+    ]
+    pairs = [pair[:, valid[pair].all(axis=0)] for pair in pairs]
+    both = np.concatenate(pairs, axis=1)
+    graph = sparse.coo_array((np.ones(both.shape[1]), (both[0], both[1])), shape=(valid.size, valid.size))
+    labels = connected_components(graph, directed=False)[1]
+    node = np.flatnonzero(labels == np.argmax(np.bincount(labels)))
+    if node.size < 2:
+        return None
+    pairs = [pair[:, np.isin(pair[0], node)] for pair in pairs]
+    mean = tuple(_pairwise(pair, np.full(2, 0.5), valid.size) for pair in pairs)
+    difference = [_pairwise(pair, np.array([-1.0, 1.0]), valid.size)[:, node[1:]] for pair in pairs]
+    weighted = tuple(
+        (each.T @ sparse.diags_array(1 / np.sum(1 / weights[pair], axis=0))).tocsr()
+        for pair, each in zip(pairs, difference, strict=True)
+    )
+    normal = weighted[0] @ difference[0] + weighted[1] @ difference[1]
+    return _Southwell(node, (mean[0], mean[1]), (weighted[0], weighted[1]), splu(normal.tocsc()))
+
+
+def _pairwise(pair: NDArray[np.intp], weights: Floats, lenslets: int) -> sparse.csr_array:
+    """Sparse operator from lenslets to pairs (2, pair) with the given weights of first and second."""
+    count = pair.shape[1]
+    values = np.repeat(weights, count)
+    return sparse.csr_array((values, (np.tile(np.arange(count), 2), pair.ravel())), shape=(count, lenslets))

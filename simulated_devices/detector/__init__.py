@@ -1,0 +1,1 @@
+"""The EMCCD detector: from photons to counts."""

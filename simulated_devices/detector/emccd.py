@@ -1,0 +1,84 @@
+"""An electron-multiplying CCD: from the mean number of photons to the counts of one frame.
+
+photons -> quantum efficiency, shot noise, dark current and clock-induced charge -> full well -> multiplication
+register, when its gain is above 1 -> read noise -> offset -> converter.
+Every pixel of every frame has its own random numbers, found by hashing (seed, frame, pixel): a frame is the same
+whatever thread computed it, and whichever frames were computed before.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulated_devices.detector.pixel_noise import expose_rows, splitmix64
+
+if TYPE_CHECKING:
+    from simulated_devices.settings import Amplifier, SimulatedCameraSettings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exposure:
+    """How one frame is taken."""
+
+    index: int
+    exposure_s: float
+    amplifier: Amplifier
+    em_gain: float
+    readout_speed: int  # of the EM amplifier
+
+
+class Detector:
+    """The sensor chip and its read-out, with two threads that share the rows of a frame."""
+
+    _THREADS = 2
+
+    def __init__(self, settings: SimulatedCameraSettings, *, seed: int) -> None:
+        self._settings = settings
+        self._seed = seed
+        self._pool = ThreadPoolExecutor(self._THREADS, thread_name_prefix="detector")
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown()
+
+    def read_noise_e(self, amplifier: Amplifier, readout_speed: int) -> float:
+        """Standard deviation of the read-out, in electrons behind the multiplication."""
+        if amplifier == "normal":
+            return self._settings.normal_read_noise_e
+        return self._settings.em_read_noise_e[readout_speed - 1]
+
+    def counts(self, photons: NDArray[np.float32], exposure: Exposure) -> NDArray[np.uint16]:
+        """Counts of one frame, (row, column), from the mean photons that meet each pixel during the exposure."""
+        settings = self._settings
+        background_e = settings.dark_current_e_per_s * exposure.exposure_s + settings.clock_induced_charge_e
+        counts = np.empty(photons.shape, np.uint16)
+        parameters = np.array(
+            [
+                settings.quantum_efficiency,
+                background_e,
+                settings.full_well_e,
+                exposure.em_gain if exposure.amplifier == "em" else 1.0,
+                settings.register_full_well_e,
+                self.read_noise_e(exposure.amplifier, exposure.readout_speed),
+                1 / settings.electrons_per_count,
+                settings.offset_counts,
+                2**settings.bits - 1,
+            ],
+            np.float32,
+        )
+        hashed_seed = int(splitmix64(np.uint64(self._seed)))  # Numba returns it as Python's integer
+        key = np.uint64(splitmix64(np.uint64((hashed_seed + exposure.index) % 2**64)))
+        edges = [len(photons) * part // self._THREADS for part in range(self._THREADS + 1)]
+        jobs = [
+            self._pool.submit(expose_rows, photons, key, parameters, start, end, counts)
+            for start, end in pairwise(edges)
+        ]
+        for job in jobs:
+            job.result()
+        return counts

@@ -1,0 +1,1 @@
+"""The optics: sources, phase screens, and the Fourier forward model."""

@@ -1,0 +1,220 @@
+r"""The exact image of an incoherent object behind a phase screen, as a lenslet array casts it on a camera.
+
+For one object point x_o the field behind a lenslet is exp(i (phi(u) + k u.x_o / f1)), sampled at n x n cell centres u;
+its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2. Points add up by their area.
+
+What makes it fast: the image of n samples is exactly a trigonometric polynomial with 2n - 1 terms a side and period
+lambda f n / D, so that 2n positions a side carry all of it, whatever the camera's pixels are. Every object
+point is therefore accumulated on one grid, symmetric about the lenslet's axis; the camera's pixels, wherever they lie,
+turned or not, are evaluated once, at the end. On symmetric grids the transform splits into real cosines and sines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event, Lock
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
+from reconstruction.runtime.threads import one_blas_thread
+from simulated_devices.optics.image_sum import ImageSum, unfold
+from simulated_devices.optics.phase_screen import PhaseScreen
+from simulated_devices.optics.pixel_grid import PixelGrid
+from simulated_devices.optics.ray_map import RayMap
+from simulated_devices.optics.source import SourcePoints
+
+Images: TypeAlias = NDArray[np.float32]
+PointPhase: TypeAlias = Callable[[float, float], Images]
+"""Phase that the light of the object point (x_m, y_m) has at the pupil samples: (sample_row, sample_column), rad."""
+
+
+_Share = TypeVar("_Share")
+
+
+class ForwardModel:
+    """The optics of one sensor, lattice and field, prepared once; thread-safe.
+
+    `pixel_fill_factor` is the width of a pixel's sensitive square over the pixel pitch; 0 samples the image at the
+    pixels' centres. `border_lenslets` rings of lenslets around the sensor's own are lit and imaged, too.
+    """
+
+    def __init__(  # noqa: PLR0913 - the camera, the accuracy and the threads have good defaults or no meaning together
+        self,
+        sensor: Sensor,
+        lattice: Lattice,
+        field: Field,
+        *,
+        rows: int,
+        columns: int,
+        pupil_samples: int = 20,
+        border_lenslets: int = 0,
+        pixel_fill_factor: float = 1.0,
+        threads: int = 2,
+    ) -> None:
+        require(
+            {
+                "pupil_samples must be even and at least 4": pupil_samples >= 4 and pupil_samples % 2 == 0,
+                "pixel_fill_factor must lie between 0 and 1": 0 <= pixel_fill_factor <= 1,
+            }
+        )
+        self._sensor, self._field = sensor, field
+        self._samples = pupil_samples
+        self._threads = threads
+        self.camera_shape = rows, columns
+        self._lenslet_rows = sensor.lenslet_rows + 2 * border_lenslets
+        self._lenslet_columns = sensor.lenslet_columns + 2 * border_lenslets
+        self._pixels = PixelGrid(
+            sensor,
+            lattice,
+            lenslet_rows=self._lenslet_rows,
+            lenslet_columns=self._lenslet_columns,
+            rows=rows,
+            columns=columns,
+            pupil_samples=pupil_samples,
+            pixel_fill_factor=pixel_fill_factor,
+        )
+        local_m = centered_steps(pupil_samples) * (sensor.lenslet_pitch_m / pupil_samples)
+        center_x_m = centered_steps(self._lenslet_columns) * sensor.lenslet_pitch_m
+        center_y_m = centered_steps(self._lenslet_rows) * sensor.lenslet_pitch_m
+        self._tilt_per_m = sensor.wavenumber_rad_per_m / field.collimator_focal_length_m
+        # The order that the even-odd transform wants: lower half mirrored, then upper half; within a half, columns
+        # run lenslet by lenslet, rows sample by sample.
+        half = pupil_samples // 2
+        halves_m = np.stack([local_m[:half][::-1], local_m[half:]])
+        self._local_x_m = np.broadcast_to(halves_m[:, None, :], (2, self._lenslet_columns, half)).ravel()
+        self._local_y_m = np.broadcast_to(halves_m[:, :, None], (2, half, self._lenslet_rows)).ravel()
+        self.sample_x_m: Floats = (halves_m[:, None, :] + center_x_m[None, :, None]).ravel()
+        self.sample_y_m: Floats = (halves_m[:, :, None] + center_y_m[None, None, :]).ravel()
+
+    def screen_phase(
+        self, screen: PhaseScreen, ray_map: RayMap, shift_m: tuple[float, float] = (0.0, 0.0)
+    ) -> PointPhase:
+        """Phase of each object point through `screen`, moved by `shift_m` (x, y), at this model's pupil samples.
+
+        Raises `ValueError` here and now if a ray of the field's whole square would leave the screen.
+        """
+        reach = (-self._field.half_width_m, self._field.half_width_m)
+        for edge_m in reach:
+            screen.at(ray_map.pupil_scale * self.sample_x_m + ray_map.field_scale * edge_m - shift_m[0], 0.0)
+            screen.at(0.0, ray_map.pupil_scale * self.sample_y_m + ray_map.field_scale * edge_m - shift_m[1])
+        along_x: dict[float, Images] = {}  # object x -> spline coefficients contracted along x, shared by all object y
+
+        def phase(object_x_m: float, object_y_m: float) -> Images:
+            contracted = along_x.get(object_x_m)
+            if contracted is None:
+                x_m = ray_map.pupil_scale * self.sample_x_m + ray_map.field_scale * object_x_m - shift_m[0]
+                product = screen.basis_x(x_m) @ screen.coefficients.T.astype(np.float32)
+                contracted = along_x[object_x_m] = np.ascontiguousarray(product.T)
+            y_m = ray_map.pupil_scale * self.sample_y_m + ray_map.field_scale * object_y_m - shift_m[1]
+            return np.asarray(screen.basis_y(y_m) @ contracted, np.float32)
+
+        return phase
+
+    def irradiance(
+        self,
+        source: SourcePoints,
+        phase: PointPhase | None = None,
+        *,
+        progress: Callable[[float], None] | None = None,
+    ) -> Images:
+        """Image of `source` on the camera, (row, column), float32, in m^2; without `phase` it is the reference.
+
+        A pixel's value is the emitting area (m^2) whose light, out of what one lenslet collects, ends in that pixel:
+        over one lenslet's whole diffraction pattern the values add up to `source.area_m2.sum()`. Times photons per
+        second and m^2 of mask that one lenslet collects, it is photons per second. `phase` may be any function of
+        the object point that gives the phase at `sample_y_m` x `sample_x_m`. `progress` hears 0 ... 1, from one thread
+        or another but never from two at once; what it raises ends the rendering and comes out here.
+        """
+        alone = phase is None  # without a screen all lenslets see the same: one is enough
+        folded = self._accumulate(source, phase, progress or (lambda _: None))
+        shape = (1, 1) if alone else (self._lenslet_rows, self._lenslet_columns)
+        return self._pixels.evaluate(unfold(folded, *shape))
+
+    def point_irradiances(self, position_m: Floats, phase: PointPhase | None = None) -> Images:
+        """Image of each object point on its own, (point, row, column), float32: `irradiance` for 1 m^2 of area each.
+
+        `position_m` is (point, xy). The pixels are evaluated for all points at once, one matrix product a
+        lenslet; 16 points on 465 x 465 pixels take about 40 MB.
+        """
+        lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
+        n = self._samples
+        waves = np.empty((lenslets[0] * lenslets[1], len(position_m), (2 * n - 1) ** 2), np.float32)
+
+        def work(first: int, ended: Event) -> None:
+            total = ImageSum(n, *lenslets)
+            for point in range(first, len(position_m), self._threads):
+                if ended.is_set():
+                    return
+                x_m, y_m = (float(value) for value in position_m[point])
+                total.folded[:] = 0
+                total.add(self._field_phase(phase, x_m, y_m), 1.0)
+                waves[:, point] = self._pixels.waves(unfold(total.folded, *lenslets)).reshape(len(waves), -1)
+
+        with one_blas_thread(), ThreadPoolExecutor(self._threads) as pool:
+            self._share_out(work, pool)
+            return self._pixels.evaluate_each(waves, pool.map)
+
+    def _accumulate(
+        self,
+        source: SourcePoints,
+        phase: PointPhase | None,
+        progress: Callable[[float], None],
+    ) -> Images:
+        # Points of one object column share work along x, so a thread takes whole columns.
+        lit = np.flatnonzero(source.area_m2)  # an opening that is no square leaves dark points on its grid
+        order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]
+        columns = np.split(order, np.flatnonzero(np.diff(source.position_m[order, 0])) + 1)
+        done, one_at_a_time = 0, Lock()
+
+        def work(first: int, ended: Event) -> Images:
+            nonlocal done
+            lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
+            total = ImageSum(self._samples, *lenslets)
+            for column in columns[first :: self._threads]:
+                for point in column:
+                    if ended.is_set():
+                        return total.folded
+                    x_m, y_m = (float(value) for value in source.position_m[point])
+                    total.add(self._field_phase(phase, x_m, y_m), float(source.area_m2[point]))
+                with one_at_a_time:
+                    done += len(column)
+                    progress(done / max(1, len(order)))
+            return total.folded
+
+        with one_blas_thread(), ThreadPoolExecutor(self._threads) as pool:
+            parts = self._share_out(work, pool)
+        return np.asarray(np.sum(parts, axis=0), np.float32)
+
+    def _share_out(self, work: Callable[[int, Event], _Share], pool: ThreadPoolExecutor) -> list[_Share]:
+        """Do `work(first, ended)` once a thread; an exception in one, or here (Ctrl-C), tells the others to end."""
+        ended = Event()
+
+        def share(first: int) -> _Share:
+            try:
+                return work(first, ended)
+            except BaseException:
+                ended.set()
+                raise
+
+        try:
+            return [future.result() for future in [pool.submit(share, first) for first in range(self._threads)]]
+        except BaseException:  # KeyboardInterrupt, too: leaving the pool waits for its threads
+            ended.set()
+            raise
+
+    def _field_phase(self, phase: PointPhase | None, x_m: float, y_m: float) -> Images:
+        """Screen phase plus the tilt of the object point over each lenslet, at the pupil samples."""
+        local_x_m, local_y_m = self._local_x_m, self._local_y_m
+        if phase is None:
+            half = self._samples // 2
+            local_x_m = local_x_m.reshape(2, -1, half)[:, 0].ravel()
+            local_y_m = local_y_m.reshape(2, half, -1)[:, :, 0].ravel()
+        tilt_x = (self._tilt_per_m * x_m * local_x_m).astype(np.float32)
+        tilt_y = (self._tilt_per_m * y_m * local_y_m).astype(np.float32)
+        tilt: Images = np.add.outer(tilt_y, tilt_x)
+        return tilt if phase is None else tilt + phase(x_m, y_m)

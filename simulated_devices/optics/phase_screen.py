@@ -1,0 +1,157 @@
+"""A phase screen: phases on a regular grid about the optical axis, with a bicubic spline between them.
+
+Arrays are [row, column], row = y; positions are in metres in the screen's own plane; phases in radians.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage, optimize, sparse
+from scipy.interpolate import BSpline, RectBivariateSpline
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import centered_steps, require
+
+_CUBIC = 3
+
+
+class PhaseScreen:
+    """Phases with a spline through them, prepared once; a position outside the screen is an error, never a guess.
+
+    `samples_rad` is (row, column), rad, centred on the axis; `sample_spacing_m` is the same along x and y.
+    """
+
+    def __init__(self, samples_rad: Floats, sample_spacing_m: float) -> None:
+        samples_rad = np.array(samples_rad, np.float64)
+        require(
+            {
+                "a phase screen must be a 2-D array of at least 4 x 4": (
+                    samples_rad.ndim == 2 and min(samples_rad.shape) > _CUBIC
+                ),
+                "a phase screen must hold finite numbers only": bool(np.isfinite(samples_rad).all()),
+            }
+        )
+        samples_rad.setflags(write=False)
+        self.samples_rad = samples_rad
+        self.sample_spacing_m = sample_spacing_m
+        y_m, x_m = (centered_steps(count) * sample_spacing_m for count in samples_rad.shape)
+        self.half_width_m = float(x_m[-1]), float(y_m[-1])  # (x, y)
+        self._spline = RectBivariateSpline(y_m, x_m, samples_rad)
+        self._knots_y, self._knots_x = self._spline.get_knots()  # of the spline's first and second axis
+        self.coefficients: Floats = np.reshape(
+            self._spline.get_coeffs(), (len(self._knots_y) - _CUBIC - 1, len(self._knots_x) - _CUBIC - 1)
+        )
+
+    def at(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
+        """Phase (rad) at positions in m, element by element; x and y broadcast against each other."""
+        x_m, y_m = np.broadcast_arrays(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
+        self._check(x_m, y_m)
+        return np.asarray(self._spline.ev(y_m, x_m), np.float64)
+
+    def basis_x(self, x_m: Floats) -> sparse.csr_array[np.float32]:
+        """Values of the spline's basis at x (m): sparse (position, coefficient column), four entries a row."""
+        self._check(x_m, np.zeros(1))
+        return _basis(x_m, self._knots_x)
+
+    def basis_y(self, y_m: Floats) -> sparse.csr_array[np.float32]:
+        """Values of the spline's basis at y (m): sparse (position, coefficient row), four entries a row."""
+        self._check(np.zeros(1), y_m)
+        return _basis(y_m, self._knots_y)
+
+    def scaled(self, factor: float) -> PhaseScreen:
+        """Return the screen with every phase multiplied by `factor`."""
+        return PhaseScreen(self.samples_rad * factor, self.sample_spacing_m)
+
+    def _check(self, x_m: Floats, y_m: Floats) -> None:
+        for name, position_m, half_width_m in zip("xy", (x_m, y_m), self.half_width_m, strict=True):
+            reach_m = float(np.abs(position_m).max(initial=0.0))
+            if not reach_m <= half_width_m:
+                raise ValueError(
+                    f"a ray meets the screen's plane at {name} = {reach_m * 1e3:.4g} mm, but the screen ends at "
+                    f"{half_width_m * 1e3:.4g} mm; give it more samples or less drift"
+                )
+
+
+def _basis(position_m: Floats, knots_m: Floats) -> sparse.csr_array[np.float32]:
+    return BSpline.design_matrix(position_m, knots_m, _CUBIC).astype(np.float32)
+
+
+def smooth_screen(
+    generator: np.random.Generator,
+    *,
+    samples: int,
+    sample_spacing_m: float,
+    correlation_length_m: float,
+    enlarged_by: int = 0,
+) -> Floats:
+    """White noise smoothed by a Gaussian of standard deviation `correlation_length_m`: (samples, samples), mean 0.
+
+    Margins of four standard deviations are computed and cut off, so that the edge is like the middle. This is the
+    recipe of the project's ensemble, number for number: `numpy.random.default_rng(seed)` is the generator.
+
+    `enlarged_by` adds that many samples on each of the four sides and leaves the middle the screen that it is without
+    them: the middle's noise is drawn first, and its mean is the one that is subtracted. (Where 4 sigma is no whole
+    number of samples, the recipe's margin can be one sample less than the smoothing reaches; the middle's
+    outermost ring then differs, by the Gaussian's last tap: up to 2.5e-4 of the RMS in what was tried.)
+    """
+    sigma = correlation_length_m / sample_spacing_m
+    # Not int(4 * sigma), which rounds differently now and then: the ensemble divides last.
+    margin = int(4 * correlation_length_m / sample_spacing_m)
+    noise = generator.standard_normal((samples + 2 * margin, samples + 2 * margin))
+    if enlarged_by:
+        middle, side = noise, samples + 2 * margin + 2 * enlarged_by
+        noise = generator.standard_normal((side, side))
+        noise[enlarged_by:-enlarged_by, enlarged_by:-enlarged_by] = middle
+    end = margin + samples + 2 * enlarged_by
+    smooth = ndimage.gaussian_filter(noise, sigma)[margin:end, margin:end]
+    return np.asarray(smooth - _middle(smooth, enlarged_by).mean(), np.float64)
+
+
+def _middle(samples_rad: Floats, enlarged_by: int) -> Floats:
+    """Return the screen as it is without `enlarged_by` samples on each side."""
+    return samples_rad[enlarged_by : len(samples_rad) - enlarged_by, enlarged_by : samples_rad.shape[1] - enlarged_by]
+
+
+def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, enlarged_by: int = 0) -> Floats:
+    """Give a screen a prescribed peak-to-valley and RMS (rad, about its mean), by one monotone pointwise map.
+
+    Scaling alone reaches only one of the two. With z the screen in units of its RMS, z -> sinh(b z)/b stretches the
+    extremes (b > 0) and z -> asinh(b z)/b compresses them; b is chosen so that the ratio PV/RMS is as asked, and the
+    result is scaled. Contours stay where they are and the map is smooth, so the screen keeps its character.
+    Of a screen that was `enlarged_by` samples on each side, the middle has that PV and RMS.
+    """
+    middle = _middle(samples_rad, enlarged_by)
+    z = (samples_rad - middle.mean()) / middle.std()
+
+    def mapped(bend: float, z: Floats) -> Floats:
+        if abs(bend) < 1e-9:
+            return np.asarray(z, np.float64)
+        return np.asarray(np.sinh(bend * z) if bend > 0 else np.arcsinh(-bend * z), np.float64)
+
+    def excess(bend: float) -> float:
+        shaped = mapped(bend, _middle(z, enlarged_by))
+        return float(np.ptp(shaped) / shaped.std()) - pv_rad / rms_rad
+
+    try:
+        bend = float(optimize.brentq(excess, -1e3, 20.0, xtol=1e-13))
+    except ValueError:
+        raise ValueError(f"pv_rad = {pv_rad:g} with rms_rad = {rms_rad:g} cannot be reached by this screen") from None
+    shaped = mapped(bend, z)
+    middle = _middle(shaped, enlarged_by)
+    return np.asarray((shaped - middle.mean()) * (rms_rad / middle.std()), np.float64)
+
+
+def read_screen(path: Path) -> NDArray[np.float64]:
+    """Phases (row, column) in rad from a .npy or .tif file; a bad file is a `ValueError` of one sentence."""
+    try:
+        values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path)
+        samples_rad = np.asarray(values, np.float64)
+    except (OSError, ValueError, EOFError, TypeError, tifffile.TiffFileError) as error:
+        raise ValueError(f"file = {str(path)!r} is not a readable .npy or .tif array: {error}") from error
+    if samples_rad.ndim != 2 or not np.isfinite(samples_rad).all():
+        raise ValueError(f"file = {str(path)!r} must hold a 2-D array of finite phases in rad")
+    return samples_rad

@@ -1,0 +1,148 @@
+"""The camera's pixels behind the lenslets, and the exact evaluation there of images known on the lenslets' own grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Lattice, Sensor
+
+Images = NDArray[np.float32]
+
+
+class PixelGrid:
+    """Which pixel lies behind which lenslet, and where; prepared once.
+
+    A pixel belongs to the lenslet in whose cell its centre falls; pixels outside the lattice stay dark.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        lattice: Lattice,
+        *,
+        lenslet_rows: int,
+        lenslet_columns: int,
+        rows: int,
+        columns: int,
+        pupil_samples: int,
+        pixel_fill_factor: float,
+    ) -> None:
+        self._shape = rows, columns
+        self._lenslets = lenslet_rows, lenslet_columns
+        self._samples = pupil_samples
+        period_m = sensor.wavelength_m * sensor.lenslet_focal_length_m * pupil_samples / sensor.lenslet_pitch_m
+        angle_per_px = 2 * math.pi * sensor.pixel_pitch_m / period_m
+        row, column = np.mgrid[:rows, :columns]
+        position_px = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64))
+        in_cells = position_px / lattice.pitch_px + [lenslet_columns / 2, lenslet_rows / 2]  # (row, column, xy)
+        cell = np.floor(in_cells).astype(np.int64)
+        inside = np.all((cell >= 0) & (cell < [lenslet_columns, lenslet_rows]), axis=-1).ravel()
+        lenslet = (cell[..., 1] * lenslet_columns + cell[..., 0]).ravel()
+        pixel = np.flatnonzero(inside)
+        self._pixel = pixel[np.argsort(lenslet[pixel], kind="stable")]  # flat pixel indices, lenslet by lenslet
+        self._ends = np.cumsum(np.bincount(lenslet[self._pixel], minlength=lenslet_rows * lenslet_columns))
+        local_px = (in_cells - cell - 0.5) * lattice.pitch_px
+        self._angle = (local_px.reshape(-1, 2)[self._pixel] * angle_per_px).astype(np.float32)  # (pixel, xy)
+        # Light of one lenslet, integrated over a period, is 1 per unit of object weight; a pixel has this share of it.
+        self._scale = (sensor.pixel_pitch_m / period_m) ** 2 / pupil_samples**2
+        self._transfer = _pixel_transfer(
+            pupil_samples, pixel_fill_factor * angle_per_px / (2 * math.pi), lattice.rotation_rad
+        )
+
+    def evaluate(self, images: Images) -> Images:
+        """Values at every pixel, (row, column), from images on the 2n x 2n grid, (lenslet_row, lenslet_column, y, x).
+
+        One single image stands for all lenslets.
+        """
+        n = self._samples
+        waves = np.broadcast_to(self.waves(images), (len(self._ends), 2 * n - 1, 2 * n - 1))
+        values = np.empty(len(self._pixel), np.float32)
+        for lenslet, (start, end) in enumerate(pairwise([0, *self._ends])):
+            along_y, along_x = self._waves_at_pixels(start, end)
+            values[start:end] = np.einsum("yp,yp->p", along_y, waves[lenslet] @ along_x)
+        image = np.zeros(self._shape, np.float32)
+        image.ravel()[self._pixel] = np.maximum(values, 0)  # rounding can leave -1e-7 where there is no light
+        return image
+
+    def waves(self, images: Images) -> Images:
+        """Amplitudes of the waves that make up images on the 2n x 2n grid, as a pixel sees them.
+
+        (lenslet, y wave, x wave), each the cosines 0 ... n-1 and then the sines 1 ... n-1.
+        """
+        n = self._samples
+        analysis = _analysis(n)
+        return self._blurred(analysis @ images.reshape(-1, 2 * n, 2 * n) @ analysis.T * self._scale).astype(np.float32)
+
+    def evaluate_each(
+        self, waves: Images, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
+    ) -> Images:
+        """Images of many object points, (point, row, column), from their `waves`, (lenslet, point, wave).
+
+        One single lenslet stands for all. `run` maps a function over lenslets, several at a time if it likes.
+        """
+        images = np.zeros((waves.shape[1], self._shape[0] * self._shape[1]), np.float32)
+        bounds = list(pairwise([0, *self._ends]))
+
+        def work(lenslet: int) -> None:
+            start, end = bounds[lenslet]
+            along_y, along_x = self._waves_at_pixels(start, end)
+            at_pixels = (along_y[:, None, :] * along_x[None, :, :]).reshape(waves.shape[2], end - start)
+            values = waves[lenslet if len(waves) > 1 else 0] @ at_pixels
+            images[:, self._pixel[start:end]] = np.maximum(values, 0)
+
+        list(run(work, range(len(bounds))))
+        return images.reshape(-1, *self._shape)
+
+    def _waves_at_pixels(self, start: int, end: int) -> tuple[Images, Images]:
+        """Values of the y and the x waves at the pixels start ... end - 1, each (wave, pixel)."""
+        order = np.arange(self._samples, dtype=np.float32)[:, None]
+        turn_x, turn_y = order * self._angle[start:end, 0], order * self._angle[start:end, 1]  # (order, pixel)
+        along_x = np.concatenate([np.cos(turn_x), np.sin(turn_x[1:])])
+        along_y = np.concatenate([np.cos(turn_y), np.sin(turn_y[1:])])
+        return along_y, along_x
+
+    def _blurred(self, waves: Floats) -> Floats:
+        """Average over the pixels' area: multiply each plane wave by the transfer at its own frequency.
+
+        The waves are products of cosines and sines; each is a sum of the plane waves (m_x, m_y) and (m_x, -m_y),
+        on which a turned pixel acts differently.
+        """
+        n = self._samples
+        mean, difference = self._transfer
+        cosine, sine = slice(0, n), slice(n, None)
+        blurred = np.empty_like(waves)
+        blurred[:, cosine, cosine] = mean * waves[:, cosine, cosine]
+        blurred[:, cosine, cosine][:, 1:, 1:] -= difference[1:, 1:] * waves[:, sine, sine]
+        blurred[:, sine, sine] = mean[1:, 1:] * waves[:, sine, sine]
+        blurred[:, sine, sine] -= difference[1:, 1:] * waves[:, cosine, cosine][:, 1:, 1:]
+        blurred[:, cosine, sine] = mean[:, 1:] * waves[:, cosine, sine]
+        blurred[:, cosine, sine][:, 1:] += difference[1:, 1:] * waves[:, sine, cosine][:, :, 1:]
+        blurred[:, sine, cosine] = mean[1:] * waves[:, sine, cosine]
+        blurred[:, sine, cosine][:, :, 1:] += difference[1:, 1:] * waves[:, cosine, sine][:, 1:]
+        return blurred
+
+
+def _analysis(samples: int) -> Floats:
+    """Matrix (2n - 1, 2n) from values on the grid to the amplitudes of cos 0 ... n-1 and sin 1 ... n-1."""
+    angle = np.outer(np.arange(samples), np.arange(-samples, samples) + 0.5) * (math.pi / samples)
+    analysis = np.concatenate([np.cos(angle), np.sin(angle[1:])]) / samples
+    analysis[0] /= 2
+    return analysis
+
+
+def _pixel_transfer(samples: int, cycles_per_pixel: float, rotation_rad: float) -> tuple[Floats, Floats]:
+    """Half the sum and half the difference of a square pixel's transfer at (m_x, m_y) and (m_x, -m_y): (m_y, m_x)."""
+    m_y, m_x = np.mgrid[:samples, :samples] * cycles_per_pixel
+    cosine, sine = math.cos(rotation_rad), math.sin(rotation_rad)
+
+    def transfer(x: Floats, y: Floats) -> Floats:
+        return np.asarray(np.sinc(cosine * x - sine * y) * np.sinc(sine * x + cosine * y), np.float64)
+
+    same, mirrored = transfer(m_x, m_y), transfer(m_x, -m_y)
+    return (same + mirrored) / 2, (same - mirrored) / 2

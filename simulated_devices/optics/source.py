@@ -1,0 +1,206 @@
+"""What shines: the openings of the mask, as weighted points of the front focal plane of the collimator.
+
+Every mask but the stars lies on one and the same grid of object_samples x object_samples points from edge to edge of
+the field's square, y slowest, so that one measurement matrix serves them all; where a mask is dark, the area is 0.
+37 points over 1.2 mm make 36 steps, as in the paper. A point on the edge stands for half the piece that one
+inside does (the trapezoidal rule): with equal weights the square would be 3 % wider than it is, and whatever grows
+along the field would seem 3 % smaller.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import centered_steps
+from simulated_devices.settings import Source
+
+_PEAKS_LOWEST, _PEAKS_HIGHEST = -6.551133332835839, 8.106213589442339
+_POINT_STAR_AREA_M2 = math.pi * (25e-6) ** 2
+_ROWS_PER_CELL = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SourcePoints:
+    """Points of the object plane that emit independently of one another."""
+
+    position_m: Floats  # (point, xy)
+    area_m2: Floats  # (point,): the piece of the opening that each point stands for; light is proportional to it
+
+
+def source_points(mask: str, source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the points of the mask with that name."""
+    if mask == "stars":
+        return stars(source)
+    return _ON_THE_GRID[mask](source, object_samples=object_samples)
+
+
+def square(source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the square opening; all areas add up to that of the square."""
+    return _with_brightness(source, np.ones((object_samples, object_samples)))
+
+
+def circle(source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the circular opening that touches the square's four sides: area pi h^2, h the half width."""
+    half_m = source.half_width_m
+    return _opening(source, lambda y_m: np.sqrt(half_m**2 - y_m**2), object_samples)
+
+
+def ellipse(source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the elliptic opening with half axes h along x and h times `ellipse_ratio` along y."""
+    half_m, ratio = source.half_width_m, source.ellipse_ratio
+    return _opening(source, lambda y_m: np.sqrt(np.maximum(0, half_m**2 - (y_m / ratio) ** 2)), object_samples)
+
+
+def octagon(source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the regular octagon, four of its sides on those of the square: area 8 (sqrt(2) - 1) h^2."""
+    half_m = source.half_width_m
+    return _opening(source, lambda y_m: np.minimum(half_m, math.sqrt(2) * half_m - np.abs(y_m)), object_samples)
+
+
+def peaks(source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the square with the brightness of MATLAB's `peaks` surface, moved and scaled to reach from 0 to 1.
+
+    peaks(x, y) = 3 (1-x)^2 exp(-x^2 - (y+1)^2) - 10 (x/5 - x^3 - y^5) exp(-x^2 - y^2) - exp(-(x+1)^2 - y^2) / 3 for
+    x and y in [-3, 3], here the square's sides (y downwards, as in every image); its values lie between -6.5511
+    at (0.228, -1.626), which becomes 0, and 8.1062 at (-0.009, 1.581), which becomes 1.
+    """
+    along = np.linspace(-3, 3, object_samples)
+    y, x = np.meshgrid(along, along, indexing="ij")
+    surface = 3 * (1 - x) ** 2 * np.exp(-(x**2) - (y + 1) ** 2)
+    surface -= 10 * (x / 5 - x**3 - y**5) * np.exp(-(x**2) - y**2)
+    surface -= np.exp(-((x + 1) ** 2) - y**2) / 3
+    brightness = (surface - _PEAKS_LOWEST) / (_PEAKS_HIGHEST - _PEAKS_LOWEST)
+    return _with_brightness(source, np.clip(brightness, 0, 1))  # the constants are rounded
+
+
+def image(source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the square with the brightness of the grey image in `source.file`, its brightest point 1.
+
+    The image's longer side fills the square, the pixels stay square, and what it does not cover is dark. Each point
+    gets the mean over its own cell of the grid, so that no detail is skipped. Row 0 is at the lowest y.
+    """
+    pixels = read_grey_image(Path(source.file))
+    pixel_m = 2 * source.half_width_m / max(pixels.shape)
+    edges_m = _cell_edges(source, object_samples)
+    along_y, along_x = (_overlap_shares(edges_m, count, pixel_m) for count in pixels.shape)
+    brightness = along_y @ pixels @ along_x.T
+    return _with_brightness(source, brightness / brightness.max())
+
+
+def stars(source: Source) -> SourcePoints:
+    """Return the array of pinholes, each a disc of finite diameter in seven points, or one point of no size.
+
+    The seven-point rule for a disc of radius r (Abramowitz & Stegun 25.4.61; weights 1/4 at the middle and 1/8 at six
+    points on the radius r sqrt(2/3)) integrates polynomials up to the fifth degree exactly; a pinhole is
+    much smaller than what a lenslet resolves, so that its blur needs no more. A star of diameter 0 has no area of
+    its own; it is given that of the paper's 50 um pinhole, so that the same exposure suits both.
+    """
+    radius_m = source.pinhole_diameter_m / 2
+    if radius_m == 0:
+        disc, piece_m2 = np.zeros((1, 2)), np.array([_POINT_STAR_AREA_M2])
+    else:
+        angle = np.arange(6) * (math.pi / 3)
+        ring = math.sqrt(2 / 3) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        disc = np.concatenate([np.zeros((1, 2)), ring]) * radius_m  # (7, xy)
+        piece_m2 = np.array([1 / 4] + [1 / 8] * 6) * (math.pi * radius_m**2)
+    y_m, x_m = np.meshgrid(
+        centered_steps(source.star_rows) * source.star_spacing_m,
+        centered_steps(source.star_columns) * source.star_spacing_m,
+        indexing="ij",
+    )
+    center = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)  # (star, xy)
+    position = center[:, None, :] + disc[None, :, :]
+    return SourcePoints(position_m=position.reshape(-1, 2), area_m2=np.tile(piece_m2, len(center)))
+
+
+def read_grey_image(path: Path) -> Floats:
+    """Brightness (row, column), 0 or more, from a TIFF, NPY, PNG or any file OpenCV reads; colours become grey.
+
+    A bad file is a `ValueError` of one sentence.
+    """
+    try:
+        pixels = _decoded(path)
+    except (OSError, ValueError, EOFError, TypeError, cv2.error, tifffile.TiffFileError) as error:
+        raise ValueError(f"file = {str(path)!r} is not a readable image: {error}") from error
+    if not isinstance(pixels, np.ndarray) or pixels.ndim != 2 or pixels.size == 0 or pixels.dtype.kind not in "buif":
+        raise ValueError(f"file = {str(path)!r} must hold one grey image (rows x columns)")
+    brightness = np.asarray(pixels, np.float64)
+    if not np.isfinite(brightness).all() or brightness.min() < 0 or brightness.max() == 0:
+        raise ValueError(f"file = {str(path)!r} must hold finite brightness of 0 or more, and not all of it 0")
+    return brightness
+
+
+def _decoded(path: Path) -> NDArray[Any] | None:
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return np.asarray(np.load(path, allow_pickle=False))
+    if suffix in {".tif", ".tiff"}:
+        return np.asarray(tifffile.imread(path))
+    content = np.frombuffer(path.read_bytes(), np.uint8)
+    decoded: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if decoded is None:
+        raise ValueError("no format that is known")
+    return decoded
+
+
+def _cell_edges(source: Source, object_samples: int) -> Floats:
+    """Where the cells of the grid's points end along one axis, (object_samples + 1,), m; the first and last are half.
+
+    The points lie in the middle of the cells but for those on the edge.
+    """
+    half_m = source.half_width_m
+    along_m = np.linspace(-half_m, half_m, object_samples)
+    return np.concatenate([[-half_m], (along_m[1:] + along_m[:-1]) / 2, [half_m]])
+
+
+def _with_brightness(source: Source, brightness: Floats) -> SourcePoints:
+    """Put brightness (row, column) on the points of the grid."""
+    object_samples = len(brightness)
+    width_m = np.diff(_cell_edges(source, object_samples))
+    along_m = np.linspace(-source.half_width_m, source.half_width_m, object_samples)
+    y_m, x_m = np.meshgrid(along_m, along_m, indexing="ij")
+    return SourcePoints(
+        position_m=np.stack([x_m.ravel(), y_m.ravel()], axis=-1),
+        area_m2=(brightness * np.outer(width_m, width_m)).ravel(),
+    )
+
+
+def _opening(source: Source, half_chord_m: Callable[[Floats], Floats], object_samples: int) -> SourcePoints:
+    """Return an opening from -half_chord(y) to half_chord(y) along x (0 or less where there is none).
+
+    A point's brightness is the part of its cell that is open: exact along x, in many thin rows along y.
+    """
+    edges_m = _cell_edges(source, object_samples)
+    fraction = (np.arange(_ROWS_PER_CELL) + 0.5) / _ROWS_PER_CELL
+    y_m = edges_m[:-1, None] + np.diff(edges_m)[:, None] * fraction  # (cell row, thin row)
+    half_m = np.maximum(half_chord_m(y_m), 0)[..., None]
+    inside_m = np.diff(np.clip(edges_m, -half_m, half_m), axis=-1)  # (cell row, thin row, cell column)
+    return _with_brightness(source, inside_m.mean(axis=1) / np.diff(edges_m))
+
+
+def _overlap_shares(edges_m: Floats, count: int, pixel_m: float) -> Floats:
+    """Share of each cell that each of `count` pixels about the axis covers: (cell, pixel)."""
+    pixel_edges_m = centered_steps(count + 1) * pixel_m
+    low = np.maximum(edges_m[:-1, None], pixel_edges_m[None, :-1])
+    high = np.minimum(edges_m[1:, None], pixel_edges_m[None, 1:])
+    return np.asarray(np.maximum(high - low, 0) / np.diff(edges_m)[:, None], np.float64)
+
+
+_ON_THE_GRID = {
+    "square": square,
+    "circle": circle,
+    "ellipse": ellipse,
+    "octagon": octagon,
+    "peaks": peaks,
+    "image": image,
+}

@@ -1,0 +1,55 @@
+"""Commands: each is answered once, and what follows from it is there before anybody hears of it."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import NoReturn, cast
+
+import pytest
+
+from app.acquisition.command_queue import CommandQueue
+from app.acquisition.instrument import Instrument
+from drivers.interface import BadValue, Disconnected, WrongState
+
+INSTRUMENT = cast("Instrument", object())  # the queue only hands it on
+
+
+def _fail_with(error: Exception) -> NoReturn:
+    raise error
+
+
+@pytest.mark.parametrize("error", [None, BadValue("no such exposure")])
+def test_what_follows_is_done_before_anybody_hears(error: Exception | None) -> None:
+    was_told: list[bool] = []
+    commands = CommandQueue(lambda _: was_told.append(future.done()))
+    future: Future[int] = commands.submit(lambda _: 7 if error is None else _fail_with(error))
+    execute = commands.next()
+    assert execute is not None
+    execute(INSTRUMENT)
+    assert was_told == [False]
+    assert future.done()
+    assert future.exception() is error
+    assert error is not None or future.result() == 7
+    assert commands.next() is None
+
+
+@pytest.mark.parametrize("fails", ["command", "afterwards"])
+def test_who_waits_hears_of_what_ends_the_thread(fails: str) -> None:
+    gone = Disconnected("the camera was unplugged")
+    commands = CommandQueue(lambda _: _fail_with(gone))
+    future = commands.submit(lambda _: _fail_with(gone) if fails == "command" else 7)
+    execute = commands.next()
+    assert execute is not None
+    with pytest.raises(Disconnected):
+        execute(INSTRUMENT)
+    assert future.exception(0) is gone
+
+
+def test_a_closed_queue_refuses() -> None:
+    commands = CommandQueue(lambda _: None)
+    waiting = commands.submit(lambda _: 7)
+    commands.close("the acquisition has ended")
+    for future in (waiting, commands.submit(lambda _: 8)):
+        with pytest.raises(WrongState, match="has ended"):
+            future.result(0)
+    assert commands.is_empty

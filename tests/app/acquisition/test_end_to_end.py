@@ -1,0 +1,75 @@
+"""The live loop at the camera's full size on the simulated bench: nothing is lost, and the wavefronts are true."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+from support.patience import HANG_S, wait_until
+
+from app.acquisition.devices import open_devices, simulated_bench
+from app.acquisition.instrument import Instrument
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition, Measurement
+from app.bench.config import Bench, load_bench
+from reconstruction.wavefront import rms
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.rendering import Renderer, Scene
+
+FRAMES = 32  # at least
+
+
+def _scene(bench: Bench) -> Scene:
+    assert bench.lattice is not None
+    return Scene(
+        sensor=bench.sensor,
+        lattice=bench.lattice,
+        field=bench.field,
+        simulation=bench.simulation,
+        rows=bench.camera_model.rows,
+        columns=bench.camera_model.columns,
+        pixel_fill_factor=bench.camera_model.pixel_fill_factor,
+    )
+
+
+@pytest.mark.usefixtures("no_hurry")
+def test_live_wavefronts_are_the_true_ones_and_nothing_is_lost() -> None:
+    bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0"))
+    with closing(simulated_bench(bench, lambda _: None)) as ahead:  # else it has its turn only when we need none
+        wait_until(lambda: ahead.current_state(ahead.clock.now()) >= 0 and ahead.states_rendered > 1)
+    measurements: list[Measurement] = []
+    acquisition = Acquisition(bench, open_devices, sinks=(measurements.append,))
+
+    acquisition.start()
+    try:
+        for step in start_up(acquisition, 5):
+            step.result(HANG_S)
+        wait_until(lambda: acquisition.counts.acquired >= FRAMES)
+        seen = acquisition.submit(lambda instrument: _states(instrument, measurements)).result(HANG_S)
+    finally:
+        acquisition.close()
+    assert acquisition.failure == ""
+    assert len(set(seen)) > 1  # the screen has drifted
+    counts = measurements[-1].counts
+    assert counts.lost == 0
+    assert counts.reconstructed == counts.acquired == len(measurements)
+    renderer = Renderer(_scene(bench))
+    truths = {state: renderer.truth_wavefront(state) for state in set(seen)}
+    residual = [
+        rms(measurement.wavefront.views - truths[state]).mean()
+        for measurement, state in zip(measurements, seen, strict=False)
+        if measurement.wavefront is not None
+    ]
+    assert all(
+        np.all(measurement.wavefront.displacement.valid) for measurement in measurements if measurement.wavefront
+    )
+    assert np.mean(residual) < 0.07
+
+
+def _states(instrument: Instrument, measurements: list[Measurement]) -> list[int]:
+    """The state of the sample in every frame measured so far."""
+    camera = instrument.devices.camera
+    assert isinstance(camera, SimulatedCamera)
+    states = [camera.state_of_frame(measurement.frame.index) for measurement in measurements]
+    return [state for state in states if state is not None]

@@ -1,0 +1,146 @@
+"""A real bench has no motor: what a person does is asked for, and nothing is taken for done that nobody said."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.device_contract import StageContract
+from support.gui_bench import BENCH, FakeCamera, opener
+from support.manual_bench import MANUAL, Person
+
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.commands.measure import measure
+from app.errors import InputError, RunError
+from drivers.interface import Stage, WrongState
+from drivers.manual_stage import ManualStage
+
+
+@pytest.fixture
+def camera() -> FakeCamera:
+    camera = FakeCamera()
+    camera.stage = ManualStage("square")
+    return camera
+
+
+class TestManualStage(StageContract):
+    @pytest.fixture
+    def stage(self) -> Stage:
+        return Noted("square")
+
+
+class Noted(ManualStage):
+    """A stage beside which a quick person stands."""
+
+    def _set_sample_in(self, *, sample_in: bool) -> None:
+        self.note_sample(sample_in)
+        super()._set_sample_in(sample_in=sample_in)
+
+
+def test_the_stage_does_nothing_by_itself() -> None:
+    stage = ManualStage("square")
+    stage.set_sample_in(False)
+    with pytest.raises(WrongState, match="put the sample into the beam"):
+        stage.set_sample_in(True)
+    assert not stage.is_sample_in
+    stage.note_sample(True)
+    stage.set_sample_in(True)
+    with pytest.raises(WrongState, match="take the sample out of the beam"):
+        stage.set_sample_in(False)
+
+
+def test_measure_asks_for_what_a_person_must_do(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
+) -> None:
+    person = Person(camera, presses=2)
+    monkeypatch.setattr("sys.stdin", person)
+    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    measured = measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    assert measured.reconstructed == 3
+    assert len(person.saw) == 2
+    assert person.saw[1] == (True, False)  # dark and reference were taken before the second
+    asked = capsys.readouterr().err.splitlines()
+    assert [line.split(",")[0] for line in asked] == ["take the sample out of the beam", "put the sample into the beam"]
+
+
+class Mender(Person):
+    """Finds at the second time what kept the light from the camera."""
+
+    def __init__(self, camera: FakeCamera, presses: int) -> None:
+        super().__init__(camera, presses)
+        self._image = camera._images[0]
+        camera._images[0] = np.zeros_like(self._image)
+
+    def readline(self) -> str:
+        if len(self.saw) == 2:
+            self._camera._images[0] = self._image
+        return super().readline()
+
+
+def test_measure_tells_at_once_of_a_reference_of_no_use_and_takes_another(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
+) -> None:
+    person = Mender(camera, presses=4)
+    monkeypatch.setattr("sys.stdin", person)
+    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    measured = measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    assert measured.reconstructed == 3
+    assert [is_sample_in for _, is_sample_in in person.saw] == [False] * 4
+    first, *told, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("take the sample out of the beam")
+    assert len(told) == 2
+    assert all(line.startswith("the reference is of no use: ") for line in told)
+    assert all("the sample out of the beam, then press Enter" in line for line in told)
+    assert last.startswith("put the sample into the beam")
+
+
+def test_measure_on_a_bench_with_motors_ends_with_a_reference_of_no_use(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    camera = FakeCamera()
+    camera._images[0] = np.zeros_like(camera._images[0])
+    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    with pytest.raises(RunError, match="the reference is of no use: "):
+        measure(BENCH, 3, tmp_path / "m", lambda *_: None)
+    assert not camera.light.shines
+    assert not (tmp_path / "m").exists()
+
+
+@pytest.mark.parametrize("presses", [0, 1])
+def test_measure_ends_where_nobody_answers(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, camera: FakeCamera, presses: int
+) -> None:
+    monkeypatch.setattr("sys.stdin", Person(camera, presses))
+    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    with pytest.raises(InputError, match="nobody said that it was done"):
+        measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+    assert not camera.light.shines
+    assert camera.state in {"closed", "stopped"}  # stopped, where it never came to be opened
+
+
+def test_measure_needs_a_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, camera: FakeCamera) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n\n"))
+    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    with pytest.raises(InputError, match="nobody is there to take the sample out of the beam"):
+        measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
+
+
+def test_the_window_starts_without_a_reference(camera: FakeCamera) -> None:
+    acquisition = Acquisition(MANUAL, opener(camera))
+    acquisition.start()
+    for step in start_up(acquisition, frames=3):
+        step.result(20)
+    assert acquisition.submit(lambda instrument: instrument.status()).result(20).reference == "missing"
+    assert camera.is_running
+    assert acquisition.submit(lambda instrument: instrument.dark is not None).result(20)
+    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)).result(20)
+    with pytest.raises(WrongState, match="take the sample out"):
+        acquisition.take_reference(3).result(20)
+    assert acquisition.is_alive
+    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(False)).result(20)
+    acquisition.take_reference(3).result(20)
+    acquisition.close()
+    assert acquisition.error is None

@@ -1,0 +1,167 @@
+"""A whole real bench, by its TOML: a DCAM camera and a DC4100, each driver over its stand-in on the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.dcam_tools import built, dcam_stand_in
+from support.gui_bench import FakeLight
+from support.paths import FOREIGN_FRAMES
+from support.patience import HANG_S, own_time, wait_until
+
+from app.acquisition.devices import open_devices, open_light
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench, parse_bench, write_bench
+from app.errors import InputError
+from app.recording.reader import Recording
+from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
+from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings
+from simulated_devices.wires.dc4100 import DC4100Wire
+from simulated_devices.wires.dcam.stand_in import StandIn
+from simulated_devices.wires.pseudo_terminal import PtyServer
+
+FOREIGN = (FOREIGN_FRAMES / "bench.toml").read_text()
+WITHIN_S = 2.0
+REAL_TIME = 1.0
+
+
+@pytest.fixture
+def camera() -> Iterator[StandIn]:
+    with dcam_stand_in(REAL_TIME) as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def lamp() -> DC4100Wire:
+    return DC4100Wire()
+
+
+@pytest.fixture
+def port(lamp: DC4100Wire) -> Iterator[PtyServer]:
+    with PtyServer(lamp) as server:
+        yield server
+
+
+@pytest.fixture
+def bench(camera: StandIn, port: PtyServer) -> Bench:
+    assert camera.library == built()
+    text = f"""
+[camera]
+driver = "dcam"
+library = "{built()}"
+exposure_s = 0.02
+
+[light]
+driver = "thorlabs_dc4100"
+port = "{port.port}"
+current_a = 0.1
+limit_a = 0.15
+"""
+    return parse_bench(FOREIGN + text, "real.toml")
+
+
+def started(bench: Bench) -> Acquisition:
+    acquisition = Acquisition(bench, open_devices)
+    acquisition.start()
+    for step in start_up(acquisition, frames=3):
+        step.result(HANG_S)
+    return acquisition
+
+
+def test_a_bench_file_opens_real_devices(bench: Bench, lamp: DC4100Wire) -> None:
+    with open_devices(bench, lambda _: None) as devices:
+        assert "C9100-23B" in devices.camera.name
+        assert "DC4100" in devices.light.name
+        assert devices.camera.exposure_s == pytest.approx(0.02)
+        assert (devices.light.current_a, devices.light.current_range_a.maximum) == (0.1, 0.15)
+        assert (devices.stage.masks, devices.stage.is_sample_in) == (("square",), False)
+        assert not lamp.is_lit
+        devices.light.set_on(True)
+        assert lamp.is_lit
+    assert not lamp.is_lit
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("sensor.pixel_pitch_m=15.5e-6", r"sensor\.pixel_pitch_m = 1\.55e-05, but that of .* is 1\.6e-05"),
+        ("camera.exposure_s=2.0", r"camera: .*outside 0\.0139"),
+        ("light.current_a=0.2", r"light: current_a = 0\.2 is outside 0 \.\.\. 0\.15"),
+    ],
+)
+def test_settings_that_a_device_refuses_are_the_benchs_fault(
+    bench: Bench, lamp: DC4100Wire, change: str, sentence: str
+) -> None:
+    wrong = parse_bench(write_bench(bench), "real.toml", (change,))
+    with pytest.raises(InputError, match=sentence):
+        open_devices(wrong, lambda _: None)
+    assert not lamp.is_lit
+    open_devices(bench, lambda _: None).close()  # all was let go of
+
+
+def test_a_light_whose_first_current_is_refused_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    light = FakeLight()
+    monkeypatch.setattr("app.acquisition.devices._light", lambda _: light)
+    with pytest.raises(BadValue):
+        open_light(DC4100Settings(port="COM1", current_a=5.0))
+    with pytest.raises(WrongState, match="closed"):
+        light.set_on(True)
+
+
+def test_a_light_that_is_not_there_lets_go_of_the_camera(bench: Bench, port: PtyServer) -> None:
+    port.close()
+    with pytest.raises(DeviceError, match=port.port):
+        open_devices(bench, lambda _: None)
+
+
+def test_frames_come_by_the_software_trigger(bench: Bench) -> None:
+    """Nobody fires it but whoever reads."""
+    acquisition = started(parse_bench(write_bench(bench), "real.toml", ("camera.trigger=software",)))
+    seen = acquisition.counts.acquired
+    wait_until(lambda: acquisition.counts.acquired >= seen + 5)
+    acquisition.close()
+    assert acquisition.failure == ""
+
+
+def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path) -> None:
+    acquisition = started(bench)
+    assert lamp.is_lit
+    acquisition.start_recording(tmp_path / "r", command="test").result(HANG_S)
+    wait_until(lambda: (acquisition.recording is not None) and acquisition.recording.frames >= 5)
+    with own_time() as elapsed_s:
+        camera.unplug()
+        wait_until(lambda: not acquisition.is_alive)
+        assert elapsed_s() < WITHIN_S + 1  # of which the recording may take a second to be finished
+    assert isinstance(acquisition.error, Disconnected)
+    assert not lamp.is_lit
+    recording = Recording(tmp_path / "r")
+    assert recording.is_complete
+    assert len(recording) >= 5
+    indexes = [recording.line(i).camera_index for i in range(len(recording))]
+    assert indexes == list(range(indexes[0], indexes[0] + len(indexes)))
+
+    camera.plug_in()
+    again = started(bench)
+    wait_until(lambda: again.newest is not None and again.counts.acquired > 0)
+    again.close()
+    assert again.error is None
+    assert not lamp.is_lit
+
+
+@pytest.mark.parametrize("exposure_s", [0.03, 60.0])
+def test_a_light_unplugged_while_measuring(bench: Bench, port: PtyServer, exposure_s: float) -> None:
+    """Also when no frame will come for long."""
+    slow = parse_bench(write_bench(bench), "real.toml", ("camera.readout_speed=2", "camera.exposure_s=0.03"))
+    acquisition = started(slow)
+    exposure = acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(exposure_s))
+    assert exposure.result(HANG_S) == pytest.approx(exposure_s, rel=0.01)
+    with own_time() as elapsed_s:
+        port.unplug()
+        wait_until(lambda: not acquisition.is_alive)
+        assert elapsed_s() < WITHIN_S
+    assert isinstance(acquisition.error, Disconnected)
+    assert "is gone" in acquisition.failure
+    assert "may still be on: switch it off by hand" in acquisition.failure

@@ -1,0 +1,217 @@
+"""Recording beside the live view: every frame, as it was, with what makes the same wavefront of it again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.patience import HANG_S, wait_until
+from support.recording_crash import kill_one
+
+from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument, Reconstruction
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench, load_bench
+from app.errors import InputError
+from app.measurement.measurement import PASSED_OVER, Measurement
+from app.recording.background import RecordingState
+from app.recording.reader import Recording
+from app.recording.recover import recover
+from app.recording.repeat import repeated
+from drivers.interface import Devices, Frame
+from simulated_devices.camera import LoseFrames, SimulatedCamera, Unplug
+
+
+class Live:
+    """An acquisition on the small simulated bench that has started up."""
+
+    def __init__(self, toml: Path, *settings: str) -> None:
+        self.measurements: list[Measurement] = []
+        self.acquisition = Acquisition(load_bench(toml, settings), self._open, sinks=(self.measurements.append,))
+        self.acquisition.start()
+        for step in start_up(self.acquisition, 4):
+            step.result(HANG_S)
+
+    def _open(self, bench: Bench, progress: Callable[[float], None]) -> Devices:
+        devices = open_devices(bench, progress)
+        assert isinstance(devices.camera, SimulatedCamera)
+        self.camera = devices.camera
+        return devices
+
+    def until_refined(self) -> None:
+        wait_until(lambda: bool(self.measurements) and self.measurements[-1].refinement.stage == "applied")
+
+    @property
+    def recording(self) -> RecordingState:
+        state = self.acquisition.recording
+        assert state is not None
+        return state
+
+    def stop(self) -> None:
+        self.acquisition.stop_recording()
+        wait_until(lambda: self.recording.stage in {"finished", "ended early"})
+
+
+@pytest.fixture
+def make_live(small_toml: Path) -> Iterator[Callable[..., Live]]:
+    made: list[Live] = []
+
+    def make(*settings: str) -> Live:
+        made.append(Live(small_toml, *settings))
+        return made[-1]
+
+    yield make
+    for live in made:
+        live.acquisition.close()
+
+
+def assert_made_again(recording: Recording) -> None:
+    """Every frame is reconstructed again, to the last bit as it was live."""
+    for made in repeated(recording):
+        index = made.line.index
+        if made.line.problem:
+            continue
+        assert made.registered is not None
+        assert made.wavefront is not None
+        np.testing.assert_array_equal(made.registered.coefficients, recording.displacement(index))
+        np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[attr-defined] # modal
+
+
+def test_every_frame_is_recorded_and_made_again_bit_for_bit(make_live: Callable[..., Live], tmp_path: Path) -> None:
+    live = make_live("reconstruction.refine=true")
+    live.until_refined()
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 10)
+    live.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.3)).result(HANG_S)
+    old = live.measurements[-1].calibration
+    live.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(HANG_S)
+    wait_until(lambda: live.measurements[-1].calibration not in {None, old})
+    live.until_refined()
+    frames = live.recording.frames
+    wait_until(lambda: live.recording.frames > frames + 10)
+    live.stop()
+    recording = Recording(tmp_path / "r")
+    lines = [recording.line(index) for index in range(len(recording))]
+    assert live.recording.frames == len(lines)
+    assert {line.calibration for line in lines} == {0, 1}
+    assert any(line.bias is not None for line in lines)
+    assert lines[0].start == -1  # it went on from the frame before
+    assert [line.light_current_a for line in (lines[0], lines[-1])] == [0.35, 0.3]
+    first = next(at for at, each in enumerate(live.measurements) if each.frame.index == lines[0].camera_index)
+    for line, measurement in zip(lines, live.measurements[first:], strict=False):
+        assert line.camera_index == measurement.frame.index
+        np.testing.assert_array_equal(recording.pixels(line.index), measurement.frame.pixels)
+    assert set(recording.run["devices"]) == {"camera", "light", "stage"}
+    assert recording.bench == load_bench_of(live)
+    assert_made_again(recording)
+
+
+def load_bench_of(live: Live) -> Bench:
+    status = live.acquisition.status
+    assert status is not None
+    return status.bench
+
+
+def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the computer slower than any camera."""
+    measure = Instrument.measure
+
+    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(0.2)
+        return measure(instrument, frame)
+
+    monkeypatch.setattr(Instrument, "measure", slowly)
+
+
+def test_gaps_and_frames_that_were_passed_over_are_recorded(
+    make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = make_live("camera.exposure_s=0.0139")
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    live.camera.inject(LoseFrames(5))
+    wait_until(lambda: live.recording.frames > 5)
+    measure_slowly(monkeypatch)
+    wait_until(lambda: live.recording.frames > 50)
+    live.stop()
+    recording = Recording(tmp_path / "r")
+    lines = [recording.line(index) for index in range(len(recording))]
+    assert sum(line.problem == PASSED_OVER for line in lines) > 20
+    assert max(line.lost for line in lines) >= 5
+    camera_index = np.array([line.camera_index for line in lines])
+    assert np.diff(camera_index).tolist() == [line.lost + 1 for line in lines[1:]]
+    assert_made_again(recording)
+    assert all(made.wavefront is not None for made in repeated(recording))  # those passed over, too
+
+
+def test_frames_that_were_passed_over_are_refined_later_as_the_one_before(
+    make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = make_live("camera.exposure_s=0.0139", "reconstruction.refine=true")
+    wait_until(lambda: any(each.refinement.stage == "applied" for each in live.measurements))
+    measure_slowly(monkeypatch)
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 50)
+    live.stop()
+    recording = Recording(tmp_path / "r")
+    lines = [recording.line(index) for index in range(len(recording))]
+    assert sum(line.problem == PASSED_OVER for line in lines) > 20
+    before = lines[0]
+    for line, made in zip(lines[1:], list(repeated(recording))[1:], strict=True):
+        if line.problem == PASSED_OVER:
+            assert (line.bias, made.is_refined) == (before.bias, before.bias is not None)
+            if line.bias_age_s is not None and before.bias_age_s is not None:
+                later_s = line.camera_time_s - before.camera_time_s
+                assert line.bias_age_s == pytest.approx(before.bias_age_s + later_s)
+        else:
+            before = line
+
+
+def test_a_lost_camera_leaves_a_readable_recording_that_says_why(
+    make_live: Callable[..., Live], tmp_path: Path
+) -> None:
+    live = make_live()
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 5)
+    live.camera.inject(Unplug())
+    wait_until(lambda: not live.acquisition.is_alive)
+    recording = Recording(tmp_path / "r")
+    assert recording.is_complete
+    assert "camera" in recording.ended_early
+    assert recording.ended_early == live.acquisition.failure == live.recording.problem
+    assert recording.line(len(recording) - 1).camera_index == live.measurements[-1].frame.index
+    assert_made_again(recording)
+
+
+def test_the_last_seconds_can_be_kept_while_it_records(make_live: Callable[..., Live], tmp_path: Path) -> None:
+    live = make_live()
+    wait_until(lambda: len(live.measurements) > 20)
+    live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
+    live.acquisition.keep_recent(tmp_path / "kept").result(HANG_S)
+    with pytest.raises(InputError, match="holds a recording already"):
+        live.acquisition.keep_recent(tmp_path / "r").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 5)
+    live.acquisition.close()  # which finishes both
+    for name in ("kept", "r"):
+        recording = Recording(tmp_path / name)
+        assert (recording.is_complete, recording.ended_early) == (True, "")
+        assert_made_again(recording)
+    kept = Recording(tmp_path / "kept")
+    assert kept.line(0).camera_index == 0
+    assert kept.line(len(kept) - 1).camera_index + 1 >= Recording(tmp_path / "r").line(0).camera_index
+
+
+def test_killed_at_random_moments_it_leaves_all_but_the_last_frames(small_toml: Path, tmp_path: Path) -> None:
+    """How many are missing is for `recording_crash.py` on a quiet computer: here anything may hold a program up."""
+    random = np.random.default_rng()
+    for kill in range(2):
+        folder = tmp_path / str(kill)
+        left = kill_one(str(small_toml), ("camera.exposure_s=0.0139",), folder, after_s=random.uniform(0.3, 1.5))
+        assert left.wrong == 0
+        assert 0 <= left.missing < left.acquired
+        kept = len(Recording(folder))
+        assert recover(folder).frames == kept
+        assert_made_again(Recording(folder))

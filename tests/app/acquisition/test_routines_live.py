@@ -1,0 +1,237 @@
+"""Routines as commands of the live instrument: their results, their progress, and what they make stale."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.optics import SmallBench, at_views
+from support.patience import HANG_S
+
+from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument, Status
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import load_bench
+from app.measurement.routines import AutoExposure, Cancelled, RoutineError, auto_expose
+from drivers.interface import Devices, DeviceTimeout, Region
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.registration.methods import RegistrationSettings
+from simulated_devices.camera import SimulatedCamera
+
+
+class Live:
+    """An acquisition with the small bench, its devices and its answers."""
+
+    def __init__(self, toml: Path, *overrides: str) -> None:
+        self.devices: Devices | None = None
+        self.acquisition = Acquisition(load_bench(toml, overrides), self._open)
+        self.acquisition.start()
+
+    def _open(self, *arguments: object) -> Devices:
+        self.devices = open_devices(*arguments)  # type: ignore[arg-type]
+        return self.devices
+
+    def do(self, command: Callable[[Instrument], object]) -> None:
+        self.acquisition.submit(command).result(HANG_S)
+
+    @property
+    def status(self) -> Status:
+        return self.acquisition.submit(lambda instrument: instrument.status()).result(HANG_S)
+
+
+@pytest.fixture
+def live(small_toml: Path) -> Iterator[Live]:
+    live = Live(small_toml)
+    yield live
+    live.acquisition.close()
+
+
+def started(live: Live) -> None:
+    for step in start_up(live.acquisition, 4):
+        step.result(HANG_S)
+    assert live.status.warning == ""
+
+
+def test_the_exposure_is_found_by_command(live: Live) -> None:
+    started(live)
+    live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
+    texts = set[str]()
+    future = live.acquisition.auto_expose()
+    while not future.done():
+        texts.add(live.acquisition.activity.text)
+        threading.Event().wait(0.005)
+    found = future.result()
+    status = live.status
+    assert "finding the exposure" in texts
+    assert found.fill == pytest.approx(0.7, abs=0.05)
+    assert (status.exposure_s, status.current_a) == (found.exposure_s, found.current_a)
+    assert (status.is_light_on, status.is_running, status.is_sample_in) == (True, True, True)
+    assert live.acquisition.activity.text == ""
+    assert "20.0 ms" in status.warning  # dark and reference are of another exposure now
+    assert (status.dark, status.reference) == ("doubtful", "doubtful")
+
+
+def test_an_exposure_that_cannot_be_found_is_told_and_the_loop_goes_on(small_toml: Path) -> None:
+    dim = Live(small_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
+    try:
+        with pytest.raises(RoutineError, match="lamp plugged in"):
+            dim.acquisition.auto_expose().result(HANG_S)
+        status = dim.status
+        assert (status.is_light_on, status.current_a, status.exposure_s) == (False, 0.0, 0.02)
+        assert dim.acquisition.is_alive
+    finally:
+        dim.acquisition.close()
+
+
+def test_a_search_can_be_cancelled(small_toml: Path) -> None:
+    live = Live(small_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
+    try:
+        future = live.acquisition.auto_expose()
+        while not live.acquisition.activity.text.startswith("finding"):
+            threading.Event().wait(0.005)
+        threading.Event().wait(0.3)
+        live.acquisition.cancel()
+        with pytest.raises(Cancelled):
+            future.result(HANG_S)
+        assert (live.status.exposure_s, live.status.is_light_on) == (9.0, False)
+    finally:
+        live.acquisition.close()
+
+
+def test_a_camera_that_stalls_in_a_search_ends_all_with_the_light_off(
+    live: Live, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.2)
+    started(live)
+    assert live.devices is not None
+    camera, light = live.devices.camera, live.devices.light
+    assert isinstance(camera, SimulatedCamera)
+    was_off: list[bool] = []
+    monkeypatch.setattr(light, "close", lambda: was_off.append(not light.is_on))
+    monkeypatch.setattr(camera, "read", _no_frame)
+    with pytest.raises(DeviceTimeout):
+        live.acquisition.auto_expose().result(HANG_S)
+    live.acquisition.close()
+    assert was_off == [True]
+
+
+def _no_frame(_timeout_s: float) -> None:
+    raise DeviceTimeout("no frame came")
+
+
+def test_the_background_is_checked_by_command(live: Live) -> None:
+    with pytest.raises(RoutineError, match="no dark yet"):
+        live.acquisition.check_background(4).result(HANG_S)
+    started(live)
+    check = live.acquisition.check_background(4).result(HANG_S)
+    assert check.is_good
+    assert "still good" in check.verdict
+    assert (live.status.is_light_on, live.status.is_running) == (True, True)
+    live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
+    with pytest.raises(RoutineError, match=r"the dark was taken at 20.0 ms: take it again"):
+        live.acquisition.check_background(4).result(HANG_S)
+
+
+def test_start_up_finds_the_exposure_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+    with_sample: list[bool] = []
+
+    def watched(devices: Devices, *arguments: Any, **how: Any) -> AutoExposure:
+        with_sample.append(devices.stage.is_sample_in)
+        return auto_expose(devices, *arguments, **how)
+
+    monkeypatch.setattr("app.acquisition.instrument.auto_expose", watched)
+    live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
+    live.do(lambda instrument: instrument.devices.stage.set_sample_in(True))
+    for step in start_up(live.acquisition, 4, auto_expose=True):
+        step.result(HANG_S)
+    status = live.status
+    assert with_sample == [False]
+    assert (status.warning, status.dark, status.reference) == ("", "good", "good")
+    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
+    reference = live.acquisition.submit(lambda instrument: instrument.reference).result(HANG_S)
+    assert reference is not None
+    assert np.percentile(reference.mean, 99.5) / 65535 == pytest.approx(0.68, abs=0.08)
+
+
+def paused(change: Callable[[Instrument], object]) -> Callable[[Instrument], None]:
+    """Change what can be changed only while the camera is stopped."""
+
+    def command(instrument: Instrument) -> None:
+        instrument.devices.camera.stop()
+        change(instrument)
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("change", "dark", "reference", "warning"),
+    [
+        (lambda instrument: instrument.devices.camera.set_exposure(0.05), "doubtful", "doubtful", "at 20.0 ms"),
+        (lambda instrument: instrument.devices.camera.set_em_gain(2.0), "doubtful", "doubtful", "amplifier or gain"),
+        (
+            paused(lambda instrument: instrument.devices.camera.set_readout_speed(2)),
+            "doubtful",
+            "doubtful",
+            "with readout speed 3",
+        ),
+        (
+            paused(lambda instrument: instrument.devices.camera.set_region(Region(16, 0, 144, 240))),
+            "doubtful",
+            "doubtful",
+            "another part of the sensor",
+        ),
+        (lambda instrument: instrument.devices.stage.set_mask("stars"), "good", "doubtful", "with the mask square"),
+        (lambda instrument: instrument.devices.light.set_current(0.2), "good", "good", ""),
+    ],
+)
+def test_what_makes_dark_and_reference_stale(
+    live: Live, change: Callable[[Instrument], object], dark: str, reference: str, warning: str
+) -> None:
+    started(live)
+    live.do(change)
+    status = live.status
+    assert (status.dark, status.reference) == (dark, reference)
+    assert warning in status.warning
+    assert bool(warning) is bool(status.warning)
+
+
+@pytest.mark.parametrize("level", [0.03, 0.5, 2.0])
+def test_a_reference_serves_at_any_brightness(small_bench: SmallBench, level: float) -> None:
+    """So a changed current makes it not stale, and an exposure only because its dark is."""
+    frame, truth_px = small_bench.tilted(4000.0, 1500.0)
+    reconstructor = small_bench.reconstructor(registration=RegistrationSettings(warp="quadratic"))
+    as_taken, brighter = (reconstructor.register((frame * each).astype(np.float32)) for each in (1.0, level))
+    assert brighter.valid.all()
+    np.testing.assert_allclose(brighter.coefficients, as_taken.coefficients, atol=1e-4)
+    assert np.abs(at_views(brighter) - truth_px).max() < 0.05
+
+
+def test_a_reference_of_few_frames_enters_the_covariance(small_bench: SmallBench) -> None:
+    """Frames and references with noise of their own: the displacements scatter as their covariance says."""
+    random = np.random.default_rng(8)
+    per_electron = float(small_bench.reference.max()) / 4000
+    noise = CameraNoise(per_electron, 8 * per_electron)
+
+    def noisy(frames: int) -> np.ndarray:
+        scatter = np.sqrt(noise.variance(small_bench.reference) / frames)
+        return (small_bench.reference + scatter * random.standard_normal(scatter.shape)).astype(np.float32)
+
+    for frames in (1, 4):
+        errors, variances = [], []
+        for _ in range(6):
+            displacement = small_bench.reconstructor(
+                reference=noisy(frames),
+                registration=RegistrationSettings(warp="affine"),
+                reconstruction=ReconstructionSettings(),
+                noise=noise,
+                reference_frames=frames,
+            ).register(noisy(1))
+            errors.append(displacement.coefficients[displacement.valid])
+            variances.append(displacement.variance[displacement.valid])
+        assert np.mean(np.square(errors)) / np.mean(variances) == pytest.approx(1.0, abs=0.2)

@@ -1,0 +1,384 @@
+"""What other programs receive is what was measured, bit by bit, and a program that does not listen costs nothing."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from numpy.typing import NDArray
+from support.command_line import run
+from support.optics import FIELD, SmallBench
+from support.paths import DOCS
+from support.patience import HANG_S
+
+from app.acquisition.streams.publisher import Publisher, stream_sinks
+from app.bench.config import Bench, load_bench, parse_bench, write_bench
+from app.bench.stream_settings import StreamSettings
+from app.errors import InputError, RunError
+from app.measurement.calibration import Calibration
+from app.measurement.live_refinement import RefinementState
+from app.measurement.measurement import Counts, Measurement
+from app.measurement.routines import Average
+from app.recording.reader import Recording
+from drivers.interface import Frame
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.solve.modal import ModalSolution
+from reconstruction.wavefront import Wavefront, rms
+
+DOCUMENT = DOCS / "streams.md"
+
+
+@pytest.fixture
+def port() -> int:
+    """A port that nobody uses."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+@pytest.fixture(scope="session")
+def bench(small_bench: SmallBench) -> Bench:
+    return Bench(sensor=small_bench.sensor, field=FIELD)
+
+
+@pytest.fixture(scope="session")
+def measurement(small_bench: SmallBench, bench: Bench) -> Measurement:
+    frame, _ = small_bench.tilted(3000.0, 500.0)
+    frame[: frame.shape[0] // 6] = 0  # lenslets are lost, so that NaN is sent
+    reference = Average(small_bench.reference, np.zeros_like(small_bench.reference), 1, 0.02, 8.0, "em")
+    in_force = replace(bench, reconstruction=ReconstructionSettings(basis="zernike"))  # changed since it was opened
+    calibration = Calibration(in_force, None, reference, small_bench.lattice, 65535.0)
+    return replace(_measured(small_bench.reconstructor()(frame), 5), calibration=calibration)
+
+
+def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Measurement:
+    now_s = time.perf_counter()
+    frame = Frame(
+        pixels=np.zeros((2, 3), np.uint16),
+        index=index,
+        camera_time_s=7.25,
+        host_time_s=now_s - 0.01,
+        exposure_s=0.02,
+        em_gain=8.0,
+    )
+    refinement = RefinementState("applied", 0.75, 0.01) if index % 2 else RefinementState()
+    return Measurement(frame, wavefront, problem, Counts(9, 8, 1), now_s - 0.02, 0.02, refinement)
+
+
+class Subscriber:
+    """A program that listens."""
+
+    def __init__(self, port: int, *topics: str, keeps_little: bool = False) -> None:
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        if keeps_little:
+            self._socket.setsockopt(zmq.RCVHWM, 1)
+            self._socket.setsockopt(zmq.RCVBUF, 1 << 16)
+        self._socket.connect(f"tcp://127.0.0.1:{port}")
+        for topic in topics:
+            self._socket.subscribe(topic)
+
+    def close(self) -> None:
+        self._context.destroy(linger=0)
+
+    def hears(self, timeout_s: float = HANG_S) -> tuple[str, dict[str, Any], dict[str, NDArray[Any]]]:
+        assert self._socket.poll(int(timeout_s * 1000))
+        topic, text, *parts = self._socket.recv_multipart()
+        header = json.loads(text)
+        assert len(parts) == len(header["arrays"])
+        return (
+            topic.decode(),
+            header,
+            {
+                array["name"]: np.frombuffer(part, array["dtype"]).reshape(array["shape"])
+                for array, part in zip(header["arrays"], parts, strict=True)
+            },
+        )
+
+    def is_waiting(self) -> bool:
+        return not self._socket.poll(50)
+
+
+@pytest.fixture
+def publisher(bench: Bench, port: int) -> Iterator[Publisher]:
+    with closing(Publisher(replace(bench, streams=StreamSettings(port=port)))) as publisher:
+        yield publisher
+
+
+def _until_heard(publisher: Publisher, subscriber: Subscriber, measurement: Measurement) -> int:
+    """Publish until the first message comes, and take in all that have come; return how many were published."""
+    for count in range(1, 500):
+        publisher.take(measurement)
+        if not subscriber.is_waiting():
+            while subscriber.hears()[1]["sequence"] < count:
+                pass
+            while not subscriber.is_waiting():  # the last one's other messages
+                subscriber.hears()
+            return count
+    raise AssertionError
+
+
+def test_a_subscriber_receives_what_was_measured_bit_by_bit(
+    publisher: Publisher, port: int, measurement: Measurement, bench: Bench, small_bench: SmallBench
+) -> None:
+    wavefront = measurement.wavefront
+    assert wavefront is not None
+    assert isinstance(wavefront.solution, ModalSolution)
+    assert 0 < np.count_nonzero(wavefront.displacement.valid) < wavefront.displacement.valid.size
+    with closing(Subscriber(port, "")) as subscriber:
+        before = _until_heard(publisher, subscriber, measurement)
+        publisher.take(measurement)
+        heard = {topic: (header, arrays) for topic, header, arrays in (subscriber.hears() for _ in range(3))}
+    expected: dict[str, dict[str, NDArray[Any]]] = {
+        "coefficients": {
+            "coefficients": wavefront.solution.coefficients,
+            "coefficients_sigma": wavefront.solution.coefficients_sigma,
+        },
+        "slopes": {
+            "slopes": wavefront.displacement.coefficients * bench.sensor.slope_per_px,
+            "slopes_sigma": np.sqrt(wavefront.displacement.variance) * bench.sensor.slope_per_px,
+            "valid": wavefront.displacement.valid.astype(np.uint8),
+        },
+        "views": {"wavefront": wavefront.views, "wavefront_sigma": wavefront.sigma()},
+    }
+    assert heard.keys() == expected.keys()
+    for topic, arrays in expected.items():
+        header, received = heard[topic]
+        assert received.keys() == arrays.keys()
+        for array, about in zip(arrays.values(), header["arrays"], strict=True):
+            np.testing.assert_array_equal(received[about["name"]], array)
+            assert received[about["name"]].dtype == array.dtype
+            assert len(about["dimensions"]) == array.ndim
+        assert (header["format"], header["sequence"], header["frame"]) == (1, before + 1, 5)
+        assert header["camera_time_s"] == 7.25
+        assert header["exposure_end_unix_s"] == pytest.approx(time.time() - 0.02, abs=100)
+        assert (header["refinement"], header["bias_age_s"], header["problem"]) == ("applied", 0.75, "")
+        assert header["sensor"]["wavelength_m"] == bench.sensor.wavelength_m
+        assert header["lattice"] == asdict(small_bench.lattice)
+        assert header["reconstruction"]["basis"] == "zernike"
+        assert header["view_x_m"] == [-0.5e-3, 0, 0.5e-3]
+        assert header["pupil_y_m"] == pytest.approx(np.arange(-3, 4) * 500e-6)
+
+
+def test_only_what_was_subscribed_to_comes(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    with closing(Subscriber(port, "slopes")) as subscriber:
+        _until_heard(publisher, subscriber, measurement)
+        publisher.take(measurement)
+        assert subscriber.hears()[0] == "slopes"
+        assert subscriber.is_waiting()
+
+
+def test_what_nobody_wants_is_not_computed(
+    publisher: Publisher, port: int, measurement: Measurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Wavefront, "sigma", lambda _: pytest.fail("computed for nobody"))
+    with closing(Subscriber(port, "coefficients")) as subscriber:
+        _until_heard(publisher, subscriber, measurement)  # an error would end the publisher's thread
+        assert _until_heard(publisher, subscriber, measurement) == 1
+
+
+def test_a_frame_without_a_wavefront_is_told(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    with closing(Subscriber(port, "views")) as subscriber:
+        _until_heard(publisher, subscriber, measurement)
+        publisher.take(_measured(None, 6, "the frame is saturated"))
+        _, header, arrays = subscriber.hears()
+    assert (header["frame"], header["problem"], header["arrays"], arrays) == (6, "the frame is saturated", [], {})
+    assert (header["refinement"], header["bias_age_s"], header["lattice"]) == ("off", None, None)
+
+
+def test_the_zonal_method_has_no_coefficients(
+    publisher: Publisher, port: int, small_bench: SmallBench, measurement: Measurement
+) -> None:
+    zonal = _measured(small_bench.reconstructor(method="zonal")(small_bench.reference), 8)
+    with closing(Subscriber(port, "coefficients", "slopes")) as subscriber:
+        _until_heard(publisher, subscriber, measurement)
+        publisher.take(zonal)
+        assert subscriber.hears()[0] == "slopes"
+        assert subscriber.is_waiting()
+
+
+def test_a_subscriber_that_stalls_holds_nothing_up(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    """More is published than is kept for it; another subscriber goes on hearing every measurement."""
+    with closing(Subscriber(port, "views", keeps_little=True)) as stalled, closing(Subscriber(port, "slopes")) as other:
+        _until_heard(publisher, stalled, measurement)
+        _until_heard(publisher, other, measurement)
+        sequence = 0
+        for _ in range(1000):
+            publisher.take(measurement)
+            heard = other.hears()[1]["sequence"]
+            assert heard == sequence + 1 or not sequence
+            sequence = heard
+        sequences = []
+        while not stalled.is_waiting():
+            sequences.append(stalled.hears()[1]["sequence"])
+        assert np.all(np.diff(sequences) > 0)
+        assert len(sequences) < 400  # it has missed the others, and the numbers say so
+
+
+def test_what_the_publisher_cannot_follow_it_leaves_out_oldest_first(
+    publisher: Publisher, port: int, measurement: Measurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    is_busy, may_go_on = threading.Event(), threading.Event()
+
+    def slowly(wavefront: Wavefront) -> NDArray[np.float64]:
+        is_busy.set()
+        assert may_go_on.wait(HANG_S)
+        return wavefront.views
+
+    with closing(Subscriber(port, "views")) as subscriber:
+        before = _until_heard(publisher, subscriber, measurement)
+        monkeypatch.setattr(Wavefront, "sigma", slowly)
+        publisher.take(measurement)
+        assert is_busy.wait(HANG_S)
+        for _ in range(200):
+            publisher.take(measurement)
+        may_go_on.set()
+        sequences = [subscriber.hears()[1]["sequence"] - before for _ in range(5)]
+        assert subscriber.is_waiting()
+    assert sequences == [1, 198, 199, 200, 201]
+
+
+def test_closing_sends_what_waits(bench: Bench, port: int, measurement: Measurement) -> None:
+    publisher = Publisher(replace(bench, streams=StreamSettings(port=port)))
+    with closing(Subscriber(port, "slopes")) as subscriber:
+        before = _until_heard(publisher, subscriber, measurement)
+        publisher.take(measurement)
+        publisher.close()
+        assert subscriber.hears()[1]["sequence"] == before + 1
+    with socket.socket() as free:  # and the port can be used again
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        free.bind(("127.0.0.1", port))
+
+
+def test_nothing_is_open_unless_it_is_asked_for(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zmq, "Context", lambda: pytest.fail("a socket was made"))
+    with stream_sinks(bench) as sinks:
+        assert sinks == ()
+    monkeypatch.undo()
+    with stream_sinks(replace(bench, streams=StreamSettings(port=port))) as sinks:
+        assert len(sinks) == 1
+        listening = _listening(port)
+    assert listening == ["127.0.0.1"]
+
+
+def _listening(port: int) -> list[str]:
+    """The addresses of this computer at which a port is open, from the kernel's own table."""
+    rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    local = [row[1].split(":") for row in rows if row[3] == "0A"]
+    return [socket.inet_ntoa(bytes.fromhex(host)[::-1]) for host, at in local if int(at, 16) == port]
+
+
+def test_a_port_that_is_taken_is_one_sentence(bench: Bench, port: int) -> None:
+    streams = StreamSettings(port=port)
+    with (
+        stream_sinks(replace(bench, streams=streams)),
+        pytest.raises(RunError, match=rf"127.0.0.1:{port}: Address already in use; change streams.port"),
+        stream_sinks(replace(bench, streams=streams)),
+    ):
+        pass
+
+
+def test_an_address_of_another_computer_is_one_sentence(bench: Bench, port: int) -> None:
+    elsewhere = replace(bench, streams=StreamSettings(port=port, address="192.0.2.1"))
+    with pytest.raises(RunError, match="assign"), stream_sinks(elsewhere):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("port=0", "streams: port must be 1 ... 65535"),
+        ("port=65536", "streams: port must be"),
+        ("port=5560.5", "streams.port: must be a whole number"),
+        ("port=tcp://127.0.0.1:5560", "streams.port: must be a whole number"),
+        ("address=localhost", "streams: address must be an IPv4 address"),
+        ("address=127.0.0.1:5560", "streams: address must be"),
+        ("publish=5560", "streams: unknown key publish; known are port, address"),
+    ],
+)
+def test_what_cannot_be_is_one_line(setting: str, sentence: str, small_toml: Path) -> None:
+    with pytest.raises(InputError, match=re.escape(sentence)) as error:
+        load_bench(small_toml, (f"streams.{setting}",))
+    assert "\n" not in str(error.value)
+
+
+def test_the_section_survives_writing_and_reading(small_toml: Path) -> None:
+    bench = load_bench(small_toml, ("streams.port=5560", "streams.address=0.0.0.0"))
+    assert parse_bench(write_bench(bench), "again") == bench
+    assert load_bench(small_toml).streams.port is None
+
+
+def test_measure_publishes_what_it_records(
+    port: int, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever listens from before the start; a busy computer may leave some out, or not reconstruct them live."""
+    arguments = ("--bench", small_toml, "--set", f"streams.port={port}", "--frames", "6", "--out", tmp_path / "run")
+    with closing(Subscriber(port, "coefficients")) as subscriber:
+        assert run(monkeypatch, "measure", *arguments) == 0
+        heard = {}
+        while not subscriber.is_waiting():
+            _, header, arrays = subscriber.hears()
+            if arrays:
+                heard[header["camera_time_s"]] = header, arrays["coefficients"]
+    recording = Recording(tmp_path / "run")
+    both = [index for index in range(len(recording)) if recording.line(index).camera_time_s in heard]
+    assert both
+    for index in both:
+        line = recording.line(index)
+        header, coefficients = heard[line.camera_time_s]
+        assert (header["frame"], header["lattice"]["center_x_px"]) == (line.camera_index, 121.3)
+        np.testing.assert_array_equal(coefficients, recording.coefficients(index))
+
+
+def test_a_port_that_is_taken_ends_the_command(
+    publisher: Publisher,
+    port: int,
+    small_toml: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    settings = ("--bench", small_toml, "--set", f"streams.port={port}")
+    assert publisher
+    assert run(monkeypatch, "measure", *settings, "--frames", "2", "--out", tmp_path / "run") == 1
+    assert f"127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_documented_subscriber_runs(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    example = re.search(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+    assert example is not None
+    program = example[1].replace("5560", str(port))
+    assert program != example[1]
+    wavefront = measurement.wavefront
+    assert wavefront is not None
+    with subprocess.Popen([sys.executable, "-u", "-c", program], stdout=subprocess.PIPE, text=True) as running:  # noqa: S603 - our own document
+        try:
+            assert running.stdout is not None
+            while not _can_be_read(running.stdout.fileno()):
+                publisher.take(measurement)
+            text = running.stdout.readline() + "".join(running.stdout.readline() for _ in range(2))
+        finally:
+            running.kill()
+    frame, *values = (float(number) for number in re.findall(r"[-\d.e]+", text))
+    assert frame == 5
+    np.testing.assert_allclose(values, rms(wavefront.views).ravel(), rtol=1e-6)
+
+
+def _can_be_read(descriptor: int) -> bool:
+    poller = zmq.Poller()
+    poller.register(descriptor, zmq.POLLIN)
+    return bool(poller.poll(50))

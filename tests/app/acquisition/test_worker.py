@@ -1,0 +1,380 @@
+"""The worker thread: commands between frames, routines that leave things as they were, faults that are told."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.patience import HANG_S, own_time, wait_until
+
+from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument, Reconstruction, Status
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition, Measurement
+from app.bench.config import Bench, load_bench
+from app.errors import InputError
+from app.measurement.measurement import PASSED_OVER
+from app.measurement.routines import Cancelled
+from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
+from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
+from simulated_devices.light import SimulatedLight
+
+
+class Running:
+    """An acquisition on the small simulated bench, and all that came out of it."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.devices: Devices | None = None
+        self.measurements: list[Measurement] = []
+        self.acquisition = Acquisition(bench, self._open, sinks=(self.measurements.append,))
+
+    def _open(self, bench: Bench, progress: Callable[[float], None]) -> Devices:
+        self.devices = open_devices(bench, progress)
+        return self.devices
+
+    @property
+    def camera(self) -> SimulatedCamera:
+        assert self.devices is not None
+        assert isinstance(self.devices.camera, SimulatedCamera)
+        return self.devices.camera
+
+    @property
+    def newest(self) -> Measurement:
+        assert self.acquisition.newest is not None
+        return self.acquisition.newest
+
+    def begin(self) -> None:
+        """Start up and wait for the first wavefront."""
+        self.acquisition.start()
+        for step in start_up(self.acquisition, 3):
+            step.result(HANG_S)
+        wait_until(lambda: bool(self.measurements))
+
+
+@pytest.fixture
+def running(small_toml: Path) -> Iterator[Running]:
+    running = Running(load_bench(small_toml))
+    yield running
+    running.acquisition.close()
+
+
+def _is_dark(instrument: Instrument) -> bool:
+    return not instrument.devices.light.is_on
+
+
+@pytest.mark.usefixtures("no_hurry")
+def test_from_start_to_wavefronts(running: Running) -> None:
+    running.begin()
+    wait_until(lambda: len(running.measurements) >= 10)
+    running.acquisition.close()
+    counts = running.measurements[-1].counts
+    assert counts.acquired == len(running.measurements)
+    assert counts.reconstructed == counts.acquired
+    assert [measurement.frame.index for measurement in running.measurements] == list(range(counts.acquired))
+    assert counts.lost == 0
+    assert running.newest is running.measurements[-1]
+    assert running.acquisition.failure == ""
+
+
+def test_a_command_is_executed_between_frames_and_its_result_comes_back(running: Running) -> None:
+    running.begin()
+    setting = running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(0.040004))
+    set_to = setting.result(HANG_S)
+    assert set_to == pytest.approx(0.04)
+    assert running.acquisition.status is not None
+    assert running.acquisition.status.exposure_s == set_to  # told by then
+    wait_until(lambda: running.measurements[-1].frame.exposure_s == set_to)
+
+
+def test_a_refused_setting_is_the_callers_business_and_the_loop_goes_on(running: Running) -> None:
+    running.begin()
+    with pytest.raises(BadValue, match=r"exposure_s = 99 is outside 0.0139 ... 1"):
+        running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(99.0)).result(HANG_S)
+    before = len(running.measurements)
+    wait_until(lambda: len(running.measurements) > before + 2)
+
+
+def test_routines_leave_the_devices_as_they_found_them(running: Running) -> None:
+    running.begin()
+    running.acquisition.take_dark(3).result(HANG_S)
+    running.acquisition.take_reference(3).result(HANG_S)
+    status = running.acquisition.status
+    assert status is not None
+    assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
+    assert (status.dark, status.reference, status.warning) == ("good", "good", "")
+
+
+def test_a_cancelled_routine_leaves_the_devices_as_it_found_them(running: Running) -> None:
+    running.begin()
+    long = running.acquisition.take_dark(10_000)
+    wait_until(lambda: running.newest.problem == "taking the dark, 10000 frames")
+    newest = running.newest
+    assert newest.wavefront is None  # seen, not measured
+    assert running.acquisition.activity.text == newest.problem
+    assert running.acquisition.activity.progress > 0
+    assert newest.frame.pixels.mean() == pytest.approx(500, abs=10)
+    running.acquisition.cancel()
+    with pytest.raises(Cancelled):
+        long.result(HANG_S)
+    assert not running.acquisition.submit(_is_dark).result(HANG_S)
+    assert running.acquisition.activity.text == ""
+
+
+def test_a_routine_can_be_cancelled_before_it_begins(running: Running) -> None:
+    running.begin()
+    first, second = running.acquisition.take_dark(10_000), running.acquisition.take_dark(2)
+    wait_until(lambda: "dark" in running.acquisition.activity.text)
+    running.acquisition.cancel()
+    with pytest.raises(Cancelled):
+        first.result(HANG_S)
+    second.result(HANG_S)
+
+
+def test_the_dark_is_dark_and_the_reference_is_lit(running: Running) -> None:
+    running.begin()
+    averages = running.acquisition.submit(lambda instrument: (instrument.dark, instrument.reference)).result(HANG_S)
+    dark, reference = averages
+    assert dark is not None
+    assert reference is not None
+    assert dark.mean.mean() == pytest.approx(500, abs=3)  # the camera's offset
+    assert reference.mean.max() > 3000
+    assert np.sqrt(np.median(dark.variance)) == pytest.approx(37 / 5.8, rel=0.7)  # read noise in counts, three frames
+
+
+def test_stopping_takes_effect_within_a_long_exposure(small_toml: Path) -> None:
+    running = Running(load_bench(small_toml, ("camera.readout_speed=2", "camera.exposure_s=30.0")))
+    running.acquisition.start()
+    running.acquisition.submit(lambda instrument: instrument.devices.light.set_on(True)).result(HANG_S)
+    running.acquisition.submit(lambda instrument: instrument.devices.camera.start()).result(HANG_S)
+    time.sleep(0.2)
+    with own_time() as elapsed_s:
+        running.acquisition.close()
+        assert elapsed_s() < 1.0
+    assert running.devices is not None
+    with pytest.raises(WrongState):  # closed, with the light off before
+        _ = running.devices.light.is_on
+
+
+def test_a_saturated_frame_is_told_and_the_loop_goes_on(running: Running) -> None:
+    running.begin()
+    running.acquisition.submit(lambda instrument: instrument.devices.camera.set_em_gain(400.0)).result(HANG_S)
+    wait_until(lambda: "saturated" in running.measurements[-1].problem)
+    running.acquisition.submit(lambda instrument: instrument.devices.camera.set_em_gain(8.0)).result(HANG_S)
+    wait_until(lambda: running.measurements[-1].wavefront is not None)
+
+
+def test_a_reference_without_light_becomes_a_warning(running: Running) -> None:
+    running.begin()
+    running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)
+    running.acquisition.take_reference(2).result(HANG_S)
+    assert running.acquisition.status is not None
+    assert "no light" in running.acquisition.status.warning
+    assert running.acquisition.status.reference == "doubtful"
+    wait_until(lambda: "no light" in running.measurements[-1].problem)
+
+
+@pytest.mark.parametrize(
+    ("change", "warning"),
+    [
+        (lambda instrument: instrument.devices.camera.set_exposure(0.05), "20.0 ms: take it again"),
+        (lambda instrument: instrument.devices.camera.set_em_gain(2.0), "another amplifier or gain"),
+        (lambda instrument: instrument.devices.stage.set_mask("stars"), "taken with the mask square"),
+    ],
+)
+def test_a_stale_dark_or_reference_is_told(
+    running: Running, change: Callable[[Instrument], object], warning: str
+) -> None:
+    running.begin()
+    running.acquisition.submit(change).result(HANG_S)
+    assert running.acquisition.status is not None
+    assert warning in running.acquisition.status.warning
+
+
+def test_lost_frames_are_counted(running: Running) -> None:
+    running.begin()
+    running.camera.inject(LoseFrames(5))
+    wait_until(lambda: running.measurements[-1].counts.lost >= 5)  # a busy computer loses some more
+    last = running.measurements[-1]
+    assert last.counts.acquired + last.counts.lost == last.frame.index + 1
+
+
+def test_an_unplugged_camera_ends_the_loop_with_the_light_off(running: Running) -> None:
+    running.begin()
+    running.camera.inject(Unplug())
+    wait_until(lambda: not running.acquisition.is_alive)
+    assert isinstance(running.acquisition.error, Disconnected)
+    assert "camera" in running.acquisition.failure
+    assert running.devices is not None
+    with pytest.raises(WrongState):
+        _ = running.devices.light.is_on
+    with pytest.raises(WrongState, match="camera"):  # a later command does not wait for ever
+        running.acquisition.submit(_is_dark).result(HANG_S)
+
+
+def test_a_camera_that_stalls_is_given_up(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    running.begin()
+    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.3)
+    running.camera.inject(Stall())
+    wait_until(lambda: not running.acquisition.is_alive)
+    assert "no frame" in running.acquisition.failure
+
+
+def test_a_bench_that_cannot_be_is_an_input_error(small_toml: Path) -> None:
+    running = Running(load_bench(small_toml, ("simulation.screen.file=/nowhere/screen.npy",)))
+    running.acquisition.start()
+    wait_until(lambda: not running.acquisition.is_alive)
+    assert isinstance(running.acquisition.error, InputError)
+    assert "screen.npy" in running.acquisition.failure
+
+
+def test_settings_can_be_changed_while_it_runs(running: Running) -> None:
+
+    running.begin()
+    running.acquisition.submit(
+        lambda instrument: instrument.change_settings(
+            lambda bench: replace(bench, registration=replace(bench.registration, warp="affine"))
+        )
+    ).result(HANG_S)
+    wait_until(
+        lambda: (
+            (wavefront := running.measurements[-1].wavefront) is not None
+            and wavefront.displacement.coefficients.shape[2] == 3
+        )
+    )
+
+
+def test_closing_before_starting_and_twice_is_allowed(small_toml: Path) -> None:
+    acquisition = Acquisition(load_bench(small_toml), open_devices)
+    acquisition.close()
+    acquisition.close()
+
+
+def test_when_frames_come_too_fast_the_newest_is_taken_and_the_others_are_counted(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure = Instrument.measure
+
+    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(0.2)
+        return measure(instrument, frame)
+
+    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    try:
+        running.begin()
+        monkeypatch.setattr(Instrument, "measure", slowly)
+        first = len(running.measurements)
+        wait_until(lambda: running.acquisition.counts.reconstructed >= first + 16)
+        running.acquisition.close()
+    finally:
+        running.acquisition.close()
+    everything = [measurement.frame.index for measurement in running.measurements]
+    measured = [measurement for measurement in running.measurements if measurement.wavefront is not None]
+    index = [measurement.frame.index for measurement in measured]
+    last = measured[-1]
+    counts = [measurement.counts for measurement in running.measurements]
+    # Five frames a second are measured of 72: the others are passed over, not kept for later. The sinks get them all.
+    assert np.median(np.diff(index[first + 2 :])) > 8
+    assert np.all(np.diff(everything) > 0)
+    assert len(everything) == counts[-1].acquired
+    assert {measurement.problem for measurement in running.measurements} == {"", PASSED_OVER}
+    assert all(count.acquired + count.lost == at + 1 for at, count in zip(everything, counts, strict=True))
+    assert last.counts.reconstructed == len(measured) < last.counts.acquired
+    # Had the others been kept, each measurement would be 0.19 s older than the one before.
+    assert min(measurement.latency_s for measurement in measured[-4:]) < measured[first + 2].latency_s + 1.0
+    assert running.newest is last
+
+
+def test_when_frames_cannot_even_be_passed_over_some_are_measured_and_a_stop_is_heard(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure, pass_over = Instrument.measure, Instrument.pass_over
+
+    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(0.2)
+        return measure(instrument, frame)
+
+    def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(0.03)
+        return pass_over(instrument, frame)
+
+    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    try:
+        running.begin()
+        monkeypatch.setattr(Instrument, "measure", slowly)
+        monkeypatch.setattr(Instrument, "pass_over", more_slowly_than_they_come)
+        wait_until(lambda: running.measurements[-1].problem == PASSED_OVER)
+        first = running.acquisition.counts.reconstructed
+        wait_until(lambda: running.acquisition.counts.reconstructed >= first + 2)
+        assert running.acquisition.submit(_is_dark).result(HANG_S) is False
+    finally:
+        running.acquisition.close(HANG_S)
+    assert not running.acquisition.is_alive
+
+
+def test_devices_that_are_slow_to_answer_are_asked_less_often(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status, asked_s, answered_s = Instrument.status, [], []
+
+    def slowly(instrument: Instrument) -> Status:
+        asked_s.append(time.monotonic())
+        time.sleep(0.2)
+        answered_s.append(time.monotonic())
+        return status(instrument)
+
+    running.begin()
+    monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.01)
+    monkeypatch.setattr(Instrument, "status", slowly)
+    wait_until(lambda: len(asked_s) > 2)
+    assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
+
+
+def test_what_a_light_says_while_frames_are_passed_over_is_not_taken_for_the_cameras(
+    small_toml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pass_over, status = Instrument.pass_over, Instrument.status
+    has_passed_over = threading.Event()
+
+    def pass_over_before(instrument: Instrument, frame: Frame) -> Reconstruction:
+        has_passed_over.set()
+        return pass_over(instrument, frame)
+
+    def silent_once(instrument: Instrument) -> Status:
+        if has_passed_over.is_set():
+            monkeypatch.setattr(Instrument, "status", status)
+            raise DeviceTimeout("the light did not answer")
+        return status(instrument)
+
+    def measure_slowly(*_: object) -> Reconstruction:
+        time.sleep(0.4)
+        return Reconstruction(None, "slow")
+
+    running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
+    try:
+        running.begin()
+        monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.0)
+        monkeypatch.setattr("app.acquisition.worker._STATUS_SHARE", math.inf)
+        running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is asked at every look
+        monkeypatch.setattr(Instrument, "status", silent_once)
+        monkeypatch.setattr(Instrument, "pass_over", pass_over_before)
+        monkeypatch.setattr(Instrument, "measure", measure_slowly)
+        wait_until(lambda: not running.acquisition.is_alive)
+    finally:
+        running.acquisition.close(HANG_S)
+    assert running.acquisition.failure == "the light did not answer"
+
+
+def test_a_light_that_somebody_turns_off_by_hand_is_seen(running: Running) -> None:
+    running.begin()
+    assert running.devices is not None
+    light = running.devices.light
+    assert isinstance(light, SimulatedLight)
+    light._bench.change(is_light_on=False)  # at its front, where no command comes from
+    wait_until(lambda: running.acquisition.status is not None and not running.acquisition.status.is_light_on)
+    assert running.acquisition.is_alive

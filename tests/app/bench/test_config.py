@@ -1,0 +1,136 @@
+"""A bench file is read as it is meant, and every fault in it is one line that names the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.paths import FOREIGN_FRAMES
+
+from app.bench.config import load_bench, parse_bench, write_bench
+from app.bench.presets import PRESETS
+from app.errors import InputError
+from drivers.genicam.settings import GenicamSettings
+
+MINIMAL = (FOREIGN_FRAMES / "bench.toml").read_text()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_survive_writing_and_reading(preset: str) -> None:
+    bench = load_bench(preset)
+    assert parse_bench(write_bench(bench), "again") == bench
+
+
+def test_the_contracts_example_means_what_it_says() -> None:
+    bench = parse_bench(MINIMAL, "bench.toml")
+    assert bench.sensor.lenslet_focal_length_m == 46.7e-3
+    assert bench.lattice is not None
+    assert bench.lattice.pitch_px == 31.25
+    assert (bench.registration.warp, bench.registration.conserve_flux) == ("quadratic", True)
+    assert (bench.reconstruction.method, bench.reconstruction.pupil_modes) == ("modal", 66)
+
+
+def test_a_whole_number_may_stand_for_a_length() -> None:
+    assert parse_bench(MINIMAL.replace("center_x_px = 255.5", "center_x_px = 255"), "b").lattice is not None
+
+
+def test_the_lattice_may_be_left_out() -> None:
+    start, end = MINIMAL.index("[lattice]"), MINIMAL.index("[field]")
+    assert parse_bench(MINIMAL[:start] + MINIMAL[end:], "b").lattice is None
+
+
+FAULTS = {
+    "unknown section": ("[sensor]", "[sensors]", "unknown key sensors; known are sensor, field"),
+    "misspelt key": ("lenslet_rows", "lenslet_row", "sensor: unknown key lenslet_row; known are lenslet_rows"),
+    "missing key": ("wavelength_m = 462e-9\n", "", "sensor.wavelength_m: is missing"),
+    "text for a number": ("lenslet_rows = 15", 'lenslet_rows = "15"', "sensor.lenslet_rows: must be a whole number"),
+    "a fraction for a count": ("lenslet_rows = 15", "lenslet_rows = 15.5", "sensor.lenslet_rows: must be a whole"),
+    "true for a number": ("wavelength_m = 462e-9", "wavelength_m = true", "sensor.wavelength_m: must be a finite"),
+    "not a number": ("pitch_px = 31.25", "pitch_px = nan", "lattice.pitch_px: must be a finite number"),
+    "infinite": ("pitch_px = 31.25", "pitch_px = inf", "lattice.pitch_px: must be a finite number"),
+    "impossible value": ("lenslet_rows = 15", "lenslet_rows = -1", "sensor: lenslet_rows must be 2 ... 1000"),
+    "nanometres for metres": ("462e-9", "462", "sensor: wavelength_m must lie between 100e-9 and 20e-6"),
+    "unknown choice": ('"quadratic"', '"bent"', 'registration.warp: must be one of "translation", "affine"'),
+    "number for a choice": ('"quadratic"', "6", 'registration.warp: must be one of "translation"'),
+    "views outside the field": ("0.5e-3\n", "0.9e-3\n", "field: view_spacing_m places views outside"),
+    "broken TOML": ("[sensor]", "[sensor", "not valid TOML"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_one_line_that_names_the_key(name: str) -> None:
+    right, wrong, sentence = FAULTS[name]
+    assert right in MINIMAL
+    with pytest.raises(InputError) as fault:
+        parse_bench(MINIMAL.replace(right, wrong, 1), "bench.toml")
+    assert str(fault.value).startswith("bench.toml: ")
+    assert sentence in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_an_unknown_driver_says_what_there_is() -> None:
+    with pytest.raises(InputError, match=r"b: camera: driver = 'no such' is not known; known are \"simulated\", "):
+        parse_bench(MINIMAL + '\n[camera]\ndriver = "no such"\n', "b")
+
+
+GENICAM = '\n[camera]\ndriver = "genicam"\nexposure_s = 0.01\n'
+DC4100 = '\n[light]\ndriver = "thorlabs_dc4100"\nport = "/dev/ttyUSB0"\nlimit_a = 0.35\n'
+BAD_DEVICES = {
+    "a key of another driver": (
+        GENICAM + "em_gain = 4.0\n" + DC4100,
+        "camera: unknown key em_gain; known are driver, de",
+    ),
+    "a value it cannot have": (GENICAM + "binning = 0\n" + DC4100, "camera: binning must be 1"),
+    "a number for a region": (GENICAM + "region = 3\n" + DC4100, "camera.region: must be a section"),
+    "a missing port": (GENICAM + DC4100.replace('port = "/dev/ttyUSB0"\n', ""), "light: .*port"),
+    "no light": (GENICAM, 'light.driver is missing: camera.driver = "genicam" needs one of "thorlabs_dc4100"'),
+    "a light that nobody sees": (DC4100, 'light.driver = "thorlabs_dc4100" is of no use: a simulated camera sees no'),
+    "no section": ("", "camera: must be a section"),
+}
+
+
+@pytest.mark.parametrize(("text", "sentence"), BAD_DEVICES.values(), ids=BAD_DEVICES)
+def test_what_is_wrong_with_a_device_is_one_line(text: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence) as refused:
+        parse_bench((MINIMAL if text else "camera = 3\n" + MINIMAL) + text, "b")
+    assert "\n" not in str(refused.value)
+
+
+def test_a_real_bench_survives_writing_and_reading() -> None:
+    bench = parse_bench(MINIMAL + GENICAM + DC4100, "b")
+    assert (bench.camera.driver, bench.light.driver) == ("genicam", "thorlabs_dc4100")
+    assert isinstance(bench.camera, GenicamSettings)
+    assert bench.camera.exposure_s == 0.01
+    assert parse_bench(write_bench(bench), "again") == bench
+    changed = parse_bench(MINIMAL + GENICAM + DC4100, "b", ("camera.binning=2",)).camera
+    assert isinstance(changed, GenicamSettings)
+    assert changed.binning == 2
+
+
+def test_settings_can_be_changed_from_the_command_line() -> None:
+    changes = ("registration.warp=affine", "reconstruction.pupil_modes=21", "simulation.seed = 4")
+    bench = load_bench("live_demo", changes)
+    assert bench.registration.warp == "affine"
+    assert bench.reconstruction.pupil_modes == 21
+    assert bench.simulation.seed == 4
+
+
+@pytest.mark.parametrize("override", ["warp=affine", "registration.warp", "=", "sensor.wavelength_m.x=1", ""])
+def test_a_change_without_sense_is_refused(override: str) -> None:
+    with pytest.raises(InputError, match="--set"):
+        load_bench("live_demo", (override,))
+
+
+def test_missing_and_binary_files_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere.toml: No such file.*preset .live_demo"):
+        load_bench(tmp_path / "nowhere.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not a text file"):
+        load_bench(tmp_path / "binary.toml")
+
+
+def test_automatic_is_the_word_for_what_is_left_out() -> None:
+    bench = load_bench("paper_simulation", ("registration.warp=automatic", "reconstruction.pupil_modes=automatic"))
+    assert bench.registration.warp is None
+    assert bench.reconstruction.pupil_modes is None
+    assert parse_bench(write_bench(bench), "again") == bench

@@ -1,0 +1,308 @@
+"""The command as people type it: what it writes, what it says, and with which status it ends."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+from support.command_line import run
+from support.paths import FOREIGN_FRAMES
+from support.patience import HANG_S, wait_until
+
+from app.acquisition import start_up
+from app.acquisition.devices import open_devices
+from app.bench.config import Bench
+from app.errors import Interrupted, RunError
+from drivers.interface import Devices, Frame
+from reconstruction.wavefront import rms
+from simulated_devices.camera import SimulatedCamera, Unplug
+
+FRAMES = FOREIGN_FRAMES
+
+
+def reconstruct_foreign(out: Path, *more: str | Path) -> tuple[str | Path, ...]:
+    """The command that reconstructs the foreign frames."""
+    reference = FRAMES / "square_reference.tif"
+    return (
+        "reconstruct",
+        FRAMES / "square_frame.tif",
+        *("--reference", reference, "--bench", FRAMES / "bench.toml", "--out", out, *more),
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "figure_rad"),
+    [
+        (("registration.warp=affine", "reconstruction.pupil_modes=45"), 0.20),
+        (("registration.warp=affine", "reconstruction.method=zonal"), 0.21),
+    ],
+)
+def test_reconstruct(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    changes: tuple[str, ...],
+    figure_rad: float,
+) -> None:
+    settings = [word for change in changes for word in ("--set", change)]
+    out, picture = tmp_path / "deep" / "r.nc", tmp_path / "p.png"
+    assert run(monkeypatch, *reconstruct_foreign(out, *settings, "--plot", picture)) == 0
+    with xr.open_dataset(out) as result:
+        residual = rms(result["wavefront"].to_numpy() - np.load(FRAMES / "truth.npz")["wavefront_rad"])
+    assert residual.mean() < figure_rad
+    assert "225 of 225 lenslets valid" in capsys.readouterr().out
+    assert picture.stat().st_size > 10_000
+
+
+def test_simulate_then_reconstruct_gives_the_truth(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
+) -> None:
+    assert run(monkeypatch, "simulate", "--bench", small_toml, "--out", tmp_path) == 0
+    names = {"dark.tif", "reference.tif", "frame.tif", "truth.nc"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert tifffile.imread(tmp_path / "frame.tif").dtype == np.uint16
+    files = ("--reference", tmp_path / "reference.tif", "--dark", tmp_path / "dark.tif", "--bench", small_toml)
+    assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *files, "--out", tmp_path / "r.nc") == 0
+    with xr.open_dataset(tmp_path / "r.nc") as result, xr.open_dataset(tmp_path / "truth.nc") as truth:
+        assert result["wavefront"].dims == truth["wavefront"].dims
+        residual = rms((result["wavefront"] - truth["wavefront"]).to_numpy())
+        assert residual.mean() < 0.1 * rms(truth["wavefront"].to_numpy()).mean()
+
+
+def test_noise_free_images_are_photons_as_floats(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
+) -> None:
+    assert run(monkeypatch, "simulate", "--bench", small_toml, "--out", tmp_path, "--noise-free") == 0
+    assert tifffile.imread(tmp_path / "frame.tif").dtype == np.float32
+    assert tifffile.imread(tmp_path / "dark.tif").max() == 0
+
+
+def test_measure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m") == 0
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert results["wavefront"].shape == (5, 3, 3, 5, 7)
+        rms_rad = results["rms"].mean(["view_row", "view_column"]).to_numpy()
+        assert rms_rad == pytest.approx(1.5, rel=0.1)  # what the bench's screen is scaled to
+        assert results["frame_index"].to_numpy().tolist() == list(range(5))
+    assert "5 frames, 0 lost by the camera" in capsys.readouterr().out
+    assert tifffile.imread(tmp_path / "m" / "reference.tif").shape == (172, 240)
+    record = json.loads((tmp_path / "m" / "run.json").read_text())
+    assert record["frames"] == {"acquired": 5, "recorded": 5, "reconstructed": 5, "lost": 0}
+    assert record["timings"]["register"]["count"] >= 5
+    assert 0 < record["timings"]["register"]["p50_s"] <= record["timings"]["to_result"]["max_s"]
+    assert record["timings"]["draw"] == {"count": 0, "p50_s": None, "p99_s": None, "max_s": None}
+    assert {"python", "numpy", "numba"} <= set(record["versions"])
+
+
+@pytest.mark.usefixtures("no_hurry")
+def test_measure_leaves_a_recording_that_is_not_written_over(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
+    assert run(monkeypatch, *command) == 0
+    assert run(monkeypatch, "recover", tmp_path / "m") == 0
+    assert "was complete: 3 frames, 3 of them reconstructed live; no gaps" in capsys.readouterr().out
+    assert run(monkeypatch, *command) == 2
+    assert "holds a recording already" in capsys.readouterr().err
+    assert run(monkeypatch, "recover", tmp_path) == 2
+    assert "holds no recording" in capsys.readouterr().err
+
+
+def test_measure_says_where_the_frames_are_when_its_results_are_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise Interrupted("interrupted")
+
+    monkeypatch.setattr("app.results.recording_results.write_pieces", interrupt)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 130
+    assert "3 frames are in" in capsys.readouterr().err.replace("\n", " ")
+    assert not (tmp_path / "m" / "results.nc").exists()
+
+
+def test_measure_on_a_full_disk_says_where_the_frames_are(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise RunError("results.nc: cannot be written: no space left")
+
+    monkeypatch.setattr("app.results.recording_results.write_pieces", refuse)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 1
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert "no space left" in said
+    assert "3 frames are in" in said
+
+
+def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path) -> None:
+    command = ("measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m")
+    assert run(monkeypatch, *command, "--set", "reconstruction.refine=true") == 0
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert np.all(results["bias_age"].to_numpy() >= 0)
+
+
+def test_reconstruct_refines_in_at_most_so_many_rounds(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    files = (
+        FRAMES / "square_frame.tif",
+        "--reference",
+        FRAMES / "square_reference.tif",
+        "--bench",
+        FRAMES / "bench.toml",
+    )
+    assert run(monkeypatch, "reconstruct", *files, "--out", tmp_path / "r.nc", "--refine", "2") == 0
+    assert "refined in 2 rounds" in capsys.readouterr().out.replace("\n", " ")
+    with xr.open_dataset(tmp_path / "r.nc") as results:
+        assert results.attrs["refinement_rounds"] == 2
+        residual = results["wavefront"].to_numpy() - np.load(FRAMES / "truth.npz")["wavefront_rad"]
+    assert residual.std(axis=(2, 3)).mean() < 0.03  # another simulator's frames: 0.061 in one pass
+
+
+def test_ctrl_c_writes_what_was_measured_and_says_so(tmp_path: Path, small_toml: Path) -> None:
+    command = [sys.executable, "-c", "from app.cli import main; main()", "measure", "--bench", str(small_toml)]
+    process = subprocess.Popen(  # noqa: S603 - our own program
+        [*command, "--frames", "100000", "--out", str(tmp_path / "m")], stderr=subprocess.PIPE, text=True
+    )
+    wait_until((tmp_path / "m" / "frames.jsonl").exists)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=HANG_S)
+    assert process.returncode == 130
+    said = re.search(r"svwfs: stopped: (\d+) of 100000 frames are in", errors)
+    assert said is not None
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert results.sizes["frame"] == int(said[1]) > 0
+
+
+def test_a_camera_that_is_unplugged_ends_measuring_with_what_there_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    def open_then_unplug(bench: Bench, progress: Callable[[float], None]) -> Devices:
+        devices = open_devices(bench, progress)
+        camera, read = devices.camera, devices.camera.read
+        assert isinstance(camera, SimulatedCamera)
+        left = itertools.count(2 * start_up.FRAMES + 5, -1)  # of frames until it is unplugged
+
+        def read_while_plugged(timeout_s: float) -> Frame:
+            frame = read(timeout_s)
+            if next(left) == 0:
+                camera.inject(Unplug())
+            return frame
+
+        monkeypatch.setattr(camera, "read", read_while_plugged)
+        return devices
+
+    monkeypatch.setattr("app.commands.measure.open_devices", open_then_unplug)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "50", "--out", tmp_path / "m") == 1
+    errors = capsys.readouterr().err
+    assert "svwfs: " in errors
+    assert "camera" in errors
+    assert "Traceback" not in errors
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert results.sizes["frame"] in {5, 6}
+
+
+def test_measure_without_light_fails_with_a_reason(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
+    assert run(monkeypatch, *command, "--set", "light.current_a=0.0") == 1
+    assert "was the light on" in capsys.readouterr().err
+    assert not (tmp_path / "m" / "results.nc").exists()
+
+
+def test_selftest_passes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(monkeypatch, "selftest") == 0
+    assert capsys.readouterr().out.count("ok") == 6
+
+
+def _nan(image: np.ndarray) -> np.ndarray:
+    image[3, 4] = np.nan
+    return image
+
+
+BAD_FRAMES = {
+    "no such file": None,
+    "cannot be read as TIFF or NPY": b"not an image",
+    "has 100 x 512 pixels": lambda image: image[:100],
+    "not finite": _nan,
+    "3 x 512 x 512; one grey image": lambda image: np.stack([image] * 3),
+    "is the light on": lambda image: np.random.default_rng(0).normal(0.01, 0.001, image.shape),
+    "saturated": lambda image: np.minimum(image * 3e5, 65535).astype(np.uint16),
+}
+
+
+@pytest.mark.parametrize("sentence", BAD_FRAMES)
+def test_a_bad_frame_is_one_line_and_status_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, sentence: str
+) -> None:
+    path, make = tmp_path / "bad.tif", BAD_FRAMES[sentence]
+    reference = FRAMES / "square_reference.tif"
+    if isinstance(make, bytes):
+        path.write_bytes(make)
+    elif make is not None:
+        image = make(tifffile.imread(FRAMES / "square_frame.tif"))
+        tifffile.imwrite(path, image, photometric="minisblack")
+        if image.dtype == np.uint16:  # the same camera took the reference, not saturated
+            reference = tmp_path / "reference.tif"
+            tifffile.imwrite(reference, (tifffile.imread(FRAMES / "square_reference.tif") * 3e4).astype(np.uint16))
+    out = tmp_path / "r.nc"
+    command = ("--reference", reference, "--bench", FRAMES / "bench.toml", "--out", out)
+    assert run(monkeypatch, "reconstruct", path, *command) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"svwfs: {path}: ")
+    assert sentence in errors
+    assert errors.count("\n") == 1
+    assert not out.exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_dark_reference_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "dark_reference.tif"
+    tifffile.imwrite(path, np.random.default_rng(0).normal(500, 6, (512, 512)).astype(np.uint16))
+    command = ("--reference", path, "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
+    assert run(monkeypatch, "reconstruct", FRAMES / "square_frame.tif", *command) == 2
+    assert capsys.readouterr().err.startswith(f"svwfs: {path}: the reference shows no light")
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (("measure", "--bench", "nowhere.toml", "--frames", "3", "--out", "x"), "nowhere.toml: No such file"),
+        (("measure", "--bench", "live_demo", "--frames", "0", "--out", "x"), "Invalid value for '--frames'"),
+        (("simulate", "--bench", "live_demo", "--set", "sensor.colour=3", "--out", "x"), "sensor: unknown key colour"),
+        (("nonsense",), "No such command"),
+    ],
+)
+def test_bad_words_are_status_2(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], sentence: str
+) -> None:
+    assert run(monkeypatch, *command) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_help_names_every_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(monkeypatch, "--help") == 0
+    text = capsys.readouterr().out
+    assert all(command in text for command in ("live", "measure", "reconstruct", "simulate", "selftest"))
+
+
+def test_measuring_and_help_load_no_qt() -> None:
+    program = "import sys, app.commands.measure, app.cli.tables; sys.exit(any('PyQt6' in name for name in sys.modules))"
+    finished = subprocess.run([sys.executable, "-c", program], check=False)  # noqa: S603 - our own program
+    assert finished.returncode == 0

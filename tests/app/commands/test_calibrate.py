@@ -1,0 +1,206 @@
+"""`svwfs calibrate`: what it finds, says, draws and writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from support.command_line import run
+from support.lattice_frames import draw, image_of, photographed
+from support.paths import FOREIGN_FRAMES as FRAMES
+
+from app.bench.config import load_bench, parse_bench
+from app.bench.presets import PRESETS
+from app.commands.calibrate import bench_text, calibrate, differences, findings, write_calibrated
+from app.results.lattice_plot import lattice_figure
+from reconstruction.geometry import Lattice
+from reconstruction.lattice.cells import cell_index
+
+BENCH = FRAMES / "bench.toml"
+TRUTH = Lattice(center_x_px=262.4, center_y_px=249.1, pitch_px=30.7, rotation_rad=0.03)
+DEAD = (4, 9)  # lenslet row and column
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A noisy reference of 15 x 15 lenslets, one of them dead."""
+    brightness = np.ones((15, 15))
+    brightness[DEAD] = 0
+    light = draw(
+        (512, 512),
+        center_px=(TRUTH.center_x_px, TRUTH.center_y_px),
+        pitch_px=TRUTH.pitch_px,
+        rotation_rad=TRUTH.rotation_rad,
+        brightness=brightness,
+        image_px=image_of("square", TRUTH.pitch_px, 0.3, 1.2),
+    )
+    path = tmp_path_factory.mktemp("calibrate") / "reference.tif"
+    tifffile.imwrite(path, photographed(light, np.random.default_rng(0), peak_e=2000))
+    return path
+
+
+def command(reference: Path, *more: str | Path) -> tuple[str | Path, ...]:
+    return "calibrate", reference, "--bench", BENCH, *more
+
+
+def test_the_bench_that_is_written_has_the_lattice_and_keeps_the_comments(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
+) -> None:
+    source, out, plot = tmp_path / "bench.toml", tmp_path / "new" / "bench.toml", tmp_path / "p.png"
+    source.write_text(f"# my bench\n{BENCH.read_text()}# the end\n")
+    assert run(monkeypatch, "calibrate", reference, "--bench", source, "--out", out, "--plot", plot) == 0
+    bench = load_bench(out)
+    assert bench.lattice is not None
+    assert (bench.lattice.center_x_px, bench.lattice.center_y_px) == pytest.approx((262.4, 249.1), abs=0.05)
+    assert bench.lattice.pitch_px == pytest.approx(30.7, abs=0.01)
+    assert bench.lattice.rotation_rad == pytest.approx(0.03, abs=1e-4)
+    assert "# my bench" in out.read_text()
+    assert "# the end" in out.read_text()
+    assert load_bench(source).sensor == bench.sensor
+    assert plot.stat().st_size > 10_000
+    said = capsys.readouterr()
+    assert "224 of 225" in said.out
+    assert "pitch is -1.8 % off the design" in said.err
+
+
+def test_json_is_for_another_program(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reference: Path
+) -> None:
+    assert run(monkeypatch, *command(reference, "--json", "--set", "sensor.lenslet_rows=13")) == 0
+    said = capsys.readouterr()
+    figures = json.loads(said.out)
+    assert not said.err
+    assert figures["pitch_px"] == pytest.approx(30.7, abs=0.01)
+    assert (figures["whole_rows"], figures["whole_columns"]) == (15, 15)
+    assert (figures["lenslets"], figures["illuminated"]) == (195, 194)
+    assert any("lenslet_rows = 13" in sentence for sentence in figures["differences"])
+
+
+def test_what_is_there_is_not_lost(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
+) -> None:
+    out = tmp_path / "b.toml"
+    out.write_text("mine")
+    assert run(monkeypatch, *command(reference, "--out", out)) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert out.read_text() == "mine"
+    assert run(monkeypatch, *command(reference, "--out", out, "--overwrite")) == 0
+    assert load_bench(out).lattice is not None
+
+
+def test_the_dark_is_subtracted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reference: Path) -> None:
+    pattern = 3000 * np.sin(2 * np.pi * np.indices((512, 512))[1] / 30.7) ** 2
+    spoilt, dark, out = tmp_path / "r.tif", tmp_path / "d.tif", tmp_path / "b.toml"
+    tifffile.imwrite(spoilt, (tifffile.imread(reference) + pattern).astype(np.float32))
+    tifffile.imwrite(dark, (500 + pattern).astype(np.float32))
+    assert run(monkeypatch, *command(spoilt, "--dark", dark, "--out", out)) == 0
+    lattice = load_bench(out).lattice
+    assert lattice is not None
+    assert lattice.center_x_px == pytest.approx(262.4, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda _: np.random.default_rng(0).normal(500, 8, (512, 512)).astype(np.float32), "shows no lattice"),
+        (lambda image: np.minimum(image.astype(np.float64) * 90, 65535).astype(np.uint16), "is saturated"),
+        (lambda image: image[:200], "do not fit on 200 x 512 pixels"),
+        (lambda image: np.where(image > 0, np.float32(np.nan), 0), "not finite"),
+    ],
+)
+def test_a_reference_without_a_lattice_is_one_line_and_status_2(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    reference: Path,
+    make: object,
+    sentence: str,
+) -> None:
+    bad, out, plot = tmp_path / "bad.tif", tmp_path / "b.toml", tmp_path / "p.png"
+    tifffile.imwrite(bad, make(tifffile.imread(reference)))  # type: ignore[operator] # one of the functions above
+    assert run(monkeypatch, *command(bad, "--out", out, "--plot", plot)) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"svwfs: {bad}: ")
+    assert sentence in errors
+    assert errors.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"bad.tif"}
+
+
+def test_a_dark_of_another_size_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
+) -> None:
+    dark = tmp_path / "dark.npy"
+    np.save(dark, np.zeros((10, 10)))
+    assert run(monkeypatch, *command(reference, "--dark", dark)) == 2
+    assert capsys.readouterr().err.startswith(f"svwfs: {dark}: the dark has another size")
+
+
+def test_a_pitch_that_no_bench_allows_is_explained(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
+) -> None:
+    text, bench = BENCH.read_text(), tmp_path / "bench.toml"
+    bench.write_text(text[: text.index("[lattice]")] + text[text.index("[field]") :])
+    settings = ("--bench", bench, "--set", "sensor.pixel_pitch_m=18.4e-6")
+    assert run(monkeypatch, "calibrate", reference, *settings) == 2
+    errors = capsys.readouterr().err
+    assert "lattice.pitch_px = 30.7" in errors
+    assert "check the sensor's lenslet_pitch_m and pixel_pitch_m" in errors
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_takes_a_lattice_and_keeps_its_text(preset: str) -> None:
+    text, before = PRESETS[preset].read_text(), load_bench(preset)
+    bench = parse_bench(text, preset, ("lattice.rotation_rad=0.0125",))
+    edited = bench_text(text, bench)
+    assert parse_bench(edited, preset) == bench
+    assert bench != before
+    kept = [line for line in text.splitlines() if line.startswith(("#", "[sim", "seed", "[field]"))]
+    assert all(line in edited.splitlines() for line in kept)
+
+
+def test_text_that_says_it_in_another_way_is_written_anew() -> None:
+    text = BENCH.read_text()
+    start, end = text.index("[lattice]"), text.index("[field]")
+    inline = "lattice = { center_x_px = 1.0, center_y_px = 2.0, pitch_px = 31.0 }\n" + text[:start] + text[end:]
+    bench = parse_bench(text, "bench")
+    assert parse_bench(bench_text(inline, bench), "new") == bench
+    without = text[:start] + text[end:]
+    assert parse_bench(bench_text(without, bench), "new") == bench
+    changed = parse_bench(text, "bench", ("registration.warp=affine",))
+    assert parse_bench(bench_text(text, changed), "new") == changed
+
+
+def test_a_preset_is_written_with_its_lattice(tmp_path: Path) -> None:
+    found = calibrate(FRAMES / "square_reference.tif", dark=None, bench=load_bench("live_demo"))
+    write_calibrated(found, "live_demo", tmp_path / "b.toml")
+    assert load_bench(tmp_path / "b.toml") == found.bench
+    (said,) = differences(found)
+    assert said.startswith("the bench's own lattice lies 0.000 px away")
+    assert "-0.000" not in " ".join((said, *findings(found)))
+
+
+def test_a_lattice_that_fills_the_frame_has_no_cut_cells() -> None:
+    """Whether its outermost edges lie a millionth of a pixel inside or outside says nothing."""
+    lattice = Lattice(center_x_px=232.0, center_y_px=232.0, pitch_px=31.0 - 1e-6, rotation_rad=1e-7)
+    assert len(cell_index(lattice, (465, 465))) == 15 * 15
+    assert len(cell_index(lattice, (465, 465), partial=True)) == 0
+    assert len(cell_index(lattice, (475, 465), partial=True)) == 15
+
+
+def test_the_picture_marks_what_is_lit_dark_beside_and_cut(reference: Path) -> None:
+    found = calibrate(reference, dark=None, bench=load_bench(str(BENCH), ("sensor.lenslet_rows=12",)))
+    figure = lattice_figure(found.reference, found.survey)
+    labels = [str(text.get_text()) for text in figure.legends[0].get_texts()]
+    count = {label.partition(" ")[2]: int(label.partition(" ")[0]) for label in labels if label[0].isdigit()}
+    assert count["lit"] + count["dark"] == 12 * 15
+    assert count["dark"] == 1
+    assert count["whole, beside the sensor's lenslets"] >= 3 * 15
+    assert count["cut by the frame's edge"] > 30
+    assert "179 of the sensor's 180 lit" in figure.get_suptitle()
+    dark = next(cells for cells in figure.axes[0].collections if str(cells.get_label()) == "1 dark")
+    middle = np.asarray(dark.get_paths()[0].vertices)[:4].mean(axis=0)
+    y, x = np.array(DEAD) - 7
+    assert middle == pytest.approx(TRUTH.to_camera_px(np.array([x, y]) * TRUTH.pitch_px), abs=0.1)

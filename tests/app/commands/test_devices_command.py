@@ -1,0 +1,178 @@
+"""`svwfs devices`: it lists without switching anything on, and its check finds what a device does wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.simulated_scene import CAMERA, STILL, open_bench
+
+from app.acquisition.devices import open_camera, open_light
+from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench
+from app.commands import devices as device_report
+from app.commands.device_search import SEARCHES, Search, look
+from app.errors import InputError, RunError
+from drivers import discovery
+from drivers.errors import Disconnected, Unsupported
+from drivers.genicam.settings import GenicamSettings
+from drivers.interface import Camera, LightSource
+from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings
+from simulated_devices.bench import SimulatedBench
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.light import SimulatedLight
+from simulated_devices.wires.dc4100 import DC4100Wire
+from simulated_devices.wires.pseudo_terminal import PtyServer
+
+A_CAMERA = discovery.Found(kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"})
+A_LIGHT = discovery.Found(
+    kind="light",
+    driver="coolled",
+    description="CoolLED",
+    settings={"port": "COM7"},
+    is_certain=False,
+    missing="a cable",
+)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
+    """A bench whose devices are found under the names of real ones."""
+    bench = open_bench(tmp_path, replace(STILL, object_samples=3), CAMERA)
+
+    def find(search: Search) -> Any:
+        return {"dcam": (A_CAMERA,), "coolled": (A_LIGHT,)}.get(search.driver, ())
+
+    monkeypatch.setattr("app.commands.device_search.import_module", lambda module: _Module(module, find))
+    monkeypatch.setattr("app.commands.device_check.open_camera", lambda settings: SimulatedCamera(bench))
+    monkeypatch.setattr(
+        "app.commands.device_check.open_light", lambda settings: SimulatedLight(bench, limit_a=settings.limit_a)
+    )
+    return bench
+
+
+class _Module:
+    def __init__(self, module: str, find: Callable[[Search], Any]) -> None:
+        self.find = lambda: find(next(search for search in SEARCHES if search.module == module))
+
+
+def test_lists_what_is_found_with_the_lines_of_a_bench(
+    bench: SimulatedBench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench.change(is_light_on=False)
+    device_report.print_devices()
+    told = capsys.readouterr().out
+    assert 'dcam:S/N 1   C9100-23B S/N 1\n      [camera]\n      driver = "dcam"\n      device = "S/N 1"\n' in told
+    assert "coolled:COM7   perhaps a CoolLED\n    cannot be used yet: a cable\n" in told
+    assert told.count("none found") == 3
+    assert not bench.condition.is_light_on
+
+
+def test_says_why_it_could_not_look(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail() -> None:
+        raise Unsupported("the library is missing: install it")
+
+    monkeypatch.setattr(
+        "app.commands.device_search.import_module", lambda _: type("Module", (), {"find": staticmethod(fail)})
+    )
+    device_report.print_devices()
+    assert capsys.readouterr().out.count("  not looked for: the library is missing: install it\n") == len(SEARCHES)
+
+
+def test_every_search_is_there_and_its_driver_can_be_named_in_a_bench() -> None:
+    for search in SEARCHES:
+        outcome = look(search)
+        assert outcome.found == () or outcome.found[0].driver == search.driver
+    named = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {
+        "simulated",
+        "recording",
+    }  # nothing that is looked for
+    assert named == {search.driver for search in SEARCHES}
+    bench = load_bench("live_demo")
+    with pytest.raises(InputError, match="has no device of its own"):
+        open_camera(bench.camera)
+    with pytest.raises(InputError, match="has no device of its own"):
+        open_light(bench.light)
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
+    device_report.check_and_print("dcam:S/N 1")
+    told = capsys.readouterr().out
+    assert "Simulated C9100-23B" in told
+    assert "dcam:S/N 1 passes all 14 checks" in told
+    assert "FAILED" not in told
+
+
+def test_a_good_light_passes_and_is_never_brighter_than_was_told(
+    bench: SimulatedBench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    brightest_a: list[float] = []
+    change = bench.change
+
+    def watch(**changes: Any) -> None:
+        change(**changes)
+        if bench.condition.is_light_on:
+            brightest_a.append(bench.condition.current_a)
+
+    monkeypatch.setattr(bench, "change", watch)
+    device_report.check_and_print("coolled:COM7")
+    told = capsys.readouterr()
+    assert "passes all 6 checks" in told.out
+    assert told.err == "the light will shine with up to 50 mA, 5% of its range\n"
+    assert max(brightest_a) == pytest.approx(0.05)
+    assert not bench.condition.is_light_on
+
+
+def test_a_device_is_checked_as_a_bench_says(capsys: pytest.CaptureFixture[str]) -> None:
+    lamp = DC4100Wire()  # at a port that is never found, with its second head in use, which bears 200 mA
+    with PtyServer(lamp) as server:
+        light = DC4100Settings(port=server.port, channel=1, current_a=0.15)
+        bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
+        device_report.check_and_print("light", bench)
+        with pytest.raises(InputError, match="--check takes camera or light"):
+            device_report.check_and_print("thorlabs_dc4100", bench)
+    told = capsys.readouterr()
+    assert "DC4100 M00266001 LED2" in told.out
+    assert "light passes all 6 checks" in told.out
+    assert "up to 10 mA" in told.err
+    assert lamp.heads[1].current_ma <= 10
+    assert not lamp.is_lit
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_camera_that_breaks_its_word_fails(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SimulatedCamera, "_set_em_gain", lambda self, em_gain: em_gain)  # says so, and does nothing
+    with pytest.raises(RunError, match="dcam:S/N 1 fails 1 of 14 checks"):
+        device_report.check_and_print("dcam:S/N 1")
+    assert "  FAILED The gain stays in its range, and a refused one leaves the one before" in capsys.readouterr().out
+
+
+def test_a_light_that_is_lost_on_the_way_ends_the_check(bench: SimulatedBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lose(_: LightSource, *, on: bool) -> None:
+        if on:
+            raise Disconnected("the light is gone")
+        bench.change(is_light_on=False)
+
+    monkeypatch.setattr(SimulatedLight, "_switch", lose)
+    with pytest.raises(RunError, match="the light is gone"):
+        device_report.check_and_print("coolled:COM7")
+
+
+@pytest.mark.usefixtures("bench")
+def test_what_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RunError, match=r"dcam:2 is not connected; `svwfs devices` shows what is"):
+        device_report.check_and_print("dcam:2")
+    with pytest.raises(InputError, match="it begins with one of dcam, genicam"):
+        device_report.check_and_print("/dev/ttyUSB0")
+
+    def fail(_: object) -> Camera:
+        raise Unsupported("no library")
+
+    monkeypatch.setattr("app.commands.device_check.open_camera", fail)
+    with pytest.raises(RunError, match="no library"):
+        device_report.check_and_print("dcam:S/N 1")

@@ -1,0 +1,120 @@
+"""The benchmark on a tiny bench: what it writes, that peers measure what is there, and when a ratio is worse."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app import cli
+from app.bench.config import Bench, load_bench
+from app.evaluation.benchmark import contestants, run
+from app.evaluation.benchmark.baseline import load_baseline, worsened
+from app.evaluation.benchmark.cases import noise_free, tiled
+from app.evaluation.benchmark.ours import OURS
+from app.evaluation.benchmark.output import print_benchmark, write_benchmark
+from app.evaluation.benchmark.run import Json, Plan, run_benchmark
+from app.evaluation.benchmark.stopwatch import side_by_side
+from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.wavefront import rms
+
+RATIOS = {"simpleitk_affine", "opencv_ecc_affine", "skimage_phase_correlation", "pyrtc_correlation"}
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    sizes = {"sensor.lenslet_rows": 5, "sensor.lenslet_columns": 5, "camera.rows": 155, "camera.columns": 155}
+    middle = {"lattice.center_x_px": 77.0, "lattice.center_y_px": 77.0}
+    coarse = {"simulation.object_samples": 13, "simulation.pupil_samples": 10, "reconstruction.pupil_modes": 15}
+    changes = {**sizes, **middle, **coarse, "simulation.screen.rms_rad": 2.0}
+    return load_bench("paper_simulation", tuple(f"{key}={value}" for key, value in changes.items()))
+
+
+@pytest.fixture(scope="module")
+def result(bench: Bench) -> Json:
+    return run_benchmark(Plan(bench=bench, budget_s=0.02, sizes=(3,), with_four_k=False), lambda _text, _fraction: None)
+
+
+def test_what_is_written(result: Json, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_benchmark(result, tmp_path / "benchmark.json")
+    written = json.loads((tmp_path / "benchmark.json").read_text())
+    assert set(written["ratios"]) == RATIOS
+    assert all(ratio > 0 for ratio in written["ratios"].values())
+    assert written["frames_per_s"] > 0
+    assert {each["lenslets"] for each in written["growth"]} == {3, 5}
+    assert {each["field_modes"] for each in written["growth"]} == {3, 6, 10}
+    assert written["zonal"]["largest_difference_rad"] < 1e-9
+    assert written["forward"]["ours_s_per_point"] > 0
+    assert set(written["missing"]) <= {"hcipy"}
+    assert written["machine"]["cores"] >= 1
+    print_benchmark(result)
+    assert OURS in capsys.readouterr().out
+
+
+def test_all_measure_what_is_there(result: Json, bench: Bench) -> None:
+    truth = noise_free(bench).truth
+    assert truth is not None
+    for kind in ("noise_free", "noisy"):
+        residuals = result["residuals_rad"][kind]
+        assert set(residuals) >= RATIOS
+        assert all(residual < 0.6 * rms(truth).mean() for residual in residuals.values())
+        assert residuals[OURS] < min(residuals[name] for name in RATIOS)
+
+
+def test_a_missing_peer_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object) -> contestants.Register:
+        raise ImportError("No module named 'skimage'")
+
+    monkeypatch.setattr(contestants, "scikit_image", missing)
+    peers = ("skimage_phase_correlation", "opencv_ecc_affine")
+    found = run.run_benchmark(
+        Plan(bench=bench, budget_s=0.01, sizes=(), with_four_k=False, peers=peers), lambda _text, _fraction: None
+    )
+    assert set(found["ratios"]) == {"opencv_ecc_affine"}
+    assert "skimage" in found["missing"]["skimage_phase_correlation"]
+
+
+def test_only_what_is_a_fifth_slower_has_worsened() -> None:
+    before = {"a": 100.0, "b": 10.0, "c": 1.0}
+    assert worsened({"a": 81.0, "b": 12.0, "c": 1.0}, before) == []
+    said = worsened({"a": 79.0, "b": 12.0}, before)
+    assert [text.partition(":")[0] for text in said] == ["a", "c"]
+
+
+def test_the_committed_ratios_are_those_that_are_measured() -> None:
+    assert set(load_baseline()) == RATIOS
+
+
+@pytest.mark.parametrize(("factor", "status"), [(1.0, 0), (0.5, 1)])
+def test_check_is_told_by_the_exit_status(
+    monkeypatch: pytest.MonkeyPatch, result: Json, tmp_path: Path, factor: float, status: int
+) -> None:
+    ratios = {name: ratio * factor for name, ratio in load_baseline().items()}
+    monkeypatch.setattr("app.evaluation.benchmark.run.run_benchmark", lambda *_: {**result, "ratios": ratios})
+    monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", "--check", "--json", str(tmp_path / "out.json")])
+    with pytest.raises(SystemExit) as leaving:
+        cli.main()
+    assert int(leaving.value.code or 0) == status
+    assert json.loads((tmp_path / "out.json").read_text())["ratios"] == ratios
+
+
+def test_a_tiled_case_repeats_what_it_is_made_of(bench: Bench) -> None:
+    case = noise_free(bench)
+    large = tiled(case, 7, margin_px=4)
+    assert large.reference.shape == (7 * 31 + 8, 7 * 31 + 8)
+    settings = RegistrationSettings(warp="affine")
+    small_found = case.reconstructor(settings).register(case.frame).coefficients
+    large_found = large.reconstructor(settings).register(large.frame).coefficients
+    np.testing.assert_allclose(large_found[1:4, 1:4], small_found[1:4, 1:4], atol=1e-3)
+    np.testing.assert_allclose(large_found[6, 1:4], small_found[1, 1:4], atol=0.02)  # other neighbours
+
+
+def test_contestants_take_turns() -> None:
+    calls: list[str] = []
+    times = side_by_side({name: lambda name=name: calls.append(name) for name in "ab"}, 0.01)  # type: ignore[misc] # bound now
+    assert calls[:2] == ["a", "b"]  # once each, before any is timed
+    assert all(len(each.seconds) >= 3 and math.isfinite(each.median_s) for each in times.values())

@@ -1,0 +1,448 @@
+"""The live benchmark: its figures against the frames that the camera gave and what the recording holds, and its end."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QTimer
+from PyQt6.QtWidgets import QApplication
+from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
+
+import app.commands.live_benchmark
+from app import cli
+from app.acquisition.devices import open_devices
+from app.bench.config import Bench, load_bench
+from app.bench.recording_settings import RecordingSettings
+from app.commands.live_benchmark import live_benchmark
+from app.errors import InputError, Interrupted, RunError
+from app.evaluation.benchmark.live import course
+from app.evaluation.benchmark.live.course import Course, Span
+from app.evaluation.benchmark.live.figures import LiveFigures
+from app.evaluation.benchmark.live.memory import resident_mb
+from app.evaluation.benchmark.live.output import live_json, missed, print_live
+from app.evaluation.benchmark.live.plan import LivePlan, recording_folder
+from app.evaluation.benchmark.live.tally import FrameCounts, Tally
+from app.measurement.measurement import PASSED_OVER, Counts
+from app.recording.background import RecordingState
+from app.recording.reader import Recording
+from app.signals import ended_by
+from app.timing import Stage, Timings
+from drivers.interface import Devices, Disconnected, Frame
+from simulated_devices.camera import LoseFrames, SimulatedCamera
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+LOST = 24
+
+
+def no_report(_text: str, _fraction: float) -> None:
+    pass
+
+
+@dataclass
+class Seen:
+    """What the camera gave, and what of the recording was there before it was removed."""
+
+    figures: LiveFigures
+    frames: list[Frame]
+    lines: int
+    lost: int
+    is_complete: bool
+    nbytes: int
+    reports: list[tuple[str, float]]
+
+    def between(self, first_s: float, last_s: float) -> list[Frame]:
+        return [frame for frame in self.frames if first_s <= frame.host_time_s <= last_s]
+
+
+@pytest.fixture(scope="module")
+def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Seen:
+    """One run on the simulated bench, with a window that nobody sees; frames are lost in the middle of it."""
+    assert qapp is QApplication.instance()
+    folder, kept = tmp_path_factory.mktemp("disk"), dict[str, Any]()
+    frames, reports, cameras = list[Frame](), list[tuple[str, float]](), list[SimulatedCamera]()
+
+    def open_watched(bench: Bench, progress: Callable[[float], None]) -> Devices:
+        devices = open_devices(bench, progress)
+        camera = devices.camera
+        assert isinstance(camera, SimulatedCamera)
+        cameras.append(camera)
+        read, is_lost = camera.read, bool(frames)
+
+        def watch(timeout_s: float) -> Frame:
+            nonlocal is_lost
+            frame = read(timeout_s)
+            frames.append(frame)
+            if not is_lost and reports and reports[-1][0] == "unseen window: measuring":
+                is_lost = True
+                camera.inject(LoseFrames(LOST))
+            return frame
+
+        camera.read = watch  # type: ignore[method-assign] # every frame goes through here
+        return devices
+
+    def look_before_removing(path: Path) -> None:
+        recording = Recording(path / "recording")
+        kept.update(
+            lines=len(recording),
+            lost=sum(recording.line(index).lost for index in range(len(recording))),
+            is_complete=recording.is_complete,
+            nbytes=sum(512 * each.lstat().st_blocks for each in path.rglob("*")),
+        )
+        remove(path)
+
+    remove = shutil.rmtree
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("QT_QPA_PLATFORM", "offscreen")
+        patch.setattr(course, "open_devices", open_watched)
+        patch.setattr(shutil, "rmtree", look_before_removing)
+        figures = live_benchmark(
+            LivePlan(bench=load_bench(small_toml), seconds=2.0, record_in=folder, warm_up_s=0.5),
+            lambda text, fraction: reports.append((text, fraction)),
+        )
+    assert not list(folder.iterdir())
+    assert [camera.state for camera in cameras] == ["closed", "closed"]
+    return Seen(figures, frames, reports=reports, **kept)
+
+
+def test_frames_are_those_that_the_camera_gave(seen: Seen) -> None:
+    for span in (seen.figures.window, seen.figures.bare):
+        began_s, ended_s = span.began_s, span.began_s + span.seconds
+        counts, late_s = span.frames, span.timings.summary()["to_result"].max_s + 0.3  # until a frame is a result
+        during, around = seen.between(began_s, ended_s - late_s), seen.between(began_s - late_s, ended_s)
+        assert len(during) <= counts.acquired <= len(around)
+        assert lost_of(during) <= counts.lost <= lost_of(around)
+        assert counts.acquired == counts.reconstructed + counts.passed_over + counts.failed
+        assert abs(span.timings.summary()["to_result"].count - counts.reconstructed) <= 10  # of 50 a second
+        assert span.rate_hz == counts.reconstructed / span.seconds
+    window = seen.figures.window
+    assert window.seconds >= 2.0
+    assert window.first_wavefront_s > 0
+    assert seen.figures.verdicts()["lost"].is_met == (window.frames.lost == 0)
+
+
+def lost_of(frames: list[Frame]) -> int:
+    return sum(after.index - before.index - 1 for before, after in pairwise(frames))
+
+
+def test_the_recording_holds_warm_up_and_span_and_no_more_than_foretold(seen: Seen) -> None:
+    figures = seen.figures
+    assert figures.recording is not None
+    assert (figures.recording.frames, figures.recording.stage) == (seen.lines, "finished")
+    assert seen.is_complete
+    assert seen.lines >= figures.window.frames.acquired
+    assert seen.lost >= figures.window.frames.lost
+    assert seen.nbytes < figures.plan.recording_bytes * (50 + seen.lines) / (50 + 2.5 / 0.02)
+    assert figures.verdicts()["recording_problems"].is_met
+    assert figures.window.timings.summary()["record"].count > 0
+
+
+def test_nothing_is_drawn_or_recorded_in_the_run_without(seen: Seen) -> None:
+    window, bare = seen.figures.window, seen.figures.bare
+    assert 0 < window.redrawn_hz < 27
+    assert window.timings.summary()["to_screen"].count > 0
+    times = bare.timings.summary()
+    assert (bare.redrawn_hz, times["draw"].count, times["record"].count) == (0, 0, 0)
+    assert seen.figures.rate_ratio == window.rate_hz / bare.rate_hz
+
+
+def test_progress_goes_on(seen: Seen) -> None:
+    texts = [text for text, _ in seen.reports]
+    stages = ["unseen window: warming up", "unseen window: measuring", "unseen window: removing the recording"]
+    told = [text for text in dict.fromkeys(texts) if text in stages]
+    assert told in (stages, stages[1:])  # a busy computer's window may look for the first time when the warm-up is over
+    assert texts[-1] == "no window: measuring"
+    fractions = [fraction for _, fraction in seen.reports]
+    assert fractions == sorted(fractions)
+    assert 0.9 < fractions[-1] <= 1
+
+
+def test_what_is_written_and_printed(seen: Seen, capsys: pytest.CaptureFixture[str]) -> None:
+    written = json.loads(json.dumps(live_json(seen.figures), allow_nan=False))
+    assert set(written) == {"live", "machine", "versions"}
+    live = written["live"]
+    assert live["window"]["frames"]["lost"] == seen.figures.window.frames.lost
+    assert live["window"]["timings"]["to_result"]["p99_s"] > 0
+    assert live["without_window"]["timings"]["draw"]["p99_s"] is None
+    assert live["limits"]["lost"] == {
+        "value": live["window"]["frames"]["lost"],
+        "limit": 0,
+        "is_met": not live["window"]["frames"]["lost"],
+    }
+    assert live["recording"] == {"frames": seen.lines, "problem": ""}
+    assert live["window_is_seen"] is False
+    print_live(seen.figures)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines[3:])) <= 80
+    assert "\N{HORIZONTAL ELLIPSIS}" not in "".join(lines), lines
+    assert "the window was drawn unseen" in lines[2]
+    words = [line.split()[-1] for line in lines if line.rstrip().endswith(("met", "missed"))]
+    assert words.count("missed") == sum(not each["is_met"] for each in live["limits"].values())
+    assert len(words) == len(live["limits"])
+
+
+def test_every_frame_is_counted_as_what_became_of_it() -> None:
+    tally = Tally()
+    made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
+    tally.take(replace(made, wavefront=None, problem="too dark", counts=Counts(1, 0, 0)))
+    assert tally.first_wavefront_s is None
+    before = tally.counts
+    tally.take(replace(made, wavefront=None, problem=PASSED_OVER, counts=Counts(2, 0, 1)))
+    tally.take(replace(made, counts=Counts(3, 1, 5)))
+    assert tally.first_wavefront_s is not None
+    assert tally.counts == FrameCounts(acquired=3, reconstructed=1, passed_over=1, failed=1, lost=5)
+    assert tally.counts.since(before) == FrameCounts(acquired=2, reconstructed=1, passed_over=1, failed=0, lost=5)
+    assert tally.counts.share == 1 / 8
+    assert math.isnan(FrameCounts().share)
+
+
+def span_of(*, redraws: int = 200, late_s: float = 0.02, rate_hz: float = 70.0, **changes: Any) -> Span:
+    """Ten seconds as they are to be, but for the changes."""
+    timings = Timings()
+    for count, stage, seconds in ((redraws, "draw", 0.01), (1000, "to_result", late_s), (1000, "record", 0.01)):
+        for _ in range(count):
+            timings.note(stage, seconds)  # type: ignore[arg-type] # each is a stage
+    frames = FrameCounts(acquired=700, reconstructed=round(10 * rate_hz))
+    how = {"first_wavefront_s": 14.0, "began_s": 0.0, "seconds": 10.0, "frames": frames, "memory_mb": (800.0, 808.0)}
+    return Span(**{"timings": timings, **how, **changes})
+
+
+def figures_of(window: Span, bare: Span | None = None, problem: str = "") -> LiveFigures:
+    state = RecordingState(Path("r"), "ended early" if problem else "finished", 700, 0, 10.0, 60.0, problem)
+    planned = LivePlan(bench=BENCH, seconds=10, record_in=Path())
+    return LiveFigures(plan=planned, is_seen=True, window=window, recording=state, bare=bare or span_of())
+
+
+def test_what_is_as_asked_misses_nothing() -> None:
+    figures = figures_of(span_of())
+    assert missed(figures) == []
+    assert len(figures.verdicts()) == 9
+    assert figures.memory_growth == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "window"),
+    [
+        ("share", span_of(frames=FrameCounts(acquired=700, reconstructed=699))),
+        ("lost", span_of(frames=FrameCounts(acquired=7000, reconstructed=7000, lost=1))),
+        ("to_result_p99_s", span_of(late_s=0.03)),
+        ("redrawn_hz", span_of(redraws=199)),
+        ("rate_ratio", span_of(frames=FrameCounts(acquired=660, reconstructed=660))),
+        ("first_wavefront_s", span_of(first_wavefront_s=15.0)),
+        ("memory_growth", span_of(memory_mb=(800.0, 816.0))),
+    ],
+)
+def test_each_limit_is_missed_by_itself(name: str, window: Span) -> None:
+    assert [line.split()[0] for line in missed(figures_of(window))] == [name]
+
+
+@pytest.mark.parametrize(("stage", "name"), [("record", "record_p99_s"), ("to_result", "to_result_p99_s")])
+def test_two_late_frames_of_a_hundred_are_too_many(stage: Stage, name: str) -> None:
+    window = span_of()
+    for _ in range(20):
+        window.timings.note(stage, 0.035)
+    assert [line.split()[0] for line in missed(figures_of(window))] == [name]
+
+
+def test_a_recording_that_ended_early_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = figures_of(span_of(), problem="the disk is full")
+    assert [line.split()[0] for line in missed(figures)] == ["recording_problems"]
+    print_live(figures)
+    assert "The recording has ended early: the disk is full" in capsys.readouterr().out
+
+
+def test_a_run_without_a_frame_meets_nothing_and_is_valid_json() -> None:
+    empty = span_of(frames=FrameCounts(), timings=Timings(), memory_mb=(None, None))
+    figures = replace(figures_of(empty, empty), recording=None)
+    assert {line.split()[0] for line in missed(figures)} == {"share", "to_result_p99_s", "redrawn_hz", "rate_ratio"}
+    assert json.loads(json.dumps(live_json(figures), allow_nan=False))["live"]["memory"]["growth"] is None
+    print_live(figures)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="others do not tell it")
+def test_memory_is_that_which_is_held() -> None:
+    before_mb = resident_mb()
+    held = np.ones(64 << 17)  # 64 MB
+    after_mb = resident_mb()
+    assert before_mb is not None
+    assert after_mb is not None
+    assert after_mb - before_mb == pytest.approx(64, abs=8)
+    assert held.all()
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS:"))
+    assert after_mb == pytest.approx(int(line.split()[1]) / 1024, rel=0.05)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -5.0, 0.9, 3601.0, math.nan, math.inf])
+def test_a_time_that_cannot_be_is_refused(seconds: float) -> None:
+    with pytest.raises(InputError, match=r"--live .*: must be 1 \.\.\. 3600 seconds"):
+        LivePlan(bench=BENCH, seconds=seconds, record_in=None)
+
+
+def test_a_bench_that_is_not_simulated_is_refused() -> None:
+    with pytest.raises(InputError, match="simulated camera; this bench has recording"):
+        LivePlan(bench=replace(BENCH, camera=RecordingSettings(folder="r")), seconds=10, record_in=None)
+
+
+def test_a_recording_needs_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planned = LivePlan(bench=load_bench("live_demo", ("camera.exposure_s=0.014286",)), seconds=600, record_in=tmp_path)
+    assert 1 < planned.recording_bytes / (612 * 70 * 512 * 512 * 2) < 1.3
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=int(planned.recording_bytes) - 1))
+    with (
+        pytest.raises(InputError, match=r"takes up to [\d.]+ GB, and [\d.]+ GB are free.*--record-in"),
+        recording_folder(planned, no_report),
+    ):
+        pass
+    assert not list(tmp_path.iterdir())
+    nowhere = replace(planned, record_in=tmp_path / "nowhere")
+    with pytest.raises(InputError, match="no such folder"), recording_folder(nowhere, no_report):
+        pass
+    with recording_folder(replace(planned, record_in=None), no_report) as folder:
+        assert folder is None
+
+
+def test_a_second_interrupt_does_not_keep_the_recording_from_being_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned = LivePlan(bench=BENCH, seconds=1, record_in=tmp_path)
+    remove = shutil.rmtree
+
+    def remove_interrupted(path: Path) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        remove(path)
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise Interrupted
+
+    monkeypatch.setattr(shutil, "rmtree", remove_interrupted)
+    with ended_by(interrupt), pytest.raises(Interrupted), recording_folder(planned, no_report):
+        raise Interrupted
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def camera(monkeypatch: pytest.MonkeyPatch, qapp: QApplication) -> FakeCamera:
+    made = FakeCamera()
+    monkeypatch.setattr(course, "open_devices", opener(made))
+    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
+    assert qapp is QApplication.instance()
+    return made
+
+
+def when_recorded(folder: Path, act: Callable[[], None]) -> QTimer:
+    """Act as soon as a frame has been recorded."""
+
+    def look() -> None:
+        if any(each.stat().st_size for each in folder.glob("*/recording/frames.jsonl")):
+            timer.stop()
+            act()
+
+    timer = QTimer()
+    timer.timeout.connect(look)
+    timer.start(20)
+    return timer
+
+
+def test_an_interrupt_turns_the_light_off_and_removes_the_recording(camera: FakeCamera, tmp_path: Path) -> None:
+    acted = when_recorded(tmp_path, lambda: os.kill(os.getpid(), signal.SIGINT))
+    with pytest.raises(Interrupted):
+        live_benchmark(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
+    assert not acted.isActive()
+    assert camera.is_closed
+    assert not camera.light.shines
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_camera_that_fails_ends_it_with_its_sentence(camera: FakeCamera, tmp_path: Path) -> None:
+    acted = when_recorded(tmp_path, lambda: setattr(camera, "fault", Disconnected("the camera is gone")))
+    with pytest.raises(RunError, match="the camera is gone"):
+        live_benchmark(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
+    assert not acted.isActive()
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_window_it_ends_so_too(camera: FakeCamera) -> None:
+    watched = Course(BENCH, no_report, warm_up_s=0.1, seconds=60)
+    with pytest.raises(RunError, match="before all was measured"):
+        _ = watched.span
+    watched.acquisition.start()
+    watched.begin()
+    with pytest.raises(RunError, match="the camera is gone"):  # noqa: PT012 - it goes on until then
+        while not watched.look():
+            if watched.acquisition.counts.reconstructed:
+                camera.fault = Disconnected("the camera is gone")
+            time.sleep(0.02)
+    watched.acquisition.close()
+
+
+def test_a_folder_that_holds_a_recording_is_refused(camera: FakeCamera, tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text("{}")
+    watched = Course(BENCH, no_report, warm_up_s=60, seconds=60, record_into=tmp_path)
+    watched.acquisition.start()
+    watched.begin()
+    with pytest.raises(InputError, match="holds a recording already"):  # noqa: PT012 - it goes on until then
+        while not watched.look():
+            time.sleep(0.02)
+    watched.acquisition.close()
+    assert camera.is_closed
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--live", "0"], "--live 0: must be 1 ... 3600 seconds"),
+        (["--live", "5", "--record-in", "nowhere"], "nowhere: no such folder"),
+        (["--no-record"], "--live SECONDS"),
+        (["--set", "camera.exposure_s=0.02"], "--live SECONDS"),
+    ],
+)
+def test_the_command_refuses_what_cannot_be(
+    options: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
+    monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", *options])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("late_s", "status"), [(0.02, 0), (0.04, 1)])
+def test_the_command_measures_70_frames_a_second_prints_writes_and_checks(
+    late_s: float, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plans: list[LivePlan] = []
+
+    def measured(planned: LivePlan, _report: object) -> LiveFigures:
+        plans.append(planned)
+        return figures_of(span_of(late_s=late_s))
+
+    monkeypatch.setattr(app.commands.live_benchmark, "live_benchmark", measured)
+    options = ["--live", "60", "--record-in", str(tmp_path), "--json", str(tmp_path / "live.json"), "--check"]
+    monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", *options, "--set", "camera.em_gain=8"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == status
+    (planned,) = plans
+    camera = planned.bench.camera_model
+    assert 1 / camera.exposure_s == pytest.approx(70, abs=0.1)
+    assert (camera.rows, camera.columns) == (512, 512)
+    assert (camera.em_gain, planned.bench.reconstruction.refine) == (8, False)
+    assert (planned.seconds, planned.record_in) == (60, tmp_path)
+    assert json.loads((tmp_path / "live.json").read_text())["live"]["limits"]["share"]["is_met"]
+    said = capsys.readouterr()
+    assert "frames acquired" in said.out
+    assert said.err == ("" if status == 0 else "svwfs: missed: to_result_p99_s is 0.04, asked 99 % < 30 ms\n")

@@ -1,0 +1,250 @@
+"""The quantities over the field, the selected view, and the plots below the camera."""
+
+from __future__ import annotations
+
+import threading
+from functools import partial
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+from support.gui_bench import BENCH, FakeCamera, make_measurement
+from support.patience import HANG_S
+from support.wavefronts import bowl
+from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views, wait_for_wavefront
+
+from app.gui.analysis import Analysis, Quantity, Question, analyse
+from app.gui.analysis_panel import verdict
+from app.gui.colours import bright, diverging, uncertain
+from app.gui.main_window import MainWindow
+from reconstruction.arrays import Floats
+from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
+from reconstruction.wavefront import Wavefront
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4, Qt.Key.Key_5, Qt.Key.Key_6)
+
+
+def shown(window: MainWindow) -> Floats:
+    maps = window.wavefront_panel.grid.maps
+    assert maps is not None
+    return maps.values
+
+
+def is_shown(window: MainWindow, quantity: Quantity) -> bool:
+    now = window.wavefront_panel._shown
+    return now is not None and now[0] is quantity
+
+
+def show(window: MainWindow, wavefront: Wavefront | None) -> None:
+    """Show a wavefront as the window does, without a camera."""
+    window._analysis.show_bench(BENCH)
+    window._analysis.show_wavefront(wavefront)
+    window.wavefront_panel.show_wavefront(wavefront)
+
+
+def test_keys_choose_what_is_shown(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    window.activateWindow()
+    panel = window.wavefront_panel
+    for key, quantity, shape, caption in (
+        (KEYS[1], Quantity.PSF, None, "Strehl"),
+        (KEYS[2], Quantity.MEASURED, LENSLETS, "RMS"),
+        (KEYS[3], Quantity.FITTED, LENSLETS, "RMS"),
+        (KEYS[4], Quantity.DIFFERENCE, LENSLETS, "RMS"),
+        (KEYS[5], Quantity.UNCERTAINTY, LENSLETS, "mean"),
+        (KEYS[0], Quantity.WAVEFRONT, LENSLETS, "RMS"),
+    ):
+        press(qtbot, window, key)
+        assert panel.quantity is quantity
+        qtbot.waitUntil(partial(is_shown, window, quantity))
+        maps = shown(window)
+        assert maps.shape[:2] == (3, 3)
+        assert shape in (None, maps.shape[2:])
+        assert all(lines[0][0].startswith(caption) for lines in panel.grid.captions.values())
+        assert panel.grid.captions[0, 2][1][0] == "x +0.50  y \N{MINUS SIGN}0.50 mm"
+        assert panel._summary.text()
+
+
+def test_point_spread_is_brightest_in_its_middle_and_its_caption_says_how_bright(
+    make_window: MakeWindow, qtbot: QtBot
+) -> None:
+    window = make_window()
+    window.wavefront_panel.choose(Quantity.PSF)
+    flat = bowl()
+    flat.views[:] = 0.0
+    flat.views[2, 0] = np.nan
+    show(window, flat)
+    qtbot.waitUntil(lambda: window.wavefront_panel.grid.maps is not None)
+    maps = shown(window)
+    assert maps.shape[2] == maps.shape[3]
+    middle = maps.shape[2] // 2
+    assert maps[1, 1, middle, middle] == maps[1, 1].max() == pytest.approx(1)
+    captions = window.wavefront_panel.grid.captions
+    assert captions[1, 1][0] == ("Strehl 1.000   peak 1.000", "Strehl 1.000", "1.000")
+    assert captions[2, 0][0][1] == "Strehl \N{EN DASH}"
+    grid = window.wavefront_panel.grid
+    seen = picture(grid).astype(int)
+    bright_tile, lost_tile = part(seen, grid.tile(1, 1)), part(seen, grid.tile(2, 0))
+    assert bright_tile[bright_tile.shape[0] // 2, bright_tile.shape[1] // 2].min() > 130
+    assert bright_tile[:5, :5].max() < 60
+    assert 30 < lost_tile.mean() < 80  # hatched
+    assert "of the ideal peak" in grid._value_at(grid.tile(1, 1).center())
+
+
+def test_clicks_and_arrow_keys_select_the_view_whose_transfer_is_shown(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    show(window, bowl())
+    grid, mtf = window.wavefront_panel.grid, window.analysis_panel.mtf
+    qtbot.waitUntil(lambda: mtf.title.text() == "MTF at 0, 0 mm")
+    click(qtbot, grid, grid.tile(0, 2).center())
+    qtbot.waitUntil(lambda: mtf.title.text() == "MTF at +0.50, \N{MINUS SIGN}0.50 mm")
+    for key in (Qt.Key.Key_Up, Qt.Key.Key_Right, Qt.Key.Key_Down, Qt.Key.Key_Left):  # the first two lead nowhere
+        press(qtbot, grid, key)
+    qtbot.waitUntil(lambda: mtf.title.text() == "MTF at 0, 0 mm")
+    x, y = mtf._limits[0].getData()
+    np.testing.assert_allclose(y, 1 - x / x[-1], atol=1e-6)
+    assert x[-1] == pytest.approx(13 * 500e-6 / 462e-9 / 1e3)  # cycles per mrad
+    assert mtf._limits[1].getData()[0][-1] == pytest.approx(9 * 500e-6 / 462e-9 / 1e3)
+    blue = picture(grid).astype(int)
+    frame = grid.tile(1, 1).adjusted(-1, -1, 1, 1)
+    assert blue[frame.top(), frame.center().x(), 2] > blue[frame.top(), frame.center().x(), 0] + 60
+
+
+def test_nothing_is_computed_that_is_not_seen(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    press(qtbot, window, Qt.Key.Key_I)
+    assert not window.analysis_panel.isVisible()
+    show(window, bowl())
+    qtbot.wait(200)
+    assert window._analysis._analyst._question is None
+    assert window.wavefront_panel.grid._selection is None
+    press(qtbot, window, Qt.Key.Key_I)
+    qtbot.waitUntil(lambda: bool(window.analysis_panel.sentence.text()))
+
+
+def test_without_a_wavefront_nothing_old_remains(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    show(window, bowl())
+    window.wavefront_panel.choose(Quantity.PSF)
+    panel = window.analysis_panel
+    qtbot.waitUntil(lambda: window.wavefront_panel._shown is not None and bool(panel.sentence.text()))
+    show(window, None)
+    qtbot.wait(100)
+    assert window.wavefront_panel.grid.maps is None
+    assert panel.sentence.text() == ""
+    assert panel.mtf.title.text() == "MTF"
+    for curve in (*panel.mtf._curves, *(item for items in panel.structure._curves for item in items)):
+        assert len(curve.getData()[0]) == 0
+
+
+def test_views_of_which_nothing_is_known_are_shown_as_that(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    unknown = bowl()
+    unknown.views[:] = np.nan
+    unknown.solution.valid[:] = False  # type: ignore[attr-defined] # a zonal one
+    unknown.displacement.outcome[:] = 3
+    show(window, unknown)
+    for quantity in Quantity:
+        window.wavefront_panel.choose(quantity)
+        qtbot.wait(100)
+        picture(window)
+    assert window.analysis_panel.sentence.text() == "No lenslet is known all over the field"
+
+
+def test_failing_analysis_is_told_and_the_window_goes_on(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    measurement = make_measurement(dim_frame(), views())  # its solution knows nothing beside the views
+    window._analysis.show_bench(BENCH)
+    window.show_measurement(measurement)
+    qtbot.waitUntil(lambda: "analysis" in window.messages._notice)
+    assert window.wavefront_panel.grid.maps is not None
+
+
+def test_redraw_goes_on_while_an_analysis_hangs_and_threads_end_with_the_window(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    window.wavefront_panel.choose(Quantity.PSF)
+    qtbot.waitUntil(lambda: window.wavefront_panel._shown is not None and bool(window.analysis_panel.sentence.text()))
+    hangs, may_go_on = threading.Event(), threading.Event()
+
+    def hang(question: Question) -> Analysis:
+        hangs.set()
+        assert may_go_on.wait(HANG_S)
+        return analyse(question)
+
+    monkeypatch.setattr("app.gui.analysis.analyse", hang)
+    qtbot.waitUntil(hangs.is_set)
+    before = window.status_line.shown
+    qtbot.waitUntil(lambda: window.status_line.shown > before + 15)
+    may_go_on.set()
+    window.close()
+    assert not any(thread.is_alive() for thread in window._analysis._analyst._executor._threads)
+
+
+def test_held_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    panel = window.wavefront_panel
+    panel.choose(Quantity.PSF)
+    show(window, bowl())
+    qtbot.waitUntil(lambda: panel.grid.maps is not None)
+    panel.hold_scale.setChecked(True)
+    assert panel.grid.maps is not None
+    scale, reach_rad = panel.grid.maps.scale, panel.reach_rad
+    show(window, bowl(tilt_rad_per_m=8000.0))
+    qtbot.wait(600)
+    assert panel.grid.maps.scale == scale
+    assert panel.reach_rad == reach_rad
+    panel.hold_scale.setChecked(False)
+    show(window, bowl(tilt_rad_per_m=8000.0))
+    qtbot.waitUntil(lambda: panel.reach_rad != reach_rad)
+
+
+def test_captions_say_less_where_there_is_less_room(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    grid = window.wavefront_panel.grid
+    QApplication.processEvents()
+    wide = [grid._wording(line) for line in (0, 1)]
+    grid.resize(260, 260)
+    narrow = [grid._wording(line) for line in (0, 1)]
+    assert all(a is not None for a in wide)
+    assert all(b is None or (a is not None and b > a) for a, b in zip(wide, narrow, strict=True))
+    assert grid._value_at(grid.tile(0, 0).topLeft() + QPoint(1, 1)).count("RMS") == 1
+
+
+def curve(*rms_rad: float) -> StructureCurve:
+    values = np.array(rms_rad)
+    return StructureCurve(np.linspace(1e-4, len(rms_rad) * 1e-4, len(rms_rad)), values, values, values)
+
+
+def test_verdict_is_one_sentence() -> None:
+    found = Isoplanatism(curve(0.5, 1.5), curve(0.1, 0.2), 0.42, 0.1, np.zeros((3, 3)))
+    assert verdict(found) == "One wavefront for all the field: off by 0.42 rad RMS; patch 0.15 mm"
+    wide = Isoplanatism(curve(0.1, 0.2), curve(0.1, 0.2), 0.04, 0.01, np.zeros((3, 3)))
+    assert verdict(wide).endswith("off by 0.04 rad RMS; patch wider than the field")
+
+
+def test_colours_run_from_low_to_high_and_unknown_is_transparent() -> None:
+    for scale, middle in ((diverging(2.0), 0.0), (uncertain(2.0), 1.0), (bright(2.0), 0.5)):
+        pixels = scale.pixels(np.array([scale.low - 1, scale.low, middle, 2.0, 3.0, np.nan]))
+        bar = scale.bar
+        np.testing.assert_array_equal(pixels, [bar[0], bar[0], bar[len(bar) // 2], bar[-1], bar[-1], 0])
+    assert [text for _, text in bright(0.2).ticks] == ["0", "0.02", "0.05", "0.1", "0.2"]
+    np.testing.assert_allclose([at for at, _ in bright(0.2).ticks], np.sqrt([0, 0.1, 0.25, 0.5, 1]))
+    assert diverging(1.5).ticks[0] == (0.0, "\N{MINUS SIGN}1.5")
+
+
+def test_live_window_shows_the_fake_cameras_sample_as_space_variant(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window(FakeCamera())
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    sentence = window.analysis_panel.sentence
+    qtbot.waitUntil(lambda: sentence.text().startswith("One wavefront"))
+    assert float(sentence.text().partition("off by ")[2].partition(" rad")[0]) > 0.1

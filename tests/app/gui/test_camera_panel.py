@@ -1,0 +1,66 @@
+"""The camera image and what is drawn over it lie where they were measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint
+from PyQt6.QtWidgets import QApplication
+from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
+from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
+
+from reconstruction.displacement import Outcome
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def test_camera_image_lies_as_on_the_camera(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.camera_panel.arrows_toggle.setChecked(False)
+    pixels = dim_frame()
+    pixels[:60, -40:] = 60000  # the upper right corner: row 0 is on top, column 0 on the left
+    window.show_measurement(make_measurement(pixels, views()))
+    graphics = window.camera_panel._graphics
+    QApplication.processEvents()
+    seen = picture(graphics).min(axis=2)
+    row, column = np.nonzero(seen > 200)
+    middle = graphics.rect().center()
+    assert row.size > 400
+    assert column.min() > middle.x() + 0.3 * graphics.width()
+    assert row.max() < middle.y()
+    width, height = np.ptp(column) + 1, np.ptp(row) + 1
+    assert width / height == pytest.approx(40 / 60, rel=0.1)
+
+
+def test_lost_lenslet_is_crossed_out_where_it_lies_and_says_why(make_window: MakeWindow) -> None:
+    window = make_window()
+    outcome = np.zeros(LENSLETS, np.int8)
+    outcome[1, 10] = Outcome.SATURATED
+    panel = window.camera_panel
+    panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
+    window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
+    QApplication.processEvents()
+    seen = picture(panel._graphics).astype(int)
+    row, column = np.nonzero((seen[..., 0] > 200) & (seen[..., 2] < 130))
+    center = panel._view.mapSceneToView(QPoint(round(column.mean()), round(row.mean())).toPointF())
+    expected = LATTICE.lenslet_centers_px(*LENSLETS)[1, 10]
+    assert (center.x(), center.y()) == pytest.approx(tuple(expected), abs=2.0)
+    panel._point_at(panel._view.mapViewToScene(center))
+    assert "row 1, column 10: saturated" in panel.caption.text()
+    panel._point_at(panel._view.mapViewToScene(center + QPoint(31, 0).toPointF()))
+    assert panel.caption.text().endswith("lenslet row 1, column 11")
+
+
+def test_arrows_point_where_the_light_has_moved(make_window: MakeWindow) -> None:
+    window = make_window()
+    panel = window.camera_panel
+    panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
+    moved = np.full((*LENSLETS, 2), np.nan)
+    outcome = np.full(LENSLETS, Outcome.DARK, np.int8)
+    moved[4, 6], outcome[4, 6] = (1.2, 0.3), Outcome.CONVERGED
+    window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome, displacement_px=moved))
+    x, y = panel._arrows.getData()
+    magnification = float(panel.legend.text().rpartition(" ")[2])
+    assert magnification == 20
+    np.testing.assert_allclose([x[0], y[0]], [215.0, 150.5])  # the lattice's middle
+    np.testing.assert_allclose([x[1] - x[0], y[1] - y[0]], [1.2 * magnification, 0.3 * magnification])

@@ -1,0 +1,164 @@
+"""What the user asks for reaches the devices, and the controls show how these stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import pytest
+from PyQt6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import press
+
+from app.acquisition.instrument import Standing
+from app.gui import theme
+from app.gui.main_window import MainWindow
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    controls = window.controls
+    acts: tuple[tuple[Callable[[], object], Callable[[], bool]], ...] = (
+        (lambda: press(qtbot, window, Qt.Key.Key_Space), lambda: not camera.is_running),
+        (controls.light.click, lambda: not camera.light.is_on),
+        (controls.sample.click, lambda: not camera.stage.is_sample_in),
+        (lambda: controls.exposure.setValue(30.4), lambda: camera.exposure_s == 0.03),
+        (lambda: controls.em_gain.setValue(7), lambda: camera.em_gain == 7),
+        (lambda: controls.current.setValue(120), lambda: camera.light.current_a == pytest.approx(0.12)),
+        (lambda: controls.mask_requested.emit("stars"), lambda: camera.stage.mask == "stars"),
+        (controls.start.click, lambda: camera.is_running),
+        (lambda: controls.amplifier_requested.emit("normal"), lambda: camera.amplifier == "normal"),
+    )
+    for act, is_done in acts:
+        act()
+        qtbot.waitUntil(is_done)
+        qtbot.waitUntil(lambda: window._answers.are_all_there)
+    assert camera.is_running
+    qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # what the camera made of it
+    assert controls.light.text() == "Light off"
+    assert controls.amplifier.currentText() == "normal"
+    controls.light.click()
+    qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
+
+
+def test_keys_act_while_a_number_is_being_edited(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.activateWindow()
+    window.controls.exposure.edit()
+    press(qtbot, window.controls.exposure, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.is_on)
+
+
+def is_exposed(camera: FakeCamera, exposure_s: float) -> bool:
+    return camera.exposure_s == exposure_s
+
+
+def test_return_takes_what_was_typed_and_escape_does_not(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """Both are shortcuts of the window as well, which must not have them while a number is being edited."""
+    window, camera = live
+    answers: list[bool] = []
+    window.messages.answered.connect(answers.append)
+    window.messages.ask("use it?")
+    window.activateWindow()
+    field = window.controls.exposure
+    for keys, end, exposure_s in (("40", Qt.Key.Key_Return, 0.04), ("30", Qt.Key.Key_Escape, 0.04)):
+        press(qtbot, window, Qt.Key.Key_E)
+        qtbot.waitUntil(field.hasFocus)
+        for key in keys:
+            press(qtbot, field, Qt.Key(ord(key)))
+        press(qtbot, field, end)
+        qtbot.waitUntil(partial(is_exposed, camera, exposure_s))
+        qtbot.waitUntil(lambda: window._answers.are_all_there)
+        assert field.value() == 40
+        assert field.text() == "40.000 ms"
+        assert not field.hasFocus()  # digits choose what is shown again
+    assert not answers
+    press(qtbot, window, Qt.Key.Key_Return)
+    assert answers == [True]
+
+
+def test_what_was_told_gives_way_to_what_is_asked_for_next(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not just pass by itself
+    window, _ = live
+    window.messages.tell("the exposure was found")
+    window.update_text()
+    assert window.messages.text.text() == "The exposure was found"
+    window.controls.light.click()
+    qtbot.waitUntil(lambda: "is the light on?" in window.messages.text.text())
+
+
+def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    window.controls.setting_requested.emit("registration", "warp", "affine")
+    window.controls.pupil_modes.setValue(15)
+    window.controls.setting_requested.emit("reconstruction", "method", "zonal")
+
+    def is_changed() -> bool:
+        measurement = window._measurement
+        assert measurement is not None
+        return measurement.wavefront is not None and measurement.wavefront.displacement.coefficients.shape[2] == 3
+
+    qtbot.waitUntil(is_changed)
+    assert window._status is not None
+    assert window._status.bench.reconstruction.pupil_modes == 15
+    assert window.controls.method.currentText() == "zonal"
+    assert not window.controls.pupil_modes.isEnabled()
+
+
+def test_reference_shines_green_only_while_it_serves(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    assert window._status is not None
+    status = window._status
+
+    def lamps(dark_standing: Standing, reference_standing: Standing) -> tuple[str, str]:
+        shown = replace(status, dark=dark_standing, reference=reference_standing)
+        window.controls.show_status(shown, is_settled=True)
+        images = [
+            button.icon().pixmap(32, 32).toImage() for button in (window.controls.dark, window.controls.reference)
+        ]
+        dark, reference = (image.pixelColor(image.rect().center()).name() for image in images)
+        return dark, reference
+
+    green, amber, off = theme.GREEN.name(), theme.AMBER.name(), theme.LINE.name()
+    assert lamps("good", "good") == (green, green)
+    assert lamps("good", "doubtful") == (green, amber)
+    assert lamps("doubtful", "missing") == (amber, off)
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_used"),
+    [
+        ({"method": "gauss_newton"}, True),
+        ({"method": "correlation"}, False),
+        ({"method": "centroids"}, False),
+        ({"method": "itk_affine"}, False),
+        ({"method": "block_flow"}, False),
+        ({"method": "demons", "flow": "warp"}, True),
+        ({"method": "ffd", "flow": "warp"}, True),
+    ],
+)
+def test_warp_is_offered_where_it_has_an_effect(
+    live: tuple[MainWindow, FakeCamera], changes: dict[str, Any], is_used: bool
+) -> None:
+    window, _ = live
+    assert window._status is not None
+    bench = replace(window._status.bench, registration=replace(window._status.bench.registration, **changes))
+    window.controls.show_status(replace(window._status, bench=bench), is_settled=True)
+    assert window.controls.warp.isEnabled() == is_used
+
+
+def test_refused_value_is_told_and_the_loop_goes_on(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.controls.exposure.setValue(55)
+    qtbot.waitUntil(lambda: "between 50 and 60 ms are broken" in window.messages.text.text())
+    assert window.controls.exposure.value() == 20.0
+    shown = window.status_line.shown
+    qtbot.waitUntil(lambda: window.status_line.shown > shown + 3)
+    assert camera.exposure_s == 0.02

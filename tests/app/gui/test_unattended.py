@@ -1,0 +1,95 @@
+"""The window that nobody watches, or that a signal closes."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import QTimer
+from PyQt6.QtGui import QColor, QImage
+from PyQt6.QtWidgets import QApplication
+from support.gui_bench import BENCH, FakeCamera, opener
+from support.patience import HANG_S
+
+from app.acquisition.worker import Acquisition, Measurement
+from app.errors import Interrupted, RunError
+from app.gui.live import run_live
+from drivers.interface import Disconnected
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+@contextmanager
+def once_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
+    """Have something done from the event loop as soon as the camera's light is on."""
+    timer = QTimer()
+
+    def look() -> None:
+        if camera.light.shines:
+            timer.stop()
+            act()
+
+    timer.timeout.connect(look)
+    timer.start(20)
+    yield
+    timer.stop()
+
+
+def test_unattended_run_leaves_a_picture_and_a_result(qapp: QApplication, tmp_path: Path) -> None:
+    camera = FakeCamera()
+    finished: list[Measurement] = []
+    status = run_live(
+        lambda: Acquisition(BENCH, opener(camera)),
+        offscreen_s=0.3,
+        screenshot=tmp_path / "window.png",
+        on_finish=finished.append,
+    )
+    assert status == 0
+    assert finished[0].wavefront is not None
+    image = QImage(str(tmp_path / "window.png"))
+    assert image.width() > 800
+    assert len({QColor(image.pixel(x, image.height() // 2)).rgb() for x in range(0, image.width(), 7)}) > 10
+    assert camera.is_closed
+    assert qapp is QApplication.instance()
+
+
+def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplication) -> None:
+    camera = FakeCamera()
+    camera.fault = Disconnected("no camera was found")
+    with pytest.raises(RunError, match=r"^no camera was found"):
+        run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.3)
+    assert qapp is QApplication.instance()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("offscreen_s", [None, HANG_S])
+def test_signal_closes_the_window_and_turns_the_light_off(
+    qapp: QApplication, number: signal.Signals, offscreen_s: float | None
+) -> None:
+    assert qapp is QApplication.instance()
+    camera = FakeCamera()
+    before = signal.getsignal(number)
+    with once_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
+        run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
+    assert camera.is_closed
+    assert not camera.light.shines
+    assert signal.getsignal(number) == before
+
+
+def test_unattended_run_whose_window_is_closed_is_no_success(qapp: QApplication, tmp_path: Path) -> None:
+    camera = FakeCamera()
+    finished: list[Measurement] = []
+    with once_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
+        run_live(
+            lambda: Acquisition(BENCH, opener(camera)),
+            offscreen_s=HANG_S,
+            screenshot=tmp_path / "window.png",
+            on_finish=finished.append,
+        )
+    assert not finished
+    assert not list(tmp_path.iterdir())
+    assert camera.is_closed

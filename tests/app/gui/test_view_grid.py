@@ -1,0 +1,85 @@
+"""The grid of views: what lies where, in which colour, and with which numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint
+from support.gui_bench import make_measurement
+from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture
+
+from app.gui.colours import diverging
+from app.gui.scale import MAGNIFICATIONS, RANGES, SteppedScale
+from app.gui.view_grid import Maps, ViewGrid
+from reconstruction.arrays import Floats
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def show(grid: ViewGrid, phase: Floats, limit_rad: float) -> None:
+    grid.show_maps(Maps(phase, diverging(limit_rad), lambda row, column, value: f"{row} {column} {value}"))
+
+
+def test_views_lie_as_in_the_field_and_lenslets_as_in_the_pupil(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = np.zeros((3, 3, *LENSLETS))
+    shown[0, 2, 1, 10] = 5.0  # the view on top at the right; in it a lenslet in the second row, near the right edge
+    window.show_measurement(make_measurement(dim_frame(), shown))
+    grid = window.wavefront_panel.grid
+    show(grid, shown, 5.0)
+    seen = picture(grid).astype(int)
+    tiles = grid.tile(0, 0).united(grid.tile(2, 2))
+    red = (seen[..., 0] - seen[..., 2] > 120)[:, : tiles.right() + 1]
+    row, column = np.nonzero(red)
+    assert row.size > 20
+    x = (column.mean() + 0.5 - tiles.left()) / tiles.width()
+    y = (row.mean() + 0.5 - tiles.top()) / tiles.height()
+    assert x == pytest.approx(2 / 3 + 10.5 / 13 / 3, abs=0.03)
+    assert y == pytest.approx(1.5 / 9 / 3, abs=0.03)
+
+
+def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = np.zeros((3, 3, *LENSLETS))
+    shown[1, 0], shown[1, 2] = -2, 2
+    grid = window.wavefront_panel.grid
+    show(grid, shown, 2.0)
+    seen = picture(grid).astype(int)
+    left, middle, right = (part(seen, grid.tile(1, column)).mean(axis=(0, 1)) for column in range(3))
+    assert left[2] > left[0] + 100
+    assert right[0] > right[2] + 100
+    assert abs(middle[0] - middle[2]) < 20
+
+
+def test_lost_lenslet_is_hatched_and_never_drawn_as_zero(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = np.zeros((3, 3, *LENSLETS))
+    shown[1, 1, 2, 3] = np.nan
+    window.show_measurement(make_measurement(dim_frame(), shown))
+    grid = window.wavefront_panel.grid
+    tile = part(picture(grid).astype(int), grid.tile(1, 1))
+    step_y, step_x = tile.shape[0] / LENSLETS[0], tile.shape[1] / LENSLETS[1]
+    lost = tile[int(2.25 * step_y) : int(2.75 * step_y), int(3.25 * step_x) : int(3.75 * step_x)]
+    zero = tile[int(5.25 * step_y) : int(5.75 * step_y), int(3.25 * step_x) : int(3.75 * step_x)]
+    assert zero.min() > 200  # the middle of the colours is nearly white
+    assert lost.max() < 150
+    assert "lost" in grid._value_at(grid.tile(1, 1).topLeft() + QPoint(int(3.5 * step_x), int(2.5 * step_y)))
+
+
+def test_lenslets_without_a_value_are_left_out_of_the_numbers(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = np.tile(np.where(np.arange(LENSLETS[1]) % 2, 1.0, -1.0)[1:], (3, 3, LENSLETS[0], 1))
+    shown = np.concatenate([np.full((*shown.shape[:3], 1), np.nan), shown], axis=3)  # lost in every view
+    shown[0, 0] = np.nan  # a view outside the field
+    window.show_measurement(make_measurement(dim_frame(), shown))
+    captions = window.wavefront_panel.grid.captions
+    assert captions[0, 0][0][0] == "RMS \N{EN DASH}   PV \N{EN DASH}"
+    assert {captions[at][0][0] for at in captions if at != (0, 0)} == {"RMS 1.00   PV 2.00"}
+    assert window.wavefront_panel._summary.text() == "mean RMS 1.00 rad"
+    picture(window.wavefront_panel.grid)
+
+
+def test_scales_rise_at_once_and_fall_only_when_it_is_worth_it() -> None:
+    scale = SteppedScale(MAGNIFICATIONS)
+    assert [scale.follow(needed) for needed in (1.7, 2.1, 1.9, 1.7, 1.5, np.nan, 0.0)] == [2, 5, 5, 5, 2, 2, 2]
+    assert SteppedScale(RANGES).follow(11) == 15

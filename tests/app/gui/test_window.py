@@ -1,0 +1,196 @@
+"""The window: it shows what was measured, how fresh it is, and what is the matter."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera, make_measurement
+from support.patience import own_time
+from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
+
+from app.gui import theme
+from app.gui.main_window import MainWindow
+from drivers.interface import Disconnected
+from reconstruction.displacement import Outcome
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = views()
+    shown[1, 2, 4, 5] = np.nan
+    pixels = np.random.default_rng(2).integers(0, 4000, (300, 430), np.uint16)
+    window.show_measurement(make_measurement(pixels, shown))
+
+    np.testing.assert_array_equal(window.camera_panel._image.image, pixels)
+    captions = window.wavefront_panel.grid.captions
+    assert len(captions) == 9
+    for (row, column), (numbers, place) in captions.items():
+        view = shown[row, column]
+        rms = np.sqrt(np.nanmean((view - np.nanmean(view)) ** 2))
+        assert numbers[0] == f"RMS {rms:.2f}   PV {np.nanmax(view) - np.nanmin(view):.2f}"
+        x, y = ("\N{MINUS SIGN}0.50", "0", "+0.50")[column], ("\N{MINUS SIGN}0.50", "0", "+0.50")[row]
+        assert place[0] == f"x {x}  y {y} mm"
+
+
+def test_lost_lenslets_are_counted_by_their_reasons(make_window: MakeWindow) -> None:
+    window = make_window()
+    shown = window.status_line.valid
+    for lost_rows, text, colour in (
+        (0, "117 of 117", theme.TEXT),
+        (2, "91 of 117", theme.AMBER),
+        (5, "52 of 117", theme.RED),
+    ):
+        outcome = np.zeros(LENSLETS, np.int8)
+        outcome[:lost_rows] = Outcome.DARK
+        outcome[:lost_rows, 0] = Outcome.SATURATED
+        window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
+        window.update_text()
+        assert shown.text() == text
+        assert colour.name() in shown.styleSheet()
+        assert (f"{12 * lost_rows} lost: no light\n{lost_rows} lost: saturated" in shown.toolTip()) == (lost_rows > 0)
+
+
+def test_small_window_stays_readable(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.resize(400, 300)
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    QApplication.processEvents()
+    panel = window.camera_panel
+    assert panel.caption.geometry().top() > panel._graphics.geometry().bottom()
+    assert window.wavefront_panel.grid._has_captions()
+    panel.caption.setText("a very long line " * 20)
+    QApplication.processEvents()
+    assert window.width() == 900
+
+
+def test_goes_from_opening_to_live_wavefronts_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, camera = live
+    assert camera.light.is_on
+    assert camera.stage.is_sample_in
+    assert window._status is not None
+    assert window._status.dark == "good"
+    assert window._status.reference == "good"
+    assert window.controls.start.text() == "Stop"
+
+
+def test_frame_without_wavefront_says_why_and_shows_no_old_one(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, _ = live
+    window.controls.light.click()
+    qtbot.waitUntil(lambda: "is the light on?" in window.messages.text.text())
+    assert window.wavefront_panel.grid.maps is None
+    assert window.status_line.valid.text() == "\N{EN DASH}"
+
+
+def test_device_failure_is_told_and_the_window_reconnects(make_window: MakeWindow, qtbot: QtBot) -> None:
+    first, second = FakeCamera(), FakeCamera()
+    window = make_window(first, second)
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    assert not window.messages.reconnect.isVisible()
+    first.fault = Disconnected("the camera was unplugged")
+    qtbot.waitUntil(lambda: "camera was unplugged" in window.messages.text.text())
+    assert not first.light.shines
+    assert window.controls.light.text() == "Light off"
+    assert not window.controls.isEnabled()
+    window.messages.reconnect.click()
+    wait_for_wavefront(qtbot, window)
+    assert second.light.is_on
+    qtbot.waitUntil(lambda: "unplugged" not in window.messages.text.text())
+    assert not window.messages.reconnect.isVisible()
+    assert window.controls.isEnabled()
+
+
+def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.controls.frames.setValue(500)
+    window.controls.reference.click()
+    progress = window.messages.progress
+    qtbot.waitUntil(lambda: progress.isVisible() and progress.value() > 10)
+    qtbot.waitUntil(lambda: window.messages.text.text() == "Taking the reference, 500 frames: Esc cancels")
+    assert "reference" not in progress.text()  # it is said once
+    press(qtbot, window, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: "ancelled" in window.messages.text.text())
+    qtbot.waitUntil(lambda: camera.is_running and camera.stage.is_sample_in)
+    qtbot.waitUntil(lambda: not window.messages.progress.isVisible())
+
+
+def test_slow_redraw_does_not_let_the_shown_frame_age(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, camera = live
+    camera.period_s = 0.001
+    drawn: list[int] = []
+    newest_before: list[int] = []  # when the drawing before had ended
+    draw = window.wavefront_panel.show_wavefront
+
+    def draw_slowly(wavefront: object) -> None:
+        assert window._measurement is not None
+        drawn.append(window._measurement.frame.index)
+        time.sleep(0.1)
+        draw(wavefront)  # type: ignore[arg-type] # passed through
+        assert window._acquisition is not None
+        assert window._acquisition.newest is not None
+        newest_before.append(window._acquisition.newest.frame.index)
+
+    monkeypatch.setattr(window.wavefront_panel, "show_wavefront", draw_slowly)
+    qtbot.waitUntil(lambda: len(newest_before) >= 15)
+    assert all(later >= newest for later, newest in zip(drawn[1:], newest_before, strict=False))
+    assert any(newest > index for index, newest in zip(drawn, newest_before, strict=True))
+    assert window.status_line.acquired.text() != window.status_line.shown_count.text()
+
+
+def test_closing_in_a_long_exposure_is_quick_and_leaves_the_light_off(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, camera = live
+    window.controls.exposure.setValue(8000)
+    qtbot.waitUntil(lambda: camera.exposure_s == 8)
+    assert camera.light.is_on
+    with own_time() as elapsed_s:
+        window.close()
+        assert elapsed_s() < 4  # half an exposure
+    assert not camera.light.shines
+    assert camera.is_closed
+    assert not window.is_stuck
+
+
+def test_help_lists_every_key(make_window: MakeWindow) -> None:
+    window = make_window()
+    bar = window.menuBar()
+    assert bar is not None
+    entries = [action for menu in bar.actions() if (inner := menu.menu()) is not None for action in inner.actions()]
+    keys = [entry.shortcut().toString() for entry in entries]
+    assert len(set(keys)) == len(keys)
+    assert {"Space", "L", "S", "D", "R", "Esc", "Ctrl+P"} <= set(keys)
+    entries[-1].trigger()
+    dialog = window.findChildren(QWidget, "help")[0]
+    assert dialog.isVisible()
+    dialog.close()
+
+
+def test_drawing_is_timed_and_a_key_shows_every_stage(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    assert window._acquisition is not None
+    timings = window._acquisition.timings
+    qtbot.waitUntil(lambda: timings.summary()["to_screen"].count > 3)
+    row = window.status_line.timing_row
+    assert not row.isVisible()
+    press(qtbot, window, Qt.Key.Key_T)
+    assert row.isVisible()
+    window.update_text()
+    for stage in ("register", "draw", "to_screen"):
+        median, most_of, most = (float(value.text()) for value in row.values[stage])
+        assert median <= most_of <= most
+    assert "to screen" in window.status_line.latency.toolTip()
+    summary = timings.summary()
+    assert summary["draw"].count <= window.status_line.shown
+    assert summary["to_screen"].p50_s > summary["draw"].p50_s

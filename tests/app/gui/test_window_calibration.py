@@ -1,0 +1,129 @@
+"""Lattice, exposure and background by the window: proposed, told, and used only when its user agrees."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QFileDialog
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import press
+
+from app.acquisition.instrument import Instrument
+from app.bench.config import Bench, load_bench
+from app.gui.main_window import MainWindow
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def bench_of(window: MainWindow) -> Bench:
+    assert window._status is not None
+    return window._status.bench
+
+
+def move_lattice(window: MainWindow, qtbot: QtBot, center_x_px: float) -> None:
+    """Let the bench believe that the lenslets lie elsewhere."""
+
+    def move(bench: Bench) -> Bench:
+        assert bench.lattice is not None
+        return replace(bench, lattice=replace(bench.lattice, center_x_px=center_x_px))
+
+    def command(instrument: Instrument) -> None:
+        instrument.change_settings(move)
+
+    assert window._acquisition is not None
+    window._acquisition.submit(command).result(10)
+    qtbot.waitUntil(lambda: center_of(window) == center_x_px)
+
+
+def center_of(window: MainWindow) -> float:
+    lattice = bench_of(window).lattice
+    assert lattice is not None
+    return lattice.center_x_px
+
+
+def is_about(window: MainWindow, center_x_px: float) -> bool:
+    return abs(center_of(window) - center_x_px) < 0.1
+
+
+def test_lattice_is_proposed_and_used_only_when_accepted(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    move_lattice(window, qtbot, 211.0)
+    for key, center_x_px in ((Qt.Key.Key_Escape, 211.0), (Qt.Key.Key_Return, 215.0)):  # the camera's is 215
+        press(qtbot, window, Qt.Key.Key_N)
+        qtbot.waitUntil(window.messages.accept.isVisible)
+        assert "pitch 31.25" in window.messages.text.text()
+        assert "117 of 117 lit" in window.messages.text.text()
+        assert window.camera_panel._found_lines.isVisible()
+        assert center_of(window) == 211.0
+        press(qtbot, window, key)
+        qtbot.waitUntil(lambda: not window.messages.accept.isVisible())
+        assert not window.camera_panel._found_lines.isVisible()
+        qtbot.waitUntil(lambda: window._answers.are_all_there)
+        qtbot.waitUntil(partial(is_about, window, center_x_px))
+
+
+def test_bench_is_saved_with_what_is_in_force(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    saved = tmp_path / "mine.toml"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(saved), ""))
+    window.controls.exposure.setValue(40.0)
+    qtbot.waitUntil(lambda: window._status is not None and window._status.exposure_s == 0.04)
+    window.save_bench()
+    bench = load_bench(saved)
+    assert bench.lattice == bench_of(window).lattice
+    wanted = {"exposure_s": 0.04, "amplifier": "em", "readout_speed": 3}
+    assert asdict(bench.camera) == asdict(bench_of(window).camera) | wanted
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path), ""))
+    window.save_bench()
+    window.update_text()
+    assert "is no file" in window.messages.text.text()
+
+
+def test_exposure_that_cannot_be_found_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    press(qtbot, window, Qt.Key.Key_X)  # the fake camera's light does not depend on its exposure
+    qtbot.waitUntil(lambda: window._answers.are_all_there)
+    window.update_text()
+    assert window.messages._notice_colour.name() == "#f0b64a"
+    assert camera.light.is_on
+    assert camera.is_running
+
+
+def test_background_that_is_as_it_was_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    press(qtbot, window, Qt.Key.Key_B)
+    qtbot.waitUntil(lambda: "dark is still good" in window.messages.text.text())
+    assert camera.light.is_on
+
+
+def test_what_an_alarm_hides_is_not_agreed_to(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """Neither Return nor Esc may decide what cannot be read at that moment."""
+    window, _ = live
+    answers: list[bool] = []
+    window.messages.answered.connect(answers.append)
+    window.messages.ask("use it?")
+    window.messages.alarm("the disk is full")
+    press(qtbot, window, Qt.Key.Key_Return)
+    press(qtbot, window, Qt.Key.Key_Escape)  # dismisses the alarm alone
+    qtbot.waitUntil(window.messages.accept.isVisible)
+    assert not answers
+    press(qtbot, window, Qt.Key.Key_Escape)
+    assert answers == [False]
+
+
+def test_alarm_stays_until_it_is_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    window.messages.alarm("the disk is full")
+    window.messages.tell("something nice")
+    window.update_text()
+    assert window.messages.text.text() == "The disk is full"
+    press(qtbot, window, Qt.Key.Key_Escape)
+    window.update_text()
+    assert window.messages.text.text() == "Something nice"

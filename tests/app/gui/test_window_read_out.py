@@ -1,0 +1,129 @@
+"""Another part of the sensor, asked for in the window."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import MakeWindow, press, wait_for_wavefront
+
+from app.gui.main_window import MainWindow
+from drivers.interface import CameraCapabilities, Frame, Region
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+SENSOR = Region(0, 0, 300, 430)
+
+
+class PartCamera(FakeCamera):
+    """Reads out a part of its sensor, in steps of 10 pixels."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.part = SENSOR
+
+    def _read_capabilities(self) -> CameraCapabilities:
+        allowed = super()._read_capabilities()
+        return replace(
+            allowed, rows=self.part.rows, columns=self.part.columns, sensor=SENSOR, region_step_px=10, binnings=(1, 2)
+        )
+
+    def _read_region(self) -> Region:
+        return self.part
+
+    def _set_region(self, region: Region) -> Region:
+        self.part = region
+        return region
+
+    def _read(self, timeout_s: float) -> Frame:
+        frame, part = super()._read(timeout_s), self.part
+        pixels = frame.pixels[part.top : part.top + part.rows, part.left : part.left + part.columns]
+        return replace(frame, pixels=pixels.copy())
+
+
+@pytest.fixture
+def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
+    window = make_window(PartCamera())
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    return window
+
+
+def fill_in(window: MainWindow, region: Region) -> None:
+    dialog = window.read_out.dialog
+    for field, value in zip(
+        (dialog.top, dialog.left, dialog.rows, dialog.columns),
+        (region.top, region.left, region.rows, region.columns),
+        strict=True,
+    ):
+        field.setValue(value)
+
+
+def text(window: MainWindow) -> str:
+    window.update_text()
+    return window.messages.text.text()
+
+
+def test_a_part_is_asked_for_read_out_and_calibrated_anew(window: MainWindow, qtbot: QtBot) -> None:
+    press(qtbot, window, Qt.Key.Key_P)
+    dialog = window.read_out.dialog
+    assert dialog.isVisible()
+    assert dialog.area.region == SENSOR
+    assert "300 x 430, in steps of 10 px" in dialog.limits.text()
+    # Cells lie at 215 - 6.5 * 31.25 = 11.9 ... 418.1 and 150.5 - 4.5 * 31.25 = 9.9 ... 291.1: the last three rows of
+    # lenslets, from 197.4 on, and the first column are cut.
+    fill_in(window, Region(3, 41, 211, 386))
+    dialog.apply.click()
+    qtbot.waitUntil(lambda: window._status is not None and window._status.area.region != SENSOR)
+    qtbot.waitUntil(lambda: not dialog.isVisible())  # so that the keys are the window's again
+    qtbot.waitUntil(lambda: "lenslets do not lie wholly" in text(window))
+    assert text(window).startswith(f"{117 - 6 * 12} of 117 lenslets")
+    assert "(D)" in text(window)
+    assert "(R)" in text(window)
+    press(qtbot, window, Qt.Key.Key_P)
+    assert "220 x 390" in dialog.in_force.text()
+    assert dialog.area.region == Region(0, 40, 220, 390)  # what the camera took
+    dialog.close()
+    window.messages.forget_notice()
+    assert text(window).endswith("take it again  (D: dark, R: reference)")
+    window.controls.dark.click()
+    window.controls.reference.click()
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == f"{6 * 12} of 117")
+    qtbot.waitUntil(lambda: window._status is not None and window._status.warning == "")
+
+
+def test_around_the_lattice_and_whole_are_filled_in(window: MainWindow, qtbot: QtBot) -> None:
+    window.controls.read_out.click()
+    dialog = window.read_out.dialog
+    dialog.around.click()
+    assert dialog.area.region == SENSOR  # half a pitch about the lattice reaches beyond it
+    fill_in(window, Region(10, 20, 100, 110))
+    assert dialog.area.region == Region(10, 20, 100, 110)
+    window.controls.light.click()  # what is being filled in is left alone when something else changes
+    qtbot.waitUntil(lambda: window._status is not None and not window._status.is_light_on)
+    assert dialog.area.region == Region(10, 20, 100, 110)
+    dialog.whole.click()
+    assert dialog.area.region == SENSOR
+
+
+def test_a_recording_is_not_disturbed(window: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
+    window.recording.folder = tmp_path
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
+    window.controls.read_out.click()
+    fill_in(window, Region(0, 0, 100, 100))
+    window.read_out.dialog.apply.click()
+    qtbot.waitUntil(lambda: "A recording is under way" in text(window))
+    assert window._status is not None
+    assert window._status.area.region == SENSOR
+
+
+def test_a_camera_without_a_choice_says_so(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    window.controls.read_out.click()
+    assert not window.read_out.dialog.isVisible()
+    assert text(window) == "Fake camera always reads out its whole sensor, and does not bin"

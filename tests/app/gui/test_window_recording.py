@@ -1,0 +1,115 @@
+"""Recording by the window."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import MakeWindow, press, wait_for_wavefront
+
+from app.gui.main_window import MainWindow
+from app.recording.reader import Recording
+from drivers.interface import Disconnected
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+
+def only_recording(folder: Path, suffix: str = "") -> Recording:
+    (found,) = (path for path in folder.iterdir() if path.name.endswith("-kept") == (suffix == "-kept"))
+    return Recording(found)
+
+
+def test_what_is_live_is_recorded_from_start_to_stop(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, _ = live
+    window.recording.folder = tmp_path / "here"
+    panel = window.recording_panel
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: panel.record.text() == "Stop")
+    qtbot.waitUntil(lambda: int(panel.text.text().split(" ")[0] or 0) > 5)
+    qtbot.waitUntil(lambda: "room for" in panel.text.text())
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text())
+    assert panel.record.text() == "Record"
+    recording = only_recording(tmp_path / "here")
+    assert recording.is_complete
+    assert len(recording) == int(window.messages.text.text().split(" ")[1]) > 5
+    assert recording.displacement(3) is not None
+
+
+def test_last_seconds_are_kept(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
+    window, _ = live
+    window.recording.folder = tmp_path
+    press(qtbot, window, Qt.Key.Key_K)
+    qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text())
+    assert len(only_recording(tmp_path, "-kept")) > 1
+
+
+@pytest.mark.parametrize("name", ["file", "file/below", "a" * 300])  # the last is more than any disk allows
+def test_folder_that_cannot_be_is_told(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, name: str
+) -> None:
+    window, _ = live
+    (tmp_path / "file").write_text("no folder")
+    window.recording.folder = tmp_path / name
+    window.recording._asked_s = 0.0  # how much room there is, is asked at once
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: str(tmp_path / name[:4]) in window.messages.text.text())
+    qtbot.waitUntil(lambda: not window.recording_panel.record.isChecked())
+    assert not window.failure
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
+
+
+def test_camera_that_is_unplugged_leaves_a_whole_recording(
+    make_window: MakeWindow, qtbot: QtBot, tmp_path: Path
+) -> None:
+    first, second = FakeCamera(), FakeCamera()
+    window = make_window(first, second)
+    window.recording.folder = tmp_path
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
+    before = first._index
+    qtbot.waitUntil(lambda: first._index > before + 5)
+    first.fault = Disconnected("the camera was unplugged")
+    qtbot.waitUntil(window.messages.reconnect.isVisible)
+    assert not first.light.shines
+    qtbot.waitUntil(lambda: only_recording(tmp_path).is_complete)
+    recording = only_recording(tmp_path)
+    assert "unplugged" in recording.ended_early
+    assert len(recording) > 5
+    window.messages.reconnect.click()
+    wait_for_wavefront(qtbot, window)
+    qtbot.waitUntil(lambda: not window.messages.reconnect.isVisible())
+
+
+def test_what_ended_early_is_told_until_it_is_dismissed(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, camera = live
+    window.recording.folder = tmp_path
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
+    assert window._acquisition is not None
+    window._acquisition._recorder.stop("the disk is full")
+    qtbot.waitUntil(window.messages.dismiss.isVisible)
+    assert "the disk is full" in window.messages.text.text()
+    assert camera.light.shines  # nothing else has ended
+    press(qtbot, window, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: not window.messages.dismiss.isVisible())
+
+
+def test_closing_the_window_finishes_the_recording(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, _ = live
+    window.recording.folder = tmp_path
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
+    window.close()
+    assert only_recording(tmp_path).is_complete

@@ -1,0 +1,172 @@
+"""The window where there is little room: what matters most stays whole, and nothing lies over anything else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+from PyQt6.QtCore import QPoint, QRect, Qt
+from PyQt6.QtGui import QFont
+from PyQt6.QtWidgets import QApplication, QLabel, QScrollArea, QWidget
+from pytestqt.qtbot import QtBot
+from support.gui_bench import make_measurement
+from support.window_tools import MakeWindow, dim_frame, press, views
+
+from app.gui.fitting_row import FittingRow
+from app.gui.main_window import MainWindow
+from app.gui.number_field import NumberField
+from app.gui.status_line import StatusLine
+from app.measurement.live_refinement import RefinementState
+from app.measurement.measurement import Counts
+
+pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+
+LONG = "the recording has ended early, 1203 frames are kept: the disk is full, and nobody knows where the rest went"
+
+
+@pytest.fixture
+def large_font(qapp: QApplication) -> Iterator[None]:
+    """The application's font, half as large again for this test."""
+    usual = QFont(qapp.font())
+    font = QFont(usual)
+    font.setPointSizeF(1.5 * usual.pointSizeF())
+    qapp.setFont(font)
+    yield
+    qapp.setFont(usual)
+
+
+def fill(window: MainWindow) -> None:
+    """Show numbers as they are after a day, and a long alarm."""
+    measurement = make_measurement(dim_frame(), views())
+    refinement = RefinementState(stage="applied", age_s=12.3)
+    many = replace(measurement, counts=Counts(1234567, 1204567, 30123), latency_s=0.9876, refinement=refinement)
+    window.messages.alarm(LONG)
+    window.status_line.timing_row.show()
+    window.show_measurement(many)
+    window.status_line.devices.setText("running")
+    window.update_text()
+    for _ in range(3):  # what a layout does has others do more
+        QApplication.processEvents()
+
+
+def place(widget: QWidget, window: QWidget) -> QRect:
+    return QRect(widget.mapTo(window, QPoint()), widget.size())
+
+
+def assert_nothing_overlaps(window: MainWindow) -> None:
+    """Neither panels nor texts lie over each other or reach beyond the window."""
+    panels = [window.camera_panel, window.analysis_panel, window.wavefront_panel, window.messages, window.controls]
+    panels += [window.status_line, window.recording_panel]
+    texts = [text for text in window.findChildren(QLabel) if text.isVisible() and text.property("role") != "on-image"]
+    for group in (panels, [*texts, window.camera_panel._graphics, window.wavefront_panel.grid]):
+        for one, other in combinations(group, 2):
+            if one.isVisible() and other.isVisible() and not (one.isAncestorOf(other) or other.isAncestorOf(one)):
+                assert not place(one, window).intersects(place(other, window)), (one, other)
+        assert all(window.rect().contains(place(one, window)) for one in group if one.isVisible())
+
+
+@pytest.mark.parametrize("size", [(900, 600), (1024, 640), (1280, 800), (1920, 1080)])
+def test_long_texts_fit_at_every_size(make_window: MakeWindow, size: tuple[int, int]) -> None:
+    window = make_window()
+    window.resize(*size)
+    fill(window)
+    assert (window.width(), window.height()) == size
+    assert_nothing_overlaps(window)
+    assert window.messages.text.toolTip() == LONG.capitalize()
+    for part in window.status_line.row._parts:
+        if part.name not in window.status_line.row.left_out:
+            assert part.value.width() >= part.value.fontMetrics().horizontalAdvance(part.value.text()), part.name
+
+
+@pytest.mark.usefixtures("large_font")
+def test_larger_font_has_the_window_ask_for_more_room(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.resize(900, 600)
+    fill(window)
+    assert window.width() > 900
+    assert_nothing_overlaps(window)
+
+
+def test_least_important_numbers_go_first_and_are_not_lost(qtbot: QtBot) -> None:
+    line = StatusLine()
+    qtbot.addWidget(line)
+    line.show()
+    line.count(replace(make_measurement(dim_frame(), views()), counts=Counts(1234567, 1204567, 30123)))
+    line.update_text(None)
+    row = line.row
+    order = ["shown", "acquired", "reconstructed", "age", "latency", "refined", "lost", "frames/s", "valid"]
+    seen = set()
+    for width in range(1200, 100, -20):
+        line.resize(width, 40)
+        seen.add(len(row.left_out))
+        assert set(row.left_out) == set(order[: len(row.left_out)])
+        assert row._more.isHidden() == (not row.left_out)
+    assert {0, len(order) - 1} <= seen
+    assert "acquired 1234567" in row.toolTip()
+    assert "lost 30123" in row._more.toolTip()
+
+
+def test_shorter_numbers_leave_the_line_where_it_was(qtbot: QtBot) -> None:
+    row = FittingRow()
+    qtbot.addWidget(row)
+    value = row.add("count", "how many", widest="0", importance=0)
+    value.setText("123456789")
+    row.fit()
+    wide = value.minimumWidth()
+    value.setText("1")
+    row.fit()
+    assert value.minimumWidth() == wide
+
+
+@pytest.mark.usefixtures("large_font")
+def test_help_fits_on_the_screen_and_can_be_scrolled(make_window: MakeWindow) -> None:
+    window = make_window()
+    open_help(window)
+    (dialog,) = window.findChildren(QWidget, "help")
+    screen = window.screen()
+    assert screen is not None
+    assert dialog.height() <= screen.availableGeometry().height()
+    text = dialog.findChildren(QScrollArea)[0].widget()
+    assert isinstance(text, QLabel)
+    assert text.height() >= text.heightForWidth(text.width())  # nothing is cut off
+    for words in ("Take a dark", "Set the exposure", "Uncertainty over the field"):
+        assert words in text.text()
+    dialog.close()
+
+
+def open_help(window: MainWindow) -> None:
+    bar = window.menuBar()
+    assert bar is not None
+    menu = bar.actions()[-1].menu()
+    assert menu is not None
+    menu.actions()[-1].trigger()
+
+
+def test_tab_goes_round_what_can_be_worked_and_nothing_else(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.controls.setEnabled(True)
+    stops: list[QWidget] = []
+    widget = window.nextInFocusChain()
+    while widget is not None and widget not in stops:
+        stops.append(widget)
+        widget = widget.nextInFocusChain()
+    keyed = [stop for stop in stops if stop.focusPolicy() & Qt.FocusPolicy.TabFocus and stop.isVisible()]
+    controls = window.controls
+    wanted = [window.camera_panel.lattice_toggle, window.wavefront_panel.hold_scale, controls.start, controls.light]
+    wanted += [controls.dark, controls.refine, window.recording_panel.record]
+    places = [keyed.index(each) for each in wanted]
+    assert places == sorted(places)  # from left to right, from the top down
+    assert not any("Graphics" in type(stop).__name__ for stop in keyed)
+    for stop in keyed:
+        assert stop is window.wavefront_panel.grid or stop.toolTip() or isinstance(stop.parent(), NumberField), stop
+
+
+def test_escape_closes_help_and_not_more(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    open_help(window)
+    (dialog,) = window.findChildren(QWidget, "help")
+    press(qtbot, dialog, Qt.Key.Key_Escape)
+    assert not dialog.isVisible()
+    assert window.isVisible()

@@ -1,0 +1,281 @@
+"""The exposure is found within six frames from anywhere, and where there is none that is said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from app.acquisition.devices import simulated_bench
+from app.bench.config import load_bench
+from app.measurement.routines import AutoExposure, Cancelled, RoutineError, auto_expose
+from app.measurement.routines.brightness import brightness
+from drivers.interface import BadValue, Devices, Frame, Range
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.clock import ManualClock
+from simulated_devices.exposure_bench import PITCH_PX, SIDE_PX, Scene, exposure_bench, spots, squares
+from simulated_devices.light import SimulatedLight
+from simulated_devices.stage import SimulatedStage
+
+FULL_SCALE = 65535
+C9100 = {  # the property sheet's exposures: EM amplifier at speed 3 and 2, normal amplifier
+    "em3": Range(0.0139, 1.0),
+    "em2": Range(0.02713, 7200.0),
+    "normal": Range(0.42147, 7200.0),
+}
+WIDEST = Range(1e-5, 7200.0)
+IMAGES = {"squares": squares(), "broad": squares(13.0), "haze": squares(8.0, 0.2), "spots": spots()}
+
+
+def expose(devices: Devices, fill: float = 0.7) -> AutoExposure:
+    return auto_expose(devices, PITCH_PX, fill=fill, progress=lambda *_: None, should_stop=lambda: False)
+
+
+def true_fill(scene: Scene, found: AutoExposure) -> float:
+    """What the brightest pixel holds of full scale without noise."""
+    light = scene.counts_per_a_s * found.current_a**scene.droop * found.exposure_s * float(scene.image.max())
+    return float((light + scene.offset_counts) / (2**scene.bits - 1))
+
+
+@settings(max_examples=120, deadline=None, derandomize=True)
+@given(
+    allowed=st.sampled_from([*C9100.values(), WIDEST]),
+    right=st.floats(0, 1),
+    start=st.sampled_from([0.0, 1.0]) | st.floats(0, 1),
+    current_a=st.sampled_from([0.0, 0.001, 0.35, 1.0]),
+    image=st.sampled_from(sorted(IMAGES)),
+    noise=st.sampled_from([1.5, 6.4, 40.0]),
+    is_on=st.booleans(),
+    seed=st.integers(0, 10**6),
+)
+@example(allowed=WIDEST, right=0.0, start=1.0, current_a=0.35, image="squares", noise=6.4, is_on=True, seed=1)
+@example(allowed=WIDEST, right=1.0, start=0.0, current_a=0.35, image="spots", noise=40.0, is_on=False, seed=1)
+@example(allowed=WIDEST, right=0.999, start=1.0, current_a=0.35, image="spots", noise=40.0, is_on=False, seed=1)
+@example(allowed=WIDEST, right=0.5, start=1.0, current_a=0.0, image="broad", noise=40.0, is_on=False, seed=1)
+def test_from_any_start_within_six_frames(
+    *,
+    allowed: Range,
+    right: float,
+    start: float,
+    current_a: float,
+    image: str,
+    noise: float,
+    is_on: bool,
+    seed: int,
+) -> None:
+    def exposure_s(part: float) -> float:
+        return float(allowed.minimum ** (1 - part) * allowed.maximum**part)
+
+    scene = Scene(
+        counts_per_a_s=45_000 / (0.35 * exposure_s(right)),
+        exposure_range_s=allowed,
+        image=IMAGES[image],
+        read_noise_counts=noise,
+        seed=seed,
+    )
+    begin_s = min(max(exposure_s(start), allowed.minimum), allowed.maximum)
+    devices, camera, lamp = exposure_bench(scene, exposure_s=begin_s, current_a=current_a, is_on=is_on)
+    found = expose(devices)
+    assert found.frames == len(camera.exposed_s) <= 6
+    assert found.fill == pytest.approx(0.7, abs=0.05)
+    assert true_fill(scene, found) == pytest.approx(0.7, abs=0.06)  # what the noise adds to the brightest is small
+    assert (found.exposure_s, found.current_a) == (camera.exposure_s, lamp.current_a)
+    assert lamp.is_on is is_on
+    assert not camera.is_running
+
+
+def test_what_is_right_already_stays_and_takes_one_frame() -> None:
+    scene = Scene(counts_per_a_s=44_000 / (0.35 * 0.15), exposure_range_s=C9100["em3"])
+    devices, *_ = exposure_bench(scene, exposure_s=0.15)
+    found = expose(devices)
+    assert found.exposure_s == pytest.approx(0.15)
+    assert (found.current_a, found.frames) == (0.35, 1)
+
+
+def test_the_current_helps_only_where_the_exposure_does_not_suffice() -> None:
+    for right_s, begin_s in [(0.2, 1.0), (0.2, 0.0139)]:
+        scene = Scene(counts_per_a_s=45_000 / (0.35 * right_s), exposure_range_s=C9100["em3"])
+        assert expose(exposure_bench(scene, exposure_s=begin_s)[0]).current_a == 0.35
+    scene = Scene(counts_per_a_s=45_000 / (0.35 * 0.0014), exposure_range_s=C9100["em3"])
+    found = expose(exposure_bench(scene, exposure_s=0.1)[0])
+    assert found.exposure_s == pytest.approx(0.0139)
+    assert found.current_a == pytest.approx(0.035, rel=0.1)
+    scene = Scene(counts_per_a_s=45_000 / (0.35 * 2.0), exposure_range_s=C9100["em3"])
+    found = expose(exposure_bench(scene, exposure_s=0.1)[0])
+    assert found.exposure_s == pytest.approx(1.0)
+    assert found.current_a == pytest.approx(0.7, rel=0.1)
+
+
+def test_less_current_makes_up_for_an_exposure_between_two_steps() -> None:
+    scene = Scene(counts_per_a_s=45_000 / 1.4e-5, exposure_range_s=WIDEST)  # at full current, steps of 10 us
+    found = expose(exposure_bench(scene, exposure_s=1e-5, current_a=1.0)[0])
+    assert found.exposure_s == pytest.approx(2e-5)
+    assert found.current_a == pytest.approx(0.7, rel=0.05)
+
+
+def test_an_led_that_droops_and_a_light_that_flickers_are_no_obstacle() -> None:
+    for scene in (
+        Scene(counts_per_a_s=45_000 / 0.001, exposure_range_s=C9100["em3"], droop=0.8),
+        Scene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], flicker=0.01),
+    ):
+        assert expose(exposure_bench(scene, exposure_s=1.0)[0]).frames <= 6
+
+
+def test_hot_pixels_in_one_of_ten_lenslets_do_not_count() -> None:
+    for seed in range(8):
+        scene = Scene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], hot_pixels=10, seed=seed)
+        assert true_fill(scene, expose(exposure_bench(scene, exposure_s=1.0)[0])) == pytest.approx(0.7, abs=0.06)
+
+
+def test_a_large_offset_is_no_light() -> None:
+    for begin_s in (0.0139, 1.0):
+        scene = Scene(counts_per_a_s=39_000 / 0.2, exposure_range_s=C9100["em3"], offset_counts=6000.0)
+        assert true_fill(scene, expose(exposure_bench(scene, exposure_s=begin_s)[0])) == pytest.approx(0.7, abs=0.06)
+
+
+def test_light_that_fills_without_subimages_is_told() -> None:
+    scene = Scene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"], ambient_counts_per_s=4.5e5)
+    devices, camera, lamp = exposure_bench(scene, exposure_s=0.1)
+    with pytest.raises(RoutineError, match="no subimages"):
+        expose(devices)
+    assert (camera.exposure_s, lamp.is_on) == (0.1, False)
+
+
+def test_cameras_of_fewer_bits() -> None:
+    eight = Scene(
+        counts_per_a_s=175 / 0.05,
+        exposure_range_s=C9100["em3"],
+        bits=8,
+        offset_counts=4.0,
+        read_noise_counts=0.8,
+        counts_per_electron=0.02,
+    )
+    for begin_s in (0.0139, 1.0):
+        assert expose(exposure_bench(eight, exposure_s=begin_s)[0]).frames <= 6
+
+
+@pytest.mark.parametrize("begin_s", [0.0139, 0.1, 1.0])
+@pytest.mark.parametrize("is_on", [True, False])
+@pytest.mark.parametrize(
+    ("scene", "sentence"),
+    [
+        (Scene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"]), "no light is to be seen.* lamp plugged in"),
+        (
+            Scene(counts_per_a_s=9_000, exposure_range_s=C9100["em3"]),
+            "(too little light: .* (4.9|5) times as much|would not be enough)",
+        ),
+        (Scene(counts_per_a_s=1e12, exposure_range_s=C9100["em3"]), "too bright even at the shortest.* filter"),
+        (Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], well_counts=30_000), "fill 47% .* do not follow"),
+        (
+            Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], current_range_a=Range(0.0, 0.0)),
+            "no current at all",
+        ),
+    ],
+)
+def test_where_there_is_none_that_is_said_and_all_is_as_found(
+    scene: Scene, sentence: str, begin_s: float, is_on: bool
+) -> None:
+    current_a = min(0.35, scene.current_range_a.maximum)
+    devices, camera, lamp = exposure_bench(scene, exposure_s=begin_s, current_a=current_a, is_on=is_on)
+    camera.start()
+    with pytest.raises(RoutineError, match=sentence):
+        expose(devices)
+    assert len(camera.exposed_s) <= 6
+    assert camera.exposure_s == pytest.approx(begin_s)
+    assert camera.is_running
+    assert (lamp.current_a, lamp.is_on) == (current_a, is_on)
+
+
+def test_no_light_is_known_without_exposing_for_hours() -> None:
+    scene = Scene(counts_per_a_s=0.0, exposure_range_s=WIDEST)
+    for begin_s in (1e-5, 0.1, 7200.0):
+        devices, camera, _ = exposure_bench(scene, exposure_s=begin_s)
+        with pytest.raises(RoutineError, match="no light"):
+            expose(devices)
+        assert sum(camera.exposed_s) < 120
+
+
+@pytest.mark.parametrize("fill", [math.nan, 0.0, 0.9, 1.0, -1.0])
+def test_a_fill_must_leave_room_on_both_sides(fill: float) -> None:
+    devices, camera, _ = exposure_bench(Scene(counts_per_a_s=1e5, exposure_range_s=WIDEST), exposure_s=0.1)
+    with pytest.raises(BadValue, match="fill"):
+        expose(devices, fill)
+    assert not camera.exposed_s
+
+
+def test_another_fill_can_be_wanted() -> None:
+    scene = Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"])
+    assert expose(exposure_bench(scene, exposure_s=0.0139)[0], 0.4).fill == pytest.approx(0.4, abs=0.05)
+
+
+def test_the_level_is_that_of_the_brightest_lenslets() -> None:
+    random = np.random.default_rng(1)
+    row = np.linspace(-1, 1, SIDE_PX)
+    uneven = np.exp(-2 * (row[:, None] ** 2 + row**2))  # a beam that is as wide as the array
+    for image in IMAGES.values():
+        dark = 500 + 6 * random.standard_normal(image.shape)
+        seen = brightness(np.rint(dark + 40_000 * image).astype(np.uint16), PITCH_PX)
+        assert seen.level == pytest.approx(500 + 40_000 * image.max(), rel=0.01)
+        seen = brightness(np.rint(dark + 40_000 * image * uneven).astype(np.uint16), PITCH_PX)
+        assert seen.level == pytest.approx(500 + 40_000 * np.max(image * uneven), rel=0.1)
+        few = np.where(row[:, None] ** 2 + row**2 < 0.25**2, image, 0)  # 8 of 100 lenslets are lit
+        seen = brightness(np.rint(dark + 40_000 * few).astype(np.uint16), PITCH_PX)
+        assert seen.level == pytest.approx(500 + 40_000 * few.max(), rel=0.1)
+        assert seen.background == pytest.approx(500, abs=3)
+        assert seen.noise == pytest.approx(6, rel=0.2)
+
+
+@pytest.fixture
+def simulated(small_toml: Path) -> Iterator[tuple[Devices, ManualClock]]:
+    clock = ManualClock()
+    settings = load_bench(small_toml, ("camera.readout_speed=2", "camera.exposure_s=0.03"))
+    bench = simulated_bench(settings, lambda _: None, clock)
+    with SimulatedCamera(bench) as camera, SimulatedStage(bench) as stage, SimulatedLight(bench) as light:
+        yield Devices(camera, light, stage), clock
+    bench.close()
+
+
+@pytest.mark.parametrize("begin_s", [0.02713, 0.3, 7200.0])
+@pytest.mark.parametrize("em_gain", [1.0, 8.0, 200.0])
+@pytest.mark.parametrize("current_a", [0.0, 0.35, 1.0])
+def test_on_the_simulated_bench(
+    simulated: tuple[Devices, ManualClock], begin_s: float, em_gain: float, current_a: float
+) -> None:
+    devices, clock = simulated
+    devices.camera.set_exposure(begin_s)
+    devices.camera.set_em_gain(em_gain)
+    devices.light.set_current(current_a)
+    shown: list[float] = []
+
+    def progress(frame: Frame, fraction: float) -> None:
+        assert frame.exposure_s == devices.camera.exposure_s
+        shown.append(fraction)
+
+    begun_s = clock.now()
+    found = auto_expose(devices, 31.25, progress=progress, should_stop=lambda: False)
+    assert found.frames <= 6
+    assert clock.now() - begun_s < 60
+    assert shown == sorted(shown)
+    assert shown[-1] == 1.0
+    assert (devices.camera.em_gain, devices.light.is_on, devices.camera.is_running) == (em_gain, False, False)
+    devices.light.set_on(True)
+    devices.camera.start()
+    pixels = devices.camera.read(found.exposure_s + 1).pixels
+    top = np.partition(pixels, -20, axis=None)[-20]
+    assert top / FULL_SCALE == pytest.approx(0.7, abs=0.07 if em_gain < 100 else 0.2)
+    assert not np.any(pixels == FULL_SCALE)
+
+
+def test_can_be_cancelled_within_hours_of_exposure(simulated: tuple[Devices, ManualClock]) -> None:
+    devices, clock = simulated
+    devices.camera.set_exposure(100.0)
+    with pytest.raises(Cancelled):
+        auto_expose(devices, 31.25, progress=lambda *_: None, should_stop=lambda: clock.now() > 1.0)
+    assert clock.now() < 1.3
+    assert devices.camera.exposure_s == 100.0
+    assert not devices.light.is_on

@@ -1,0 +1,79 @@
+"""A calibration, and what each frame carries: enough to make the same wavefront again, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.patience import HANG_S, wait_until
+
+from app.acquisition.devices import open_devices
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition, Measurement
+from app.bench.config import load_bench
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import PASSED_OVER
+from reconstruction.pipeline import Reconstructor
+from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.solve.modal import ModalSolution
+
+
+def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings: str) -> list[Measurement]:
+    """Run the small bench until what has come is `enough`."""
+    measurements: list[Measurement] = []
+    acquisition = Acquisition(load_bench(toml, settings), open_devices, sinks=(measurements.append,))
+    acquisition.start()
+    try:
+        for step in start_up(acquisition, 4):
+            step.result(HANG_S)
+        wait_until(lambda: enough(measurements))
+        # The same settings, another calibration.
+        acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(HANG_S)
+        before = len(measurements)
+        wait_until(lambda: sum(not one.problem for one in measurements[before:]) >= 3)
+    finally:
+        acquisition.close()
+    return measurements
+
+
+@pytest.mark.parametrize("refine", ["false", "true"])
+@pytest.mark.parametrize("lattice", ["lattice.center_x_px=121.3", "found"])
+def test_every_frame_is_made_again_bit_for_bit(small_toml: Path, tmp_path: Path, refine: str, lattice: str) -> None:
+    toml = tmp_path / "bench.toml"
+    text = small_toml.read_text()
+    toml.write_text(
+        text if lattice != "found" else text.replace(text[text.index("[lattice]") : text.index("[field]")], "")
+    )
+
+    def is_enough(measurements: list[Measurement]) -> bool:
+        made = [measurement for measurement in measurements if measurement.wavefront is not None]
+        return len(made) > 8 and (refine == "false" or made[-1].refinement.stage == "applied")
+
+    measurements = measured(toml, is_enough, f"reconstruction.refine={refine}")
+    reconstructors: dict[Calibration, Reconstructor] = {}
+    registered = None
+    with one_blas_thread():
+        for measurement in measurements:
+            calibration = measurement.calibration
+            assert calibration is not None
+            if measurement.problem == PASSED_OVER:  # of these nothing was made that could be made again
+                continue
+            if calibration not in reconstructors:
+                reconstructors[calibration] = calibration.reconstructor()
+                assert measurement.start is None  # another calibration starts cold
+            else:
+                assert measurement.start is registered
+            again = reconstructors[calibration].register(measurement.frame.pixels, start=measurement.start)
+            registered = measurement.registered
+            assert registered is not None
+            np.testing.assert_array_equal(again.coefficients, registered.coefficients)
+            solved = reconstructors[calibration].solve(again, bias=measurement.refinement.bias)
+            assert measurement.wavefront is not None
+            np.testing.assert_array_equal(solved.views, measurement.wavefront.views)
+            assert isinstance(solved.solution, ModalSolution)
+            assert isinstance(measurement.wavefront.solution, ModalSolution)
+            np.testing.assert_array_equal(solved.solution.coefficients, measurement.wavefront.solution.coefficients)
+    assert len(reconstructors) == 2
+    assert any(measurement.refinement.bias is not None for measurement in measurements) == (refine == "true")

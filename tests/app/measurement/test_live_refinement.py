@@ -1,0 +1,132 @@
+"""Refinement beside the frames: applied while the wavefront is near, dropped when it has gone, ended when asked."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.optics import FIELD, SmallBench
+from support.patience import HANG_S, wait_until
+
+from app.bench.config import Bench
+from app.measurement.live_refinement import LiveRefinement, RefinementState
+from reconstruction.pipeline import Reconstructor
+from reconstruction.wavefront import rms
+
+
+@pytest.fixture(scope="module")
+def reconstructor(small_bench: SmallBench) -> Reconstructor:
+    return small_bench.reconstructor("cubic", pupil_modes=None)
+
+
+def bowl(bench: SmallBench, strength: float) -> NDArray[np.float32]:
+    u, v = (axis / bench.sensor.pupil_half_width_m[0] for axis in bench.samples())
+    half_m = FIELD.half_width_m
+    return bench.frame(
+        lambda x, y: (strength * (6 * (u**2 + v**2) + 4 * u**3 + 3 * x / half_m * u * v + y / half_m * u**2)).astype(
+            "f4"
+        )
+    )
+
+
+def bench_of(small_bench: SmallBench) -> Bench:
+    return Bench(sensor=small_bench.sensor, field=FIELD, lattice=small_bench.lattice)
+
+
+def until(refinement: LiveRefinement, reconstructor: Reconstructor, frame: NDArray[np.float32], stage: str) -> float:
+    """Show a frame every 20 ms until the stage is reached; return how many seconds that took."""
+    displacement, begin_s = reconstructor.register(frame), time.monotonic()
+    while refinement.refine(displacement, time.monotonic())[1].stage != stage:
+        assert time.monotonic() - begin_s < HANG_S
+        time.sleep(0.02)
+    return time.monotonic() - begin_s
+
+
+def test_frames_are_corrected_while_the_wavefront_is_near(
+    small_bench: SmallBench, reconstructor: Reconstructor
+) -> None:
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    try:
+        frame = bowl(small_bench, 1.0)
+        displacement = reconstructor.register(frame)
+        once, state = refinement.refine(displacement, 0.0)
+        assert state.stage == "preparing"
+        assert refinement.as_before(1.0).bias is None
+        np.testing.assert_array_equal(once.views, reconstructor.solve(displacement).views)
+        until(refinement, reconstructor, frame, "applied")
+        time.sleep(1.0)  # some rounds more
+        corrected, state = refinement.refine(displacement, time.monotonic())
+        assert state.age_s > 0
+        assert state.moved_rad < 0.2
+        now_s = time.monotonic()
+        corrected, state = refinement.refine(displacement, now_s)
+        later = refinement.as_before(now_s + 0.25)  # for a frame that nobody looks at now
+        assert later.bias is state.bias is not None
+        assert later.age_s == pytest.approx(state.age_s + 0.25)
+        assert rms(corrected.views - once.views).mean() > 0.005
+
+        gone = reconstructor.register(bowl(small_bench, -1.0))
+        found, state = refinement.refine(gone, time.monotonic())
+        assert state.stage == "moved"
+        assert refinement.as_before(time.monotonic()).bias is None
+        assert state.moved_rad == pytest.approx(2 * rms(once.views).mean(), rel=0.1)
+        np.testing.assert_array_equal(found.views, reconstructor.solve(gone).views)
+        until(refinement, reconstructor, bowl(small_bench, -1.0), "applied")
+    finally:
+        refinement.close()
+
+
+def test_a_nearly_flat_wavefront_keeps_its_correction(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    until(refinement, reconstructor, small_bench.reference, "applied")
+    noise = np.random.default_rng(0).normal(0, 0.002 * small_bench.reference.max(), small_bench.frame_shape)
+    displacement = reconstructor.register((small_bench.reference + noise).astype(np.float32))
+    assert refinement.refine(displacement, 1.0)[1].stage == "applied"
+    refinement.close()
+
+
+def test_its_thread_ends(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    until(refinement, reconstructor, small_bench.reference, "applied")
+    refinement.close()
+    wait_until(lambda: not any(thread.name == "refinement" for thread in threading.enumerate()))
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_a_round_that_the_programs_end_cuts_short_is_no_fault(
+    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch, *, closes: bool
+) -> None:
+    def cut_short(*_: object) -> None:
+        if closes:
+            refinement.close()
+        raise RuntimeError("cannot schedule new futures after shutdown")
+
+    raised: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", raised.append)
+    monkeypatch.setattr("app.measurement.live_refinement.Refinement.bias", cut_short)
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    refinement.refine(reconstructor.register(small_bench.reference), 0.0)
+    wait_until(lambda: not any(thread.name == "refinement" for thread in threading.enumerate()))
+    assert len(raised) == (0 if closes else 1)
+
+
+def test_a_model_that_cannot_be_made_is_told(
+    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ValueError("no such source")
+
+    monkeypatch.setattr("app.measurement.live_refinement.BenchModel", fail)
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    until(refinement, reconstructor, small_bench.reference, "failed")
+    assert refinement.refine(reconstructor.register(small_bench.reference), 0.0)[1].problem == "no such source"
+
+
+def test_without_it_frames_say_so() -> None:
+    state = RefinementState()
+    assert state.stage == "off"
+    assert math.isnan(state.age_s)

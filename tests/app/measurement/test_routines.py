@@ -1,0 +1,375 @@
+"""Routines leave the devices as found, or dark after a fault, whichever call of a device it is that ends them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from app.acquisition.devices import simulated_bench
+from app.bench.config import load_bench
+from app.measurement.routines import (
+    Average,
+    Cancelled,
+    auto_expose,
+    average,
+    check_background,
+    take_dark,
+    take_reference,
+)
+from app.measurement.routines.background import BackgroundCheck, compare_backgrounds
+from drivers.interface import (
+    BadValue,
+    Camera,
+    Device,
+    DeviceError,
+    Devices,
+    DeviceTimeout,
+    Disconnected,
+    Frame,
+    LightSource,
+    Stage,
+    WrongState,
+)
+from simulated_devices.camera import SimulatedCamera
+from simulated_devices.clock import ManualClock
+from simulated_devices.light import SimulatedLight
+from simulated_devices.stage import SimulatedStage
+
+PITCH_PX = 31.25
+EXPOSURE_S = 0.03
+RIGHT_CURRENT_A = 0.35
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How the devices stand."""
+
+    is_light_on: bool
+    is_sample_in: bool
+    is_running: bool
+    exposure_s: float = EXPOSURE_S
+    current_a: float = RIGHT_CURRENT_A
+
+    @classmethod
+    def of(cls, devices: Devices) -> Standing:
+        camera, light, stage = devices.camera, devices.light, devices.stage
+        return cls(light.is_on, stage.is_sample_in, camera.is_running, camera.exposure_s, light.current_a)
+
+    def set(self, devices: Devices) -> None:
+        camera = devices.camera
+        camera.stop()
+        camera.set_exposure(self.exposure_s)
+        devices.light.set_current(self.current_a)
+        devices.light.set_on(self.is_light_on)
+        devices.stage.set_sample_in(self.is_sample_in)
+        if self.is_running:
+            camera.start()
+
+
+LIVE, AT_REST = Standing(True, True, True), Standing(False, False, False)
+
+
+class Counter:
+    """Counts what is asked of the devices, and does something at one of the calls."""
+
+    def __init__(self, at: int = -1, then: Callable[[], None] = lambda: None) -> None:
+        self.calls, self.at, self.then = 0, at, then
+
+    def __call__(self) -> None:
+        self.calls += 1
+        if self.calls == self.at:
+            self.then()
+
+    def is_past(self) -> bool:
+        return self.calls >= self.at
+
+
+class Counted:
+    """Stands before a device; whatever is asked of it is counted first."""
+
+    def __init__(self, device: Device, counter: Counter) -> None:
+        self._device, self._counter = device, counter
+
+    def __getattr__(self, name: str) -> object:
+        if not callable(getattr(type(self._device), name)):
+            self._counter()
+            return getattr(self._device, name)
+
+        def call(*arguments: object) -> object:
+            self._counter()
+            return getattr(self._device, name)(*arguments)
+
+        return call
+
+
+def counted(devices: Devices, counter: Counter) -> Devices:
+    return Devices(
+        cast("Camera", Counted(devices.camera, counter)),
+        cast("LightSource", Counted(devices.light, counter)),
+        cast("Stage", Counted(devices.stage, counter)),
+    )
+
+
+BEFORE = Average(
+    np.full((172, 240), 500, np.float32),
+    np.full((172, 240), 40, np.float32),
+    4,
+    EXPOSURE_S,
+    em_gain=8.0,
+    amplifier="em",
+)
+Routine = Callable[[Devices, Callable[[], bool]], object]
+
+
+def quiet(_frame: Frame, _fraction: float) -> None:
+    """Show no progress."""
+
+
+def dark(devices: Devices, should_stop: Callable[[], bool]) -> object:
+    return take_dark(devices, 2, progress=quiet, should_stop=should_stop)
+
+
+def reference(devices: Devices, should_stop: Callable[[], bool]) -> object:
+    return take_reference(devices, 2, progress=quiet, should_stop=should_stop)
+
+
+def exposure(devices: Devices, should_stop: Callable[[], bool]) -> object:
+    return auto_expose(devices, PITCH_PX, progress=quiet, should_stop=should_stop)
+
+
+def background(devices: Devices, should_stop: Callable[[], bool]) -> object:
+    return check_background(devices, BEFORE, 2, progress=quiet, should_stop=should_stop)
+
+
+ROUTINES: dict[str, Routine] = {"dark": dark, "reference": reference, "exposure": exposure, "background": background}
+
+
+@pytest.fixture(scope="module")
+def devices(small_toml: Path) -> Iterator[Devices]:
+    clock = ManualClock()
+    settings = load_bench(small_toml, ("camera.readout_speed=2", f"camera.exposure_s={EXPOSURE_S}"))
+    bench = simulated_bench(settings, lambda _: None, clock)
+    with SimulatedCamera(bench) as camera, SimulatedStage(bench) as stage, SimulatedLight(bench) as light:
+        yield Devices(camera, light, stage)
+    bench.close()
+
+
+def never() -> bool:
+    return False
+
+
+def calls_of(routine: Routine, devices: Devices, standing: Standing) -> int:
+    standing.set(devices)
+    counter = Counter()
+    routine(counted(devices, counter), never)
+    return counter.calls
+
+
+@pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
+@pytest.mark.parametrize("name", ROUTINES)
+def test_left_as_found(devices: Devices, name: str, standing: Standing) -> None:
+    standing.set(devices)
+    ROUTINES[name](devices, never)
+    left = Standing.of(devices)
+    assert (left.is_light_on, left.is_sample_in, left.is_running) == (
+        standing.is_light_on,
+        standing.is_sample_in,
+        standing.is_running,
+    )
+    assert name == "exposure" or left == standing
+
+
+def test_light_and_sample_while_frames_are_averaged(devices: Devices) -> None:
+    seen: set[tuple[bool, bool]] = set()
+
+    def note(*_: object) -> None:
+        seen.add((devices.light.is_on, devices.stage.is_sample_in))
+
+    for take, is_light_on in ((take_dark, False), (take_reference, True)):
+        LIVE.set(devices)
+        seen.clear()
+        take(devices, 2, progress=note, should_stop=never)
+        assert seen == {(is_light_on, not is_light_on)}  # a dark does not move the sample
+
+
+@pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
+@pytest.mark.parametrize("name", ROUTINES)
+def test_cancelled_at_every_call_of_a_device_all_is_as_found(devices: Devices, name: str, standing: Standing) -> None:
+    calls = calls_of(ROUTINES[name], devices, standing)
+    assert calls > 15
+    cancelled = 0
+    for at in range(calls + 1):
+        standing.set(devices)
+        counter = Counter(at)
+        try:
+            ROUTINES[name](counted(devices, counter), counter.is_past)
+        except Cancelled:
+            cancelled += 1
+            assert Standing.of(devices) == standing
+    assert cancelled > calls / 3  # the others came when the last frame had
+
+
+@pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
+@pytest.mark.parametrize("fault", [Disconnected, DeviceTimeout])
+@pytest.mark.parametrize("name", ROUTINES)
+def test_a_fault_at_any_call_of_a_device_leaves_the_light_off(
+    devices: Devices, name: str, fault: type[DeviceError], standing: Standing
+) -> None:
+    calls, survived = calls_of(ROUTINES[name], devices, standing), 0
+
+    def fail() -> None:
+        raise fault("pulled")
+
+    for at in range(1, calls + 1):
+        standing.set(devices)
+        try:
+            ROUTINES[name](counted(devices, Counter(at, fail)), never)
+        except fault:
+            assert not devices.light.is_on
+        else:
+            survived += 1  # no frame in this slice of time: the next is waited for
+    assert survived <= (calls / 2 if fault is DeviceTimeout else 0)
+
+
+@pytest.mark.parametrize("refusal", [BadValue, WrongState, RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize("name", ROUTINES)
+def test_refused_at_any_call_all_is_as_found_or_dark(devices: Devices, name: str, refusal: type[BaseException]) -> None:
+    calls, as_found = calls_of(ROUTINES[name], devices, LIVE), 0
+
+    def refuse() -> None:
+        raise refusal
+
+    for at in range(1, calls + 1):
+        LIVE.set(devices)
+        with pytest.raises(refusal):
+            ROUTINES[name](counted(devices, Counter(at, refuse)), never)
+        as_found += (left := Standing.of(devices)) == LIVE
+        assert left == LIVE or not left.is_light_on
+    assert as_found > calls / 4  # what is refused while things are put back leaves them dark
+
+
+@pytest.mark.parametrize("name", ROUTINES)
+def test_what_fails_in_showing_progress_leaves_all_as_found(devices: Devices, name: str) -> None:
+    def fail(_frame: Frame, _fraction: float) -> None:
+        raise KeyError("a window that is gone")
+
+    LIVE.set(devices)
+    with_progress: dict[str, Callable[[], object]] = {
+        "dark": lambda: take_dark(devices, 2, progress=fail, should_stop=never),
+        "reference": lambda: take_reference(devices, 2, progress=fail, should_stop=never),
+        "exposure": lambda: auto_expose(devices, PITCH_PX, progress=fail, should_stop=never),
+        "background": lambda: check_background(devices, BEFORE, 2, progress=fail, should_stop=never),
+    }
+    with pytest.raises(KeyError):
+        with_progress[name]()
+    assert Standing.of(devices) == LIVE
+
+
+@pytest.mark.parametrize("frames", [0, -1])
+def test_no_frames_are_no_average(devices: Devices, frames: int) -> None:
+    LIVE.set(devices)
+    for take in (take_dark, take_reference):
+        with pytest.raises(BadValue, match="at least 1"):
+            take(devices, frames, progress=quiet, should_stop=never)
+    assert Standing.of(devices) == LIVE
+
+
+class Played:
+    """A camera that plays frames."""
+
+    exposure_s, em_gain, amplifier = 0.1, 1.0, "normal"
+
+    def __init__(self, frames: np.ndarray) -> None:
+        self._frames = iter(frames)
+        self.capabilities = type("Size", (), {"rows": frames.shape[1], "columns": frames.shape[2]})
+
+    def start(self) -> None:
+        """Begin."""
+
+    stop = start
+
+    def read(self, _timeout_s: float) -> Frame:
+        return Frame(next(self._frames), 0, 0.0, 0.0, 0.1, 1.0)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 50])
+def test_mean_and_variance_are_those_of_numpy(frames: int) -> None:
+    random = np.random.default_rng(3)
+    stack = (50_000 + random.integers(-3, 4, (frames, 4, 5))).astype(np.uint16)
+    made = average(cast("Camera", Played(stack)), frames, progress=quiet, should_stop=never)
+    np.testing.assert_allclose(made.mean, stack.mean(axis=0), rtol=1e-7)
+    expected = stack.astype(np.float64).var(axis=0, ddof=1) if frames > 1 else np.zeros((4, 5))
+    np.testing.assert_allclose(made.variance, expected, rtol=1e-6, atol=1e-9)
+    assert made.mean.dtype == made.variance.dtype == np.float32
+    assert made.frames == frames
+
+
+def dark_like(frames: int, random: np.random.Generator, drift: float = 0.0, jitter: float = 0.0) -> np.ndarray:
+    """Frames without light, (frame, row, column), counts, of 6 counts' noise."""
+    level = 500 + drift + jitter * random.standard_normal((frames, 1, 1))
+    return np.asarray(np.rint(level + 6 * random.standard_normal((frames, 90, 110))))
+
+
+def compared(before: np.ndarray, now: np.ndarray) -> BackgroundCheck:
+    def averaged(stack: np.ndarray) -> Average:
+        variance = stack.var(axis=0, ddof=1) if len(stack) > 1 else np.zeros(stack.shape[1:])
+        return Average(stack.mean(axis=0, dtype=np.float32), variance.astype(np.float32), len(stack), 0.1, 1.0, "em")
+
+    return compare_backgrounds(averaged(before), averaged(now), [float(frame.mean()) for frame in now])
+
+
+@pytest.mark.parametrize("now_frames", [1, 2, 8])
+@pytest.mark.parametrize("before_frames", [1, 4, 20])
+def test_a_background_that_stays_is_good_and_one_that_drifts_is_not(before_frames: int, now_frames: int) -> None:
+    random = np.random.default_rng(before_frames * 100 + now_frames)
+    before = dark_like(before_frames, random)
+    for _ in range(5):
+        check = compared(before, dark_like(now_frames, random))
+        assert check.is_good
+        assert check.verdict.startswith("the dark is still good")
+        assert check.noise_counts == pytest.approx(6, rel=0.05)
+        assert abs(check.drift_counts) < 0.5
+    check = compared(before, dark_like(now_frames, random, drift=-3.0))
+    assert check.drift_counts == pytest.approx(-3, abs=0.5)
+    assert (check.is_good, check.hot_pixels, check.cooled_pixels) == (False, 0, 0)
+    assert "drift -" in check.verdict
+    assert "take the dark again" in check.verdict
+
+
+def test_a_level_that_jumps_from_frame_to_frame_is_no_drift() -> None:
+    random = np.random.default_rng(5)
+    significance = [
+        compared(dark_like(20, random, jitter=2.0)[:, :30], dark_like(8, random, jitter=2.0)[:, :30]).significance
+        for _ in range(60)
+    ]
+    # Seven degrees of freedom: half of Student's t lies below 0.71 (SciPy).
+    assert np.median(significance) == pytest.approx(stats.t(7).ppf(0.75), rel=0.3)
+    assert np.mean(np.array(significance) > 5) < 0.02
+
+
+def test_pixels_that_became_hot_or_cool_are_counted() -> None:
+    random = np.random.default_rng(6)
+    before, now = dark_like(20, random), dark_like(8, random)
+    now[:, 3, 4] += 200
+    now[:, 50, 60] += 60
+    before[:, 20, 20] += 5000
+    steady = 3000 + 60 * random.standard_normal((28, 1))  # hot before and after, with more noise than the others
+    before[:, 70, 70], now[:, 70, 70] = steady[:20, 0], steady[20:, 0]
+    check = compared(before, now)
+    assert (check.hot_pixels, check.cooled_pixels, check.is_good) == (2, 1, False)
+    assert "2 new hot pixels, 1 no longer hot" in check.verdict
+
+
+def test_the_simulated_background_is_that_of_its_dark(devices: Devices) -> None:
+    AT_REST.set(devices)
+    before = take_dark(devices, 12, progress=quiet, should_stop=never)
+    check = check_background(devices, before, 6, progress=quiet, should_stop=never)
+    assert check.is_good
+    assert check.frames == 6
+    assert check.noise_counts == pytest.approx(25 / 5.8, rel=0.05)

@@ -1,0 +1,177 @@
+"""The recorder: from when to when it records, what it keeps in memory, and into which folders."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.patience import HANG_S
+from support.records import FACTS, make_frame, make_record, wait, write
+
+from app.errors import InputError, RunError
+from app.measurement.measurement import Counts, Measurement
+from app.recording import recorder, run_writer
+from app.recording.background import BackgroundRecording
+from app.recording.reader import Recording
+from app.recording.recorder import Recorder
+from app.recording.run_writer import RunWriter
+from app.timing import Timings
+
+
+def measurement(index: int, *, host_time_s: float, lost: int = 0) -> Measurement:
+    frame = replace(make_frame(index), host_time_s=host_time_s)
+    return Measurement(frame, None, "dark", Counts(index + 1, 0, lost), host_time_s, 0.01)
+
+
+def test_a_recorder_ends_by_itself_after_so_many_frames(tmp_path: Path) -> None:
+    recorder_ = Recorder(Timings())
+    recorder_.take(measurement(0, host_time_s=0.0, lost=2))
+    recorder_.start(tmp_path / "r", FACTS, frames=3)
+    for index in range(1, 9):
+        recorder_.take(measurement(index, host_time_s=index / 10, lost=4 if index > 1 else 2))
+    assert wait(recorder_, {"finished"}).frames == 3
+    recording = Recording(tmp_path / "r")
+    assert recording.run["frames"] == {"acquired": 3, "recorded": 3, "reconstructed": 0, "lost": 2}
+    assert [recording.line(index).camera_index for index in range(3)] == [1, 2, 3]
+    assert [recording.line(index).lost for index in range(3)] == [0, 2, 0]
+    recorder_.start(tmp_path / "again", FACTS)
+    recorder_.close("the camera was unplugged")
+    assert Recording(tmp_path / "again").ended_early == "the camera was unplugged"
+    assert len(Recording(tmp_path / "again")) == 0
+
+
+def test_the_last_seconds_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder_ = Recorder(Timings())
+    with pytest.raises(InputError, match="no frame yet"):
+        recorder_.keep_recent(tmp_path / "none", FACTS)
+    taken = [measurement(index, host_time_s=index / 10) for index in range(301)]
+    for each in taken:
+        recorder_.take(each)
+    recorder_.keep_recent(tmp_path / "r", FACTS)
+    recorder_.close("")
+    recording = Recording(tmp_path / "r")
+    assert [recording.line(at).camera_index for at in range(len(recording))] == list(range(200, 301))  # 10 s
+    np.testing.assert_array_equal(recording.pixels(100), taken[300].frame.pixels)
+
+    monkeypatch.setattr(recorder, "_RECENT_BYTES", 10 * taken[0].frame.pixels.nbytes)
+    recorder_.take(measurement(301, host_time_s=30.1))
+    assert recorder_.recent_frames == 10
+
+
+def test_free_space_is_told_in_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Path] = []
+
+    def usage(path: Path) -> SimpleNamespace:
+        asked.append(path)
+        return SimpleNamespace(free=60 * 10 * 120 * 7)  # seven minutes of ten frames of 120 bytes a second
+
+    monkeypatch.setattr("app.recording.recorder.shutil.disk_usage", usage)
+    recorder_ = Recorder(Timings())
+    assert recorder_.free_minutes(tmp_path) == math.inf
+    for index in range(101):
+        recorder_.take(measurement(index, host_time_s=index / 10))
+    assert recorder_.free_minutes(tmp_path / "not" / "yet") == pytest.approx(7, rel=0.02)
+    assert asked == [tmp_path]
+
+
+def test_another_size_of_frames_ends_the_recording(tmp_path: Path) -> None:
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
+    recording.take(make_record(0))
+    recording.take(make_record(1, frame=make_frame(1, (8, 8))))
+    state = wait(recording, {"ended early"})
+    assert "frame 1" in state.problem
+    assert "from 6 x 10 to 8 x 8" in state.problem
+    assert len(Recording(tmp_path / "r")) == 1
+
+
+def test_a_folder_that_cannot_be_is_refused_before_anything_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    for folder, said in (
+        (tmp_path / "file" / "deep" / "er", "file: is no folder"),
+        (tmp_path / ("a" * 300), "too long"),
+    ):
+        with pytest.raises(InputError, match=said):
+            Recorder(Timings()).start(folder, FACTS)
+    monkeypatch.setattr("os.access", lambda *_: False)  # as for anybody but root in somebody else's folder
+    with pytest.raises(InputError, match="nothing may be written there"):
+        Recorder(Timings()).start(tmp_path / "new" / "er", FACTS)
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
+
+
+def test_a_folder_that_holds_a_recording_is_refused(tmp_path: Path) -> None:
+    write(tmp_path / "r", [make_record(0)])
+    recorder_ = Recorder(Timings())
+    for begin in (recorder_.start, recorder_.keep_recent):
+        with pytest.raises(InputError, match="holds a recording already"):
+            begin(tmp_path / "r", FACTS)
+    assert len(Recording(tmp_path / "r")) == 1
+    recorder_.start(tmp_path / "new", FACTS)
+    with pytest.raises(InputError, match="new: is still being recorded"):
+        recorder_.start(tmp_path / "newer", FACTS)
+    recorder_.close("")
+
+
+def test_recordings_of_one_second_are_beside_one_another(tmp_path: Path) -> None:
+    recorder_ = Recorder(Timings())
+    wanted, seconds = tmp_path / "here" / "20261121-093000", 3
+    for index in range(seconds):
+        recorder_.start(wanted, FACTS, may_rename=True)
+        with pytest.raises(InputError, match="is still being recorded"):
+            recorder_.start(wanted, FACTS, may_rename=True)
+        recorder_.take(measurement(index, host_time_s=float(index)))
+        recorder_.stop()
+        wait(recorder_, {"finished"})
+    recorder_.keep_recent(wanted, FACTS, may_rename=True)
+    recorder_.close("")
+    names = ["20261121-093000", *(f"20261121-093000-{number}" for number in (2, 3, 4))]
+    assert sorted(path.name for path in wanted.parent.iterdir()) == names
+    indices = [[Recording(wanted.parent / name).line(0).camera_index] for name in names[:3]]
+    assert indices == [[0], [1], [2]]
+    assert len(Recording(wanted.parent / names[3])) == seconds
+
+
+def test_programs_that_ask_for_one_name_at_once_get_a_folder_each(tmp_path: Path) -> None:
+    asks = "import sys; from pathlib import Path; from app.recording.folder import new_folder\n"
+    asks += "for _ in range(40): print(new_folder(Path(sys.argv[1])).name)"
+    command = [sys.executable, "-c", asks, str(tmp_path / "r")]
+    programs = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(3)]  # noqa: S603 - ours
+    names = [name for program in programs for name in program.communicate(timeout=HANG_S)[0].split()]
+    assert len(names) == len(set(names)) == 120
+    assert (
+        {path.name for path in tmp_path.iterdir()} == set(names) == {"r", *(f"r-{number}" for number in range(2, 121))}
+    )
+
+
+def test_of_two_writers_that_find_a_folder_free_at_once_the_second_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_writer, "check_free", lambda _: None)  # both have looked before either began
+    first = RunWriter(tmp_path / "r", FACTS)
+    before = (tmp_path / "r" / "run.json").read_bytes()
+    with pytest.raises(InputError, match="r: holds a recording already"):
+        RunWriter(tmp_path / "r", {**FACTS, "command": "measure"})
+    assert (tmp_path / "r" / "run.json").read_bytes() == before
+    first.write(make_record(0))
+    first.close()
+    assert len(Recording(tmp_path / "r")) == 1
+
+
+def test_a_recording_that_could_not_begin_is_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RunError("the disk is full")
+
+    with monkeypatch.context() as full:
+        full.setattr(run_writer, "write_record", fail)
+        with pytest.raises(RunError):
+            RunWriter(tmp_path / "r", FACTS)
+    assert not list((tmp_path / "r").iterdir())
+    write(tmp_path / "r", [make_record(0)])
+    assert len(Recording(tmp_path / "r")) == 1

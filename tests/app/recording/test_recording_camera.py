@@ -1,0 +1,503 @@
+"""A recording in place of devices: its own frames, pace, losses, dark and reference, as any camera would give them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.command_line import run
+from support.recordings import edit_line, record
+
+from app.acquisition.devices import open_camera, open_devices
+from app.bench.config import load_bench, parse_bench, write_bench
+from app.bench.recording_settings import Pace, RecordingSettings
+from app.commands.measure import measure
+from app.errors import InputError, RunError
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import Counts, Measurement
+from app.measurement.routines import Average, average, take_dark, take_reference
+from app.recording.averaged import AveragedFrames
+from app.recording.camera import RecordedCamera
+from app.recording.devices import recorded_devices
+from app.recording.reader import Recording
+from app.recording.record import Record
+from app.recording.run_writer import RunWriter
+from drivers.interface import (
+    BadValue,
+    Camera,
+    DeviceTimeout,
+    Disconnected,
+    Frame,
+    FrameLost,
+    Range,
+    WrongState,
+)
+from reconstruction.wavefront import rms
+from simulated_devices.clock import ManualClock
+
+FRAMES = 6
+GAPS_S = (0.05, 0.05, 30.0, 0.1, 0.05)  # between arrivals
+PLAYED_S = (0.05, 0.05, 1.02, 0.1, 0.05)  # the half minute in which nothing was recorded is made a second
+WITH_LOSSES = (0, 1, 2, 5, 6, 7)  # two were lost before the fourth
+EXPOSURE_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def steady(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Frames that came one exposure after another."""
+    recording = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+    for index in range(FRAMES):
+        edit_line(recording, index, host_time_s=1000 + index * EXPOSURE_S, lost=0, light_current_a=0.25)
+    return Recording(recording.folder)
+
+
+@pytest.fixture(scope="module")
+def recording(steady: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The same frames with gaps and losses."""
+    recording = copied(steady, tmp_path_factory.mktemp("gaps") / "run")
+    host_s = 1000.0
+    for index, gap_s in enumerate((0.0, *GAPS_S)):
+        host_s += gap_s
+        edit_line(recording, index, host_time_s=host_s, lost=2 if index == 3 else 0)
+    return Recording(recording.folder)
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+def camera(recording: Recording, clock: ManualClock) -> Iterator[RecordedCamera]:
+    with player(recording, clock) as camera:
+        yield camera
+
+
+def player(
+    recording: Recording, clock: ManualClock, *, pace: Pace = "own", repeat: bool = True, shows: str = "frames"
+) -> RecordedCamera:
+    frames = range(len(recording))
+    camera = RecordedCamera(recording, frames, pace=pace, repeat=repeat, now=clock.now, sleep=clock.sleep)
+    camera.see(is_lit=shows != "dark", is_sample_in=shows == "frames")
+    return camera
+
+
+def copied(recording: Recording, folder: Path) -> Recording:
+    shutil.copytree(recording.folder, folder)
+    return Recording(folder)
+
+
+def ignore(_what: object, _fraction: float) -> None:
+    """Report nothing."""
+
+
+def never() -> bool:
+    return False
+
+
+def read(camera: Camera) -> Frame:
+    return camera.read(10.0)
+
+
+def test_frames_come_at_their_own_pace_and_again_after_the_last(
+    camera: RecordedCamera, recording: Recording, clock: ManualClock
+) -> None:
+    camera.start()
+    came_s, frames = [], []
+    for _ in range(2 * FRAMES):
+        frames.append(read(camera))
+        came_s.append(clock.now())
+    for at, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.pixels, recording.pixels(at % FRAMES))
+        assert (frame.exposure_s, frame.em_gain) == (EXPOSURE_S, 8.0)
+    np.testing.assert_allclose(np.diff(came_s), [*PLAYED_S, EXPOSURE_S, *PLAYED_S])
+    assert [frame.index for frame in frames] == [*WITH_LOSSES, *(8 + index for index in WITH_LOSSES)]
+    np.testing.assert_allclose([frame.host_time_s for frame in frames], came_s)
+    np.testing.assert_allclose([frame.camera_time_s for frame in frames], came_s)
+
+
+def test_what_was_lost_before_the_first_frame_is_not_lost_again_when_it_comes_again(
+    steady: Recording, clock: ManualClock, tmp_path: Path
+) -> None:
+    edited = copied(steady, tmp_path / "run")
+    edit_line(edited, 0, lost=3)
+    with player(Recording(edited.folder), clock) as camera:
+        camera.start()
+        assert [read(camera).index for _ in range(FRAMES + 2)] == list(range(FRAMES + 2))
+
+
+def test_at_the_fastest_pace_frames_come_when_they_are_waited_for(recording: Recording, clock: ManualClock) -> None:
+    """None lies in the camera unread, so that whoever is slow has not to pass any over."""
+    with player(recording, clock, pace="fastest", repeat=False) as camera:
+        camera.start()
+        frames = []
+        for index in range(FRAMES):
+            clock.sleep(5.0 * index)
+            before_s = clock.now()
+            with pytest.raises(DeviceTimeout):
+                camera.read(0.0)
+            frames.append(camera.read(0.1))
+            assert clock.now() == before_s
+    for index, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame.pixels, recording.pixels(index))
+    assert [frame.index for frame in frames] == [*WITH_LOSSES]
+    np.testing.assert_allclose(np.diff([frame.camera_time_s for frame in frames]), PLAYED_S)
+
+
+@pytest.mark.parametrize("pace", ["own", "fastest"])
+def test_at_its_end_no_frame_comes_and_it_says_why(recording: Recording, clock: ManualClock, pace: Pace) -> None:
+    with player(recording, clock, pace=pace, repeat=False) as camera:
+        camera.start()
+        for _ in range(FRAMES):
+            read(camera)
+        for _ in range(2):
+            before_s = clock.now()
+            with pytest.raises(DeviceTimeout, match=f"recording run has ended: its {FRAMES} frames have been shown"):
+                camera.read(0.1)
+            assert clock.now() == pytest.approx(before_s + 0.1)
+            camera.stop()
+            camera.start()
+        camera.see(is_lit=False, is_sample_in=True)
+        assert read(camera).index == 0  # its dark is still there
+
+
+def test_it_goes_on_where_it_was_stopped(camera: RecordedCamera, recording: Recording) -> None:
+    camera.start()
+    read(camera)
+    read(camera)
+    camera.stop()
+    with pytest.raises(WrongState):
+        read(camera)
+    camera.start()
+    frame = read(camera)
+    assert frame.index == 0
+    np.testing.assert_array_equal(frame.pixels, recording.pixels(2))
+
+
+def test_no_frame_comes_before_its_time(camera: RecordedCamera, clock: ManualClock) -> None:
+    camera.start()
+    before_s = clock.now()
+    with pytest.raises(DeviceTimeout):
+        camera.read(0.0)
+    assert clock.now() == before_s
+    with pytest.raises(DeviceTimeout):
+        camera.read(0.015)
+    assert clock.now() == pytest.approx(before_s + 0.015)
+    camera.read(0.01)
+    assert clock.now() == pytest.approx(before_s + 0.02)
+
+
+def test_who_was_away_misses_little(camera: RecordedCamera, clock: ManualClock) -> None:
+    """After an hour the recording has waited: it is a second behind, not an hour."""
+    camera.start()
+    read(camera)
+    clock.sleep(3600)
+    read(camera)
+    before_s = clock.now()
+    for _ in range(FRAMES):
+        read(camera)
+    assert clock.now() > before_s
+
+
+def test_dark_and_reference_are_the_recorded_ones(recording: Recording) -> None:
+    """And taking them does not move the recording on."""
+    kept = recording.calibration(0)
+    assert kept.dark is not None
+    with recorded_devices(recording, range(FRAMES), pace="fastest") as devices:
+        assert not devices.light.is_on
+        assert not devices.stage.is_sample_in
+        taken = {"dark": take_dark(devices, kept.dark.frames, progress=ignore, should_stop=never)}
+        taken["reference"] = take_reference(devices, kept.reference.frames, progress=ignore, should_stop=never)
+        devices.light.set_on(True)
+        devices.stage.set_sample_in(True)
+        devices.camera.start()
+        np.testing.assert_array_equal(devices.camera.read(1.0).pixels, recording.pixels(0))
+    for what, was in (("dark", kept.dark), ("reference", kept.reference)):
+        now = taken[what]
+        np.testing.assert_array_equal(now.mean, was.mean, err_msg=what)
+        assert now.variance.mean() == pytest.approx(was.variance.mean(), rel=0.02), what
+        assert (now.frames, now.exposure_s, now.em_gain, now.amplifier) == (
+            was.frames,
+            was.exposure_s,
+            was.em_gain,
+            was.amplifier,
+        )
+
+
+@pytest.mark.parametrize("frames", [1, 2, 4, 5, 20])
+@pytest.mark.parametrize(
+    ("level", "spread", "tolerance"),
+    [(500.3, 6.0, 0.02), (3000.0, 50.0, 0.02), (0.4, 0.6, 0.3), (65534.0, 3.0, 0.6), (65535.0, 0.0, 0.0)],
+)
+def test_frames_have_the_average_that_was_kept(frames: int, level: float, spread: float, tolerance: float) -> None:
+    """At both ends of the scale, too, where there is no room to go up and down: then the mean comes first."""
+    rng = np.random.default_rng(frames)
+    seen = np.clip(np.rint(rng.normal(level, spread, (frames, 60, 70))), 0, 65535)
+    variance = seen.var(axis=0, ddof=min(frames - 1, 1)).astype(np.float32)
+    kept = Average(seen.mean(axis=0).astype(np.float32), variance, frames, EXPOSURE_S, 1.0, "em")
+    made = AveragedFrames(kept, 65535)
+    for first in (0, 3 * frames, 7):  # any so many in a row
+        shown = np.array([made.pixels(first + index) for index in range(frames)], np.float64)
+        np.testing.assert_array_equal(shown.mean(axis=0).astype(np.float32), kept.mean)
+        scatter = shown.var(axis=0, ddof=min(frames - 1, 1)).mean()
+        assert scatter == pytest.approx(variance.mean(), rel=tolerance, abs=1e-6)
+
+
+def test_all_of_a_frame_does_not_flicker_together() -> None:
+    kept = Average(np.full((90, 80), 500.5, np.float32), np.full((90, 80), 36, np.float32), 20, 0.02, 1.0, "em")
+    made = AveragedFrames(kept, 65535)
+    levels = [made.pixels(index).mean() for index in range(20)]
+    assert np.std(levels) < 3 * 6 / np.sqrt(90 * 80)
+
+
+@pytest.fixture(scope="module")
+def two_references(steady: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A recording in which a longer reference was taken half-way, with no dark for it."""
+    kept = steady.calibration(0)
+    longer = replace(kept.reference, mean=kept.reference.mean + 100, exposure_s=0.04)
+    return written(steady, tmp_path_factory.mktemp("two") / "run", (kept, replace(kept, reference=longer, dark=None)))
+
+
+def written(source: Recording, folder: Path, calibrations: tuple[Calibration | None, ...]) -> Recording:
+    """The frames of a recording again, each so many with the next of some calibrations."""
+    with closing(RunWriter(folder, {"command": "live", "bench": write_bench(source.bench)})) as writer:
+        for index in range(FRAMES):
+            calibration = calibrations[index * len(calibrations) // FRAMES]
+            frame = replace(source.frame(index), exposure_s=0.02 if index < FRAMES // 2 else 0.04)
+            writer.write(Record.of(Measurement(frame, None, "", Counts(), 0, 0, calibration=calibration), 0))
+        writer.finish("", acquired=FRAMES, facts={})
+    return Recording(folder)
+
+
+def test_dark_and_reference_belong_to_the_next_frame(two_references: Recording, clock: ManualClock) -> None:
+    with player(two_references, clock, pace="fastest") as camera:
+        for half, exposure_s in enumerate((0.02, 0.04)):
+            kept = two_references.calibration(half)
+            camera.see(is_lit=True, is_sample_in=False)
+            shown = average(camera, kept.reference.frames, progress=ignore, should_stop=never)
+            np.testing.assert_array_equal(shown.mean, kept.reference.mean)
+            assert (shown.exposure_s, camera.capabilities.exposure_range_s.maximum) == (exposure_s, exposure_s)
+            camera.see(is_lit=True, is_sample_in=True)
+            assert [read(camera).exposure_s for _ in range(FRAMES // 2)] == [exposure_s] * (FRAMES // 2)
+            assert camera.exposure_s == exposure_s
+            camera.stop()
+
+
+def test_what_is_allowed_follows_what_is_seen(two_references: Recording, clock: ManualClock) -> None:
+    with player(two_references, clock, pace="fastest") as camera:
+        camera.start()
+        for exposure_s in (0.02, 0.02, 0.02, 0.04, 0.04):
+            read(camera)
+            assert camera.capabilities.exposure_range_s == Range(exposure_s, exposure_s)
+        camera.stop()
+    with player(two_references, clock, pace="fastest") as camera:
+        camera.start()
+        for _ in range(FRAMES // 2):
+            read(camera)
+        for is_sample_in, exposure_s in ((True, 0.02), (False, 0.04), (True, 0.02)):
+            camera.see(is_lit=True, is_sample_in=is_sample_in)
+            assert camera.exposure_s == exposure_s
+            assert camera.capabilities.exposure_range_s == Range(exposure_s, exposure_s)
+
+
+def test_what_was_not_recorded_is_not_made_up(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+    kept = steady.calibration(0)
+    without_dark = written(steady, tmp_path / "bright", (replace(kept, dark=None),))
+    without_any = written(steady, tmp_path / "bare", (None,))
+    for recording, shows, sentence in (
+        (without_dark, "dark", "recording bright holds no dark"),
+        (without_any, "dark", "recording bare holds no dark"),
+        (without_any, "reference", "recording bare holds no reference"),
+    ):
+        with player(recording, clock, shows=shows) as camera:
+            camera.start()
+            with pytest.raises(DeviceTimeout, match=sentence):
+                read(camera)
+            camera.see(is_lit=True, is_sample_in=True)
+            np.testing.assert_array_equal(read(camera).pixels, steady.pixels(0))
+
+
+def test_a_damaged_frame_is_lost_and_the_others_come(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+    recording = copied(steady, tmp_path / "run")
+    chunk = recording.folder / "frames.zarr" / "0" / "c" / "1" / "0" / "0"
+    chunk.write_bytes(chunk.read_bytes()[:1000])
+    with player(recording, clock) as camera:
+        camera.start()
+        read(camera)
+        with pytest.raises(FrameLost, match="is damaged: 1000 bytes instead of"):
+            read(camera)
+        frame = read(camera)
+        assert frame.index == 2
+        assert clock.now() == pytest.approx(3 * EXPOSURE_S)
+        np.testing.assert_array_equal(frame.pixels, steady.pixels(2))
+
+
+def test_it_can_be_opened_though_its_first_frame_is_damaged(steady: Recording, tmp_path: Path) -> None:
+    recording = copied(steady, tmp_path / "run")
+    (recording.folder / "frames.zarr/0/c/0/0/0").unlink()
+    with player(recording, ManualClock(), pace="fastest") as camera:
+        camera.start()
+        with pytest.raises(FrameLost, match="the pixels of frame 0 are missing"):
+            read(camera)
+        frame = read(camera)
+        assert frame.index == 1
+        np.testing.assert_array_equal(frame.pixels, steady.pixels(1))
+
+
+def test_a_damaged_calibration_is_a_lost_device(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+    recording = copied(steady, tmp_path / "run")
+    (recording.folder / "calibrations" / "0" / "reference.npz").write_bytes(b"PK")
+    with player(recording, clock, shows="reference") as camera:
+        with pytest.raises(Disconnected, match=r"reference\.npz: cannot be read"):
+            camera.start()
+        assert camera.state == "lost"
+
+
+def test_an_unfinished_recording_plays_what_is_there(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+    """As a program leaves it that dies in the middle of a line."""
+    folder = copied(steady, tmp_path / "run").folder
+    facts = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps({**facts, "complete": False}))
+    lines = (folder / "frames.jsonl").read_bytes()
+    (folder / "frames.jsonl").write_bytes(lines[:-20])
+    with player(Recording(folder), clock, repeat=False) as camera:
+        camera.start()
+        for index in range(FRAMES - 1):
+            np.testing.assert_array_equal(read(camera).pixels, steady.pixels(index))
+        with pytest.raises(DeviceTimeout, match="has ended"):
+            read(camera)
+
+
+def bench_text(toml: Path, folder: Path, **settings: object) -> str:
+    """The bench of a TOML file with a recording as its camera."""
+    camera = RecordingSettings(folder=str(folder), **settings)  # type: ignore[arg-type] # they are checked when read
+    return write_bench(replace(load_bench(toml), camera=camera))
+
+
+def test_a_bench_names_a_recording(small_toml: Path, steady: Recording) -> None:
+    bench = parse_bench(bench_text(small_toml, steady.folder, repeat=True), "bench")
+    assert bench.camera == RecordingSettings(folder=str(steady.folder), repeat=True)
+    with open_devices(bench, lambda _: None) as devices:
+        assert (devices.camera.name, devices.light.name, devices.stage.name) == (
+            "recording run",
+            "as recorded",
+            "as recorded",
+        )
+        assert not devices.light.is_on
+        assert not devices.stage.is_sample_in
+        with pytest.raises(BadValue, match=r"exposure_s = 0.5 is outside 0.02 ... 0.02"):
+            devices.camera.set_exposure(0.5)
+        with pytest.raises(BadValue, match="there is no mask 'stars'"):
+            devices.stage.set_mask("stars")
+        for is_on, is_in in ((False, True), (True, True), (True, False), (False, False)):
+            devices.light.set_on(is_on)
+            devices.stage.set_sample_in(is_in)
+            assert (devices.light.is_on, devices.stage.is_sample_in) == (is_on, is_in)
+    assert devices.camera.state == "closed"
+    with pytest.raises(InputError, match="has no device of its own"):
+        open_camera(bench.camera)
+
+
+@pytest.mark.parametrize(
+    ("override", "sentence"),
+    [
+        (
+            'light.driver="thorlabs_dc2200"',
+            "is of no use: a recording sees no real light",
+        ),
+        ('camera.pace="slow"', 'camera.pace: must be one of "own", "fastest"'),
+        ("camera.repeat=1", "camera.repeat: must be true or false"),
+        ("camera.exposure_s=0.1", "camera: unknown key exposure_s"),
+    ],
+)
+def test_what_cannot_be_is_one_line(small_toml: Path, steady: Recording, override: str, sentence: str) -> None:
+    text = bench_text(small_toml, steady.folder)
+    if override.startswith("light"):
+        text = text[: text.index("[light]")] + text[text.index("[simulation]") :]
+    with pytest.raises(InputError, match=sentence) as refused:
+        parse_bench(text, "bench", (override,))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_recording_must_be_named(small_toml: Path) -> None:
+    text = bench_text(small_toml, Path("run")).replace('folder = "run"\n', "")
+    with pytest.raises(InputError, match=r"camera\.folder: is missing"):
+        parse_bench(text, "bench")
+
+
+def test_a_recording_that_cannot_be_is_refused_when_it_is_opened(
+    small_toml: Path, steady: Recording, tmp_path: Path
+) -> None:
+    empty = tmp_path / "empty"
+    with closing(RunWriter(empty, {"command": "live", "bench": write_bench(steady.bench)})) as writer:
+        writer.finish("", acquired=0, facts={})
+    damaged = copied(steady, tmp_path / "damaged").folder
+    (damaged / "run.json").write_text("{")
+    for folder, sentence in (
+        (tmp_path / "nowhere", "no such folder"),
+        (tmp_path, "holds no recording"),
+        (empty, "holds no frame"),
+        (damaged, r"run\.json: cannot be read"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            open_devices(parse_bench(bench_text(small_toml, folder), "bench"), lambda _: None)
+    other = parse_bench(bench_text(small_toml, steady.folder), "bench", ("sensor.pixel_pitch_m=15e-6",))
+    with pytest.raises(InputError, match=r"pixel_pitch_m = 1\.5e-05, but that of recording run is 1\.6e-05"):
+        open_devices(other, lambda _: None)
+
+
+def test_measuring_it_gives_what_it_holds(small_toml: Path, tmp_path: Path) -> None:
+    """Dark and reference to the last bit, the displacements but for the noise of the average, told by its variance."""
+    measure(load_bench(small_toml), 12, tmp_path / "run", ignore)
+    again = parse_bench(bench_text(small_toml, tmp_path / "run", pace="fastest"), "bench")
+    made = measure(again, 12, tmp_path / "again", ignore)
+    assert (made.recorded, made.reconstructed) == (12, 12)
+    then, now = Recording(tmp_path / "run"), Recording(tmp_path / "again")
+    for name in ("dark", "reference"):
+        files = [(recording.folder / f"{name}.tif").read_bytes() for recording in (then, now)]
+        assert files[0] == files[1]
+    with (
+        xr.open_dataset(tmp_path / "run" / "results.nc") as expected,
+        xr.open_dataset(tmp_path / "again" / "results.nc") as found,
+    ):
+        np.testing.assert_array_equal(found["valid"], expected["valid"])
+        np.testing.assert_allclose(found["displacement"], expected["displacement"], rtol=0, atol=1e-3)
+        assert float(np.abs(expected["displacement"]).max()) > 0.3
+        np.testing.assert_allclose(found["rms"], expected["rms"], rtol=1e-3)
+    for index in range(12):
+        np.testing.assert_array_equal(now.pixels(index), then.pixels(index))
+        assert now.line(index).exposure_s == then.line(index).exposure_s
+        assert now.line(index).em_gain == then.line(index).em_gain
+        assert now.line(index).light_current_a == then.line(index).light_current_a
+
+
+def test_measuring_more_than_it_holds_keeps_all_of_it(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
+    bench = parse_bench(bench_text(small_toml, steady.folder), "bench")
+    with pytest.raises(RunError, match=f"recording run has ended: its {FRAMES} frames have been shown"):
+        measure(bench, FRAMES + 1, tmp_path / "again", ignore)
+    made = Recording(tmp_path / "again")
+    assert made.is_complete
+    assert len(made) == FRAMES
+    np.testing.assert_array_equal(made.pixels(FRAMES - 1), steady.pixels(FRAMES - 1))
+    assert (tmp_path / "again" / "results.nc").exists()
+
+
+def test_the_window_opens_on_it(
+    small_toml: Path, steady: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the command, unseen; what it leaves is the wavefront of one of the frames."""
+    bench, out = tmp_path / "bench.toml", tmp_path / "out"
+    bench.write_text(bench_text(small_toml, steady.folder, repeat=True))
+    assert run(monkeypatch, "live", "--bench", bench, "--seconds", "0.5", "--out", out) == 0
+    assert (out / "window.png").stat().st_size > 10_000
+    reconstructor = steady.calibration(0).reconstructor()
+    expected = [rms(reconstructor(steady.pixels(index)).views) for index in range(FRAMES)]
+    with xr.open_dataset(out / "result.nc") as shown:
+        assert any(np.allclose(shown["rms"], each, rtol=5e-3) for each in expected)

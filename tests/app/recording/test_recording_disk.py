@@ -1,0 +1,176 @@
+"""A recording on a disk that is full, fails or cannot follow: it ends, with all that was acknowledged."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.optics import SmallBench
+from support.patience import HANG_S
+from support.records import FACTS, make_chain, make_record, noisy_calibration, wait
+
+from app.measurement.calibration import Calibration
+from app.recording import background
+from app.recording.background import BackgroundRecording
+from app.recording.frame_array import FrameArray
+from app.recording.reader import Recording
+from app.recording.recover import recover
+from app.recording.run_writer import RunWriter
+from app.timing import Timings
+from reconstruction.arrays import Floats
+
+
+@pytest.fixture(scope="module")
+def calibration(small_bench: SmallBench) -> Calibration:
+    return noisy_calibration(small_bench)
+
+
+@pytest.mark.parametrize("partly", [False, True])
+def test_a_full_disk_ends_the_recording_with_all_that_was_acknowledged(
+    tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, partly: bool
+) -> None:
+    put = FrameArray.write
+
+    def fill_up(array: FrameArray, index: int, values: Floats) -> int:
+        written = put(array, index, values)
+        if index == 5 and (values.dtype != np.uint16 or not partly):
+            raise OSError(errno.ENOSPC, "No space left on device", "the disk")
+        return written
+
+    monkeypatch.setattr(FrameArray, "write", fill_up)
+    records = make_chain(calibration, 12)
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=records)
+    state = wait(recording, {"ended early"})
+    assert (state.frames, state.waiting) == (5, 0)
+    assert state.problem == "the disk: cannot be written: No space left on device"
+    recording.take(records[0])  # the live view goes on
+    read = Recording(tmp_path / "r")
+    assert (len(read), read.is_complete, read.ended_early) == (5, True, state.problem)
+    np.testing.assert_array_equal(read.pixels(4), records[4].frame.pixels)
+    assert read.run["frames"]["acquired"] == 12
+    assert not read.is_whole(5)  # what was begun has made room to finish
+
+
+def test_a_line_that_finds_half_the_room_it_needs_is_taken_back(
+    tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Filling:
+        """A file on a disk that is full after so many bytes."""
+
+        def __init__(self, file: Any, room: int) -> None:
+            self._file, self._room = file, room
+
+        def write(self, data: memoryview) -> int:
+            if not self._room:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            written = self._file.write(data[: self._room])
+            self._room -= written
+            return int(written)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._file, name)
+
+    begin = RunWriter.__init__
+
+    def begin_on_full_disk(writer: RunWriter, folder: Path, facts: Any) -> None:
+        begin(writer, folder, facts)
+        writer._lines = Filling(writer._lines, 1000)  # type: ignore[assignment] # it acts like one
+
+    monkeypatch.setattr(RunWriter, "__init__", begin_on_full_disk)
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=make_chain(calibration, 9))
+    state = wait(recording, {"ended early"})
+    assert state.problem == f"{tmp_path / 'r'}: cannot be written: No space left on device"
+    read = Recording(tmp_path / "r")
+    assert len(read) == state.frames == read.run["frames"]["recorded"] > 0
+    assert (tmp_path / "r" / "frames.jsonl").read_text().endswith("}\n")
+
+
+def test_a_disk_that_takes_nothing_at_all_leaves_what_recover_finishes(
+    tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.EIO, "Input/output error", "the disk")
+
+    def fail_to_finish(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", "the disk")
+
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=make_chain(calibration, 4))
+    while recording.state.frames < 4:
+        time.sleep(0.005)
+    with monkeypatch.context() as broken:
+        broken.setattr(FrameArray, "write", fail)
+        broken.setattr(FrameArray, "set_length", fail_to_finish)
+        recording.take(make_record(4, calibration))
+        state = wait(recording, {"ended early"})
+    assert state.problem == "the disk: cannot be written: Input/output error"
+    assert not Recording(tmp_path / "r").is_complete
+    assert recover(tmp_path / "r").frames == 4
+    assert Recording(tmp_path / "r").is_complete
+
+
+def test_a_disk_that_cannot_follow_ends_the_recording_and_nobody_waits_for_it(
+    tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(background, "_QUEUED_FRAMES", 8)
+    is_free, put = threading.Event(), FrameArray.write
+
+    def slowly(array: FrameArray, index: int, values: Floats) -> int:
+        is_free.wait(HANG_S)
+        return put(array, index, values)
+
+    monkeypatch.setattr(FrameArray, "write", slowly)
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
+    for record in make_chain(calibration, 20):  # on a disk that writes nothing
+        recording.take(record)
+    state = recording.state
+    assert state.stage == "finishing"
+    assert "cannot follow: 8 frames" in state.problem
+    is_free.set()
+    assert wait(recording, {"ended early"}).frames in {8, 9}  # what was in the queue, and perhaps in the writer's hand
+    assert Recording(tmp_path / "r").ended_early == state.problem
+
+
+def test_the_queue_is_bounded_in_bytes_too(
+    tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = make_record(0, calibration)
+    monkeypatch.setattr(background, "_QUEUED_BYTES", 2.5 * record.nbytes)
+    is_free = threading.Event()
+    monkeypatch.setattr(FrameArray, "write", lambda *_: is_free.wait(HANG_S))
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
+    for _ in range(5):
+        recording.take(record)
+    assert "cannot follow" in recording.state.problem
+    is_free.set()
+    recording.join()
+
+
+def test_a_sync_that_fails_is_not_swallowed(
+    tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: RunWriter) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
+    monkeypatch.setattr(background, "_SYNC_S", 0.0)
+    monkeypatch.setattr(RunWriter, "sync", fail)
+    for record in make_chain(calibration, 3):
+        recording.take(record)
+        time.sleep(0.05)
+    assert "Input/output error" in wait(recording, {"ended early"}).problem
+
+
+def test_a_sync_is_asked_of_the_operating_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a power cut would take lines that had long been acknowledged."""
+    synced: list[int] = []
+    monkeypatch.setattr("os.fsync", lambda number: synced.append(os.fstat(number).st_ino))
+    with closing(RunWriter(tmp_path / "r", FACTS)) as writer:
+        writer.sync()
+    assert synced == [(tmp_path / "r" / "frames.jsonl").stat().st_ino]

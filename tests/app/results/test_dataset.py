@@ -1,0 +1,126 @@
+"""Results as others read them: names, dimensions, units, and the numbers themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.optics import SmallBench
+from support.paths import FOREIGN_FRAMES
+
+from app.bench.config import load_bench, parse_bench
+from app.errors import InputError
+from app.results.dataset import result_dataset, stack_frames, write_pieces, write_results
+
+BENCH = load_bench(
+    FOREIGN_FRAMES / "bench.toml",
+    ("sensor.lenslet_rows=7", "sensor.lenslet_columns=9", "registration.warp=affine", "reconstruction.pupil_modes=21"),
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(small_bench: SmallBench) -> xr.Dataset:
+    frame = small_bench.reference.copy()
+    x, y = small_bench.lattice.lenslet_centers_px(7, 9)[2, 5]
+    frame[int(y - 14) : int(y + 16), int(x - 14) : int(x + 16)] = 0
+    return result_dataset(small_bench.reconstructor()(frame), BENCH)
+
+
+def test_the_contract_of_names_dimensions_and_units(dataset: xr.Dataset, tmp_path: Path) -> None:
+    write_results(tmp_path / "r.nc", dataset, bench=BENCH, inputs={"frame": "f.tif", "reference": "r.tif"})
+    with xr.open_dataset(tmp_path / "r.nc") as read:
+        read.load()
+    dimensions = {
+        "wavefront": ("view_row", "view_column", "lenslet_row", "lenslet_column"),
+        "displacement": ("lenslet_row", "lenslet_column", "field_mode", "xy"),
+        "valid": ("lenslet_row", "lenslet_column"),
+        "residual_rms": ("lenslet_row", "lenslet_column"),
+        "coefficients": ("pupil_mode", "field_mode"),
+        "coefficients_sigma": ("pupil_mode", "field_mode"),
+        "wavefront_sigma": ("view_row", "view_column", "lenslet_row", "lenslet_column"),
+        "chi_square": ("lenslet_row", "lenslet_column"),
+        "mtf_x": ("view_row", "view_column", "frequency_x"),
+        "mtf_limit_y": ("view_row", "view_column", "frequency_y"),
+        "structure_rms": ("separation",),
+        "global_error_view": ("view_row", "view_column"),
+        "isoplanatic_patch": (),
+        "slope_chi_square": (),
+    }
+    for name, names in dimensions.items():
+        assert read[name].dims == names
+    assert dict(read.sizes) == {
+        "view_row": 3,
+        "view_column": 3,
+        "lenslet_row": 7,
+        "lenslet_column": 9,
+        "field_mode": 3,
+        "xy": 2,
+        "pupil_mode": 21,
+        "frequency_x": 55,
+        "frequency_y": 43,
+        "separation": 8,
+    }
+    units = {"wavefront": "rad", "coefficients": "rad", "displacement": "px", "view_x": "m", "pupil_y": "m"}
+    assert {name: read[name].attrs["units"] for name in units} == units
+    np.testing.assert_allclose(read["view_x"], [-0.5e-3, 0, 0.5e-3])
+    np.testing.assert_allclose(read["pupil_x"], np.arange(-4, 5) * 0.5e-3)
+    np.testing.assert_allclose(read["pupil_y"], np.arange(-3, 4) * 0.5e-3)
+    assert parse_bench(read.attrs["bench"], "attribute") == BENCH
+    assert read.attrs["software"].startswith("svwfs ")
+    assert (read.attrs["frame"], read.attrs["reference"]) == ("f.tif", "r.tif")
+    xr.testing.assert_identical(read["wavefront"].drop_attrs(), dataset["wavefront"].drop_attrs())
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_lost_lenslet_is_marked_and_holds_no_number(dataset: xr.Dataset) -> None:
+    valid = dataset["valid"].to_numpy()
+    assert not valid[2, 5]
+    assert np.count_nonzero(~valid) == 1
+    assert np.isnan(dataset["displacement"].to_numpy()[2, 5]).all()
+    assert np.isnan(dataset["residual_rms"].to_numpy()[2, 5])
+
+
+def test_frames_are_stacked_along_a_new_first_dimension(dataset: xr.Dataset) -> None:
+    stacked = stack_frames([dataset, dataset * 2], [4, 7], [0.1, 0.2], [np.nan, 0.5])
+    assert stacked["wavefront"].dims[0] == "frame"
+    np.testing.assert_array_equal(stacked["frame_index"], [4, 7])
+    np.testing.assert_allclose(stacked["wavefront"][1], 2 * dataset["wavefront"])
+    assert stacked["view_x"].dims == ("view_column",)
+
+
+def test_pieces_make_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: Path) -> None:
+    frames = [
+        dataset.assign(rms=dataset["rms"] * factor, valid=dataset["valid"] ^ bool(factor % 2)) for factor in range(5)
+    ]
+    whole = stack_frames(frames, [0, 1, 3, 4, 9], [0.0, 0.1, 0.3, 0.4, 0.9], [0.0] * 5)
+    write_results(tmp_path / "whole.nc", whole, bench=BENCH, inputs={"recording": "r"})
+    pieces = (whole.isel(frame=part) for part in (slice(0, 2), slice(2, 3), slice(3, 5)))
+    write_pieces(tmp_path / "pieces.nc", pieces, bench=BENCH, inputs={"recording": "r"})
+    with xr.open_dataset(tmp_path / "whole.nc") as one, xr.open_dataset(tmp_path / "pieces.nc") as other:
+        xr.testing.assert_identical(one, other)
+        assert other.sizes["frame"] == 5
+        xr.testing.assert_identical(other["rms"].drop_attrs(), whole["rms"].drop_attrs())
+        xr.testing.assert_identical(other["valid"].drop_attrs(), whole["valid"].drop_attrs())
+
+
+def test_pieces_of_another_shape_are_refused_and_leave_nothing(dataset: xr.Dataset, tmp_path: Path) -> None:
+    whole = stack_frames([dataset], [0], [0.0], [0.0])
+    fewer = whole.isel(pupil_mode=slice(0, 10))
+    with pytest.raises(InputError, match="the settings changed"):
+        write_pieces(tmp_path / "r.nc", [whole, fewer], bench=BENCH, inputs={})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_flat_wavefront_is_as_good_as_light_allows(small_bench: SmallBench) -> None:
+    flat = result_dataset(small_bench.reconstructor()(small_bench.reference), BENCH, with_psf=True)
+    np.testing.assert_allclose(flat["strehl"], 1, atol=1e-4)
+    np.testing.assert_allclose(flat["mtf_x"], flat["mtf_limit_x"], atol=1e-3)
+    triangle = 1 - flat["frequency_x"] * BENCH.sensor.wavelength_m / (9 * BENCH.sensor.lenslet_pitch_m)
+    np.testing.assert_allclose(flat["mtf_x"][1, 1], triangle, atol=1e-3)
+    assert np.isinf(flat["isoplanatic_patch"])
+    assert float(flat["global_error"]) < 1e-3
+    brightest = flat["psf"][1, 1].argmax(["angle_y", "angle_x"])
+    assert abs(float(flat["angle_x"][brightest["angle_x"]])) < 1e-9
+    assert float(flat["psf"][1, 1].max()) == pytest.approx(1, abs=1e-3)

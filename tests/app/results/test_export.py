@@ -1,0 +1,287 @@
+"""Exports read back by other programs' libraries, against the recording."""
+
+from __future__ import annotations
+
+import json
+import re
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from support.command_line import run
+from support.optics import FIELD, sensor_of
+from support.recordings import record, replace_pixels
+
+from app.bench.config import parse_bench
+from app.errors import InputError, Interrupted, RunError
+from app.recording.reader import Recording
+from app.results.export.imagej import write_stack
+from app.results.export.psf_grid import psf_grid, psf_reach, write_psf_grid
+from app.results.export.run import Format, export
+from app.results.replay import results
+from reconstruction.arrays import Floats
+from reconstruction.quality.image_quality import diffraction_rad
+from reconstruction.solve.modal import ModalSolution
+from reconstruction.wavefront import rms
+
+SENSOR = sensor_of(7, 9)
+
+
+@pytest.fixture(scope="module")
+def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=9)
+
+
+@pytest.fixture(scope="module")
+def zonal(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    folder = tmp_path_factory.mktemp("recording") / "zonal"
+    return record(small_toml, folder, "reconstruction.method=zonal", frames=2)
+
+
+def exported(recording: Recording, to: Format, out: Path, **options: Any) -> Path:
+    given: dict[str, Any] = {"frames": None, "overwrite": False, "report": lambda *_: None}
+    export(recording.folder, to, out, **{**given, **options})
+    return out
+
+
+def read_table(path: Path) -> NDArray[np.void]:
+    return np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True))
+
+
+def names_of(table: NDArray[np.void]) -> tuple[str, ...]:
+    assert table.dtype.names is not None
+    return table.dtype.names
+
+
+def test_tiff_is_a_film_for_imagej(recording: Recording, tmp_path: Path) -> None:
+    with tifffile.TiffFile(exported(recording, "tiff", tmp_path / "run.tif")) as file:
+        assert file.is_bigtiff
+        assert file.is_imagej
+        assert file.imagej_metadata is not None
+        metadata = file.imagej_metadata
+        assert (file.series[0].axes, len(file.pages)) == ("TYX", 9)
+        pixels = file.asarray()
+        resolution = file.pages.first.tags["XResolution"].value
+    np.testing.assert_array_equal(pixels, [recording.pixels(index) for index in range(9)])
+    assert pixels.dtype == np.uint16
+    lines = [recording.line(index) for index in range(9)]
+    for line, label in zip(lines, metadata["Labels"], strict=True):
+        assert label == f"frame {line.index}: t = {line.camera_time_s:.6f} s, exposure 20 ms, em gain 8"
+    times_s = np.array([line.camera_time_s for line in lines])
+    assert metadata["finterval"] == pytest.approx(np.median(np.diff(times_s)))
+    assert (metadata["images"], metadata["frames"], metadata["unit"]) == (9, 9, "um")
+    assert resolution[1] / resolution[0] == pytest.approx(16.0)  # um a pixel
+    assert parse_bench(metadata["Info"], "Info").lattice == recording.calibration(0).lattice
+
+
+def test_some_frames_and_a_single_one(recording: Recording, tmp_path: Path) -> None:
+    some = tifffile.imread(exported(recording, "tiff", tmp_path / "some.tif", frames="2:5"))
+    np.testing.assert_array_equal(some, [recording.pixels(index) for index in (2, 3, 4)])
+    one = tifffile.imread(exported(recording, "tiff", tmp_path / "one.tif", frames="-1:"))
+    np.testing.assert_array_equal(one, recording.pixels(8))
+
+
+def test_a_stack_is_written_image_by_image(tmp_path: Path) -> None:
+    """However many there are, few are in memory."""
+    alive: list[weakref.ref[NDArray[Any]]] = []
+    most = 0
+
+    def images() -> Iterator[NDArray[np.uint16]]:
+        nonlocal most
+        for index in range(50):
+            image = np.full((20, 30), index, np.uint16)
+            alive.append(weakref.ref(image))
+            most = max(most, sum(each() is not None for each in alive))
+            yield image
+
+    labels = [str(index) for index in range(50)]
+    write_stack(tmp_path / "s.tif", images(), labels=labels, information="", pixel_um=16.0)
+    assert most <= 3
+    with tifffile.TiffFile(tmp_path / "s.tif") as file:
+        assert file.series[0].axes == "ZYX"  # without an interval it is no film
+        np.testing.assert_array_equal(file.asarray()[:, 3, 4], range(50))
+
+
+def test_csv_is_what_was_recorded_to_the_last_bit(recording: Recording, tmp_path: Path) -> None:
+    table = read_table(exported(recording, "csv", tmp_path / "run.csv"))
+    expected = recording.calibration(0).reconstructor()
+    assert len(table) == 9
+    for index in range(9):
+        row, line = table[index], recording.line(index)
+        assert (row["frame"], row["camera_frame"], row["time_s"]) == (index, line.camera_index, line.camera_time_s)
+        assert (row["exposure_s"], row["em_gain"], row["valid_lenslets"]) == (line.exposure_s, line.em_gain, line.valid)
+        coefficients = recording.coefficients(index)
+        assert coefficients is not None
+        again = np.empty_like(coefficients)
+        for mode in np.ndindex(again.shape):
+            again[mode] = row[f"e_{mode[0]}_{mode[1]}_rad"]
+        np.testing.assert_array_equal(again, coefficients)
+        wavefront = expected(recording.pixels(index))
+        assert isinstance(wavefront.solution, ModalSolution)
+        assert row["rms_2_0_rad"] == pytest.approx(rms(wavefront.views)[2, 0], rel=1e-3)
+        assert row["e_4_1_sigma_rad"] == pytest.approx(wavefront.solution.coefficients_sigma[4, 1], rel=1e-2)
+    assert not any(np.isnan(table[name]).any() for name in names_of(table))
+
+
+def test_csv_of_the_zonal_method_has_no_coefficients(zonal: Recording, tmp_path: Path) -> None:
+    table = read_table(exported(zonal, "csv", tmp_path / "run.csv"))
+    assert list(names_of(table))[6:] == [f"rms_{row}_{column}_rad" for row in range(3) for column in range(3)]
+    assert table["rms_0_0_rad"].mean() > 0.1
+
+
+def test_a_frame_without_a_wavefront_has_no_numbers_but_a_row(tmp_path: Path, small_toml: Path) -> None:
+    folder = tmp_path / "run"
+    dark = record(small_toml, folder, frames=4)
+    too_dark = np.full_like(dark.pixels(0), 500)
+    replace_pixels(dark, 0, too_dark)
+    table = read_table(exported(dark, "csv", tmp_path / "run.csv"))
+    assert table["frame"].tolist() == [0, 1, 2, 3]
+    assert table["valid_lenslets"][0] == 0
+    for name in names_of(table)[6:]:
+        assert np.isnan(table[name]).tolist() == [True, False, False, False]
+    with xr.open_dataset(exported(dark, "netcdf", tmp_path / "run.nc")) as dataset:
+        assert dataset["recording_index"].to_numpy().tolist() == [1, 2, 3]
+    for index in range(1, 4):
+        replace_pixels(dark, index, too_dark)
+    formats: tuple[Format, ...] = ("csv", "netcdf", "psf")
+    for to in formats:
+        with pytest.raises(RunError, match="there is nothing to write: no frame has a wavefront"):
+            exported(dark, to, tmp_path / "nothing")
+    assert not (tmp_path / "nothing").exists()
+
+
+def test_netcdf_is_what_was_recorded(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "_PIECE", 2)
+    with xr.open_dataset(exported(recording, "netcdf", tmp_path / "run.nc", frames=":5")) as dataset:
+        for index in range(5):
+            np.testing.assert_array_equal(dataset["coefficients"][index], recording.coefficients(index))
+            np.testing.assert_array_equal(dataset["displacement"][index], recording.displacement(index))
+        assert dataset["valid"].dtype == np.bool_
+        assert dataset.attrs["recording"] == "run"
+
+
+def test_the_psf_of_a_flat_pupil_is_known_in_closed_form() -> None:
+    """A rectangle's is sinc^2 along x times sinc^2 along y, and so is the part of the light within a square."""
+    flat = np.zeros((1, 1, 7, 9))
+    unit_rad = diffraction_rad(SENSOR)  # wavelength over the wider side
+    grid = psf_grid([flat, flat], SENSOR, 6 * unit_rad)
+    along = grid.angle_rad / unit_rad
+    expected = np.sinc(along * 7 / 9)[:, None] ** 2 * np.sinc(along) ** 2
+    expected /= expected.sum()
+    np.testing.assert_allclose(grid.psf[0, 0], expected, atol=3e-3 * expected.max())
+    assert grid.psf.sum() == pytest.approx(1)
+    light = 4 * quad(lambda t: np.sinc(t) ** 2, 0, 6)[0] * quad(lambda t: np.sinc(t) ** 2, 0, 6 * 7 / 9)[0]
+    assert grid.light[0, 0] == pytest.approx(light, rel=3e-3)
+
+
+def test_a_long_exposure_is_the_mean_of_the_frames_psf() -> None:
+    """Two frames tilted to opposite sides make two spots, of equal light, where geometry says."""
+    angle_rad = 4 * diffraction_rad(SENSOR)
+    tilt = SENSOR.wavenumber_rad_per_m * angle_rad * SENSOR.pupil_x_m * np.ones((1, 1, 7, 1))
+    grid = psf_grid([tilt, -tilt], SENSOR, psf_reach([tilt, np.full_like(tilt, np.nan)], SENSOR))
+    middle = len(grid.angle_rad) // 2
+    row = grid.psf[0, 0, middle]
+    peak = np.argmax(row[middle:]) + middle
+    assert grid.angle_rad[peak] == pytest.approx(angle_rad, rel=0.05)
+    np.testing.assert_allclose(row, row[::-1], rtol=1e-3, atol=1e-7)
+    assert row[middle] < 0.02 * row[peak]
+
+
+def test_a_view_of_which_nothing_is_known_is_left_out(tmp_path: Path) -> None:
+    views = np.zeros((3, 3, 7, 9))
+    views[0, 2] = np.nan
+    grid = psf_grid([views], SENSOR, 5 * diffraction_rad(SENSOR))
+    write_psf_grid(tmp_path / "psf.tif", grid, FIELD, {})
+    with tifffile.TiffFile(tmp_path / "psf.tif") as file:
+        assert file.imagej_metadata is not None
+        places = json.loads(file.imagej_metadata["Info"])["views"]
+        assert len(file.pages) == len(places) == 8
+    assert (0, 2) not in {(place["view_row"], place["view_column"]) for place in places}
+    assert not np.isnan(tifffile.imread(tmp_path / "psf.tif")).any()
+
+
+def test_the_psf_grid_of_a_recording(recording: Recording, tmp_path: Path) -> None:
+    bench = recording.bench
+    with tifffile.TiffFile(exported(recording, "psf", tmp_path / "psf.tif")) as file:
+        assert file.imagej_metadata is not None
+        metadata, stack = file.imagej_metadata, file.asarray()
+        resolution = file.pages.first.tags["XResolution"].value
+    information = json.loads(metadata["Info"])
+    assert stack.dtype == np.float32
+    np.testing.assert_allclose(stack.sum(axis=(1, 2)), 1, rtol=1e-5)
+    assert [(place["x_m"], place["y_m"]) for place in information["views"]] == [
+        (x, y) for y in bench.field.view_y_m for x in bench.field.view_x_m
+    ]
+    assert metadata["Labels"][1] == "x = +0.000 mm, y = -0.500 mm"
+    assert all(0.8 < place["light"] < 1.01 for place in information["views"])
+    assert information["pixel_m"] == pytest.approx(information["pixel_rad"] * 0.2)  # the collimator's focal length
+    assert resolution[1] / resolution[0] == pytest.approx(information["pixel_m"] * 1e6, rel=1e-3)
+    # Its middle of light lies where the mean slope of the view sends it, tilt included.
+    reconstructor = recording.calibration(0).reconstructor()
+    slopes = np.mean([_mean_slope_x(reconstructor(recording.pixels(i)).views[0, 1]) for i in range(9)])
+    angle_rad = (np.arange(stack.shape[2]) - stack.shape[2] // 2) * information["pixel_rad"]
+    middle_rad = float((stack[1] * angle_rad).sum())
+    assert middle_rad == pytest.approx(
+        slopes / bench.sensor.wavenumber_rad_per_m, abs=1.5 * diffraction_rad(bench.sensor)
+    )
+
+
+def _mean_slope_x(view: Floats) -> float:
+    return float(np.nanmean(np.diff(view, axis=1)) / 500e-6)
+
+
+def test_what_is_there_is_not_replaced_unasked(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run.csv"
+    out.write_text("mine")
+    assert run(monkeypatch, "export", recording.folder, "--to", "csv", "--out", out) == 2
+    assert f"{out}: is there already; --overwrite replaces it" in capsys.readouterr().err
+    assert out.read_text() == "mine"
+    assert run(monkeypatch, "export", recording.folder, "--to", "csv", "--out", out, "--overwrite") == 0
+    assert "9 frames of" in capsys.readouterr().out
+    assert out.read_text().startswith("frame,camera_frame,time_s,exposure_s,em_gain,valid_lenslets,rms_0_0_rad,")
+
+
+@pytest.mark.parametrize("to", ["tiff", "csv", "netcdf", "psf"])
+def test_ctrl_c_leaves_nothing(recording: Recording, tmp_path: Path, to: Format) -> None:
+    def interrupt(_text: str, fraction: float) -> None:
+        if fraction > 0.5:
+            raise Interrupted("interrupted")
+
+    with pytest.raises(Interrupted):
+        exported(recording, to, tmp_path / "out", report=interrupt)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("to", ["tiff", "csv", "netcdf", "psf"])
+def test_a_damaged_frame_ends_it_with_nothing_written(
+    tmp_path: Path, recording: Recording, to: Format, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        Recording, "pixels", lambda self, index: _damaged(index) if index == 6 else _PIXELS(self, index)
+    )
+    with pytest.raises(InputError, match="frame 6 is damaged"):
+        exported(recording, to, tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+_PIXELS = Recording.pixels
+
+
+def _damaged(index: int) -> NDArray[Any]:
+    raise InputError(f"frame {index} is damaged")
+
+
+def test_a_format_that_is_not_known_is_refused(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "export", recording.folder, "--to", "xls", "--out", tmp_path / "x") == 2
+    assert re.search("tiff.*csv.*netcdf.*psf", capsys.readouterr().err.replace("\n", " "))

@@ -1,0 +1,131 @@
+"""A recording played into the live view: each frame by the calibration that it had."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.command_line import run
+from support.patience import HANG_S, wait_until
+from support.recordings import record
+
+from app.acquisition.instrument import Instrument, Reconstruction
+from app.acquisition.worker import Acquisition
+from app.bench.config import write_bench
+from app.errors import InputError
+from app.measurement.measurement import PASSED_OVER, Counts, Measurement
+from app.recording.reader import Recording
+from app.recording.record import Record
+from app.recording.run_writer import RunWriter
+from app.results.replay.player import Player
+from drivers.interface import Frame
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.wavefront import rms
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The same frames, the second half with fewer pupil modes."""
+    folder = tmp_path_factory.mktemp("recording") / "changing"
+    kept = recording.calibration(0)
+    fewer = replace(kept, bench=replace(kept.bench, reconstruction=ReconstructionSettings(pupil_modes=6)))
+    writer = RunWriter(folder, {"command": "live", "bench": write_bench(kept.bench)})
+    for index in range(FRAMES):
+        calibration = kept if index < FRAMES // 2 else fewer
+        with one_blas_thread():
+            wavefront = calibration.reconstructor()(recording.pixels(index))
+        frame = replace(recording.frame(index), host_time_s=0.2 * index)
+        writer.write(Record.of(Measurement(frame, wavefront, "", Counts(), 0, 0, calibration=calibration), 0))
+    writer.finish("", acquired=FRAMES, facts={})
+    writer.close()
+    return Recording(folder)
+
+
+@pytest.mark.parametrize("behind_s", [0.0, 0.5])
+def test_each_frame_is_shown_by_its_own_calibration(
+    changing: Recording, monkeypatch: pytest.MonkeyPatch, behind_s: float
+) -> None:
+    """Also when they come round again, and when the computer is behind; nothing is taken anew."""
+    measure = Instrument.measure
+
+    def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
+        time.sleep(behind_s)
+        return measure(instrument, frame)
+
+    monkeypatch.setattr(Instrument, "measure", slowly)
+    player = Player(changing.folder)
+    seen: list[Measurement] = []
+    acquisition = Acquisition(player.bench, player.open_devices, (player.take, seen.append))
+    acquisition.start()
+    try:
+        for step in player.begin(acquisition):
+            step.result(HANG_S)
+        wait_until(lambda: len(seen) >= 2 * FRAMES or not acquisition.is_alive)
+        assert acquisition.is_alive, acquisition.failure
+        assert acquisition.status is not None
+        assert (acquisition.status.dark, acquisition.status.reference, acquisition.status.warning) == (
+            "good",
+            "good",
+            "",
+        )
+    finally:
+        acquisition.close()
+    which = [
+        next(index for index in range(FRAMES) if np.array_equal(measurement.frame.pixels, changing.pixels(index)))
+        for measurement in seen
+    ]
+    if behind_s:
+        assert any(measurement.problem == PASSED_OVER for measurement in seen)
+    assert which[: 2 * FRAMES] == [*range(FRAMES), *range(FRAMES)]
+    for index, measurement in zip(which, seen, strict=True):
+        assert measurement.calibration is not None
+        modes = measurement.calibration.bench.reconstruction.pupil_modes
+        assert modes == changing.calibration(0 if index < FRAMES // 2 else 1).bench.reconstruction.pupil_modes
+        if measurement.wavefront is not None:  # else it was passed over
+            expected = changing.calibration(0 if index < FRAMES // 2 else 1).reconstructor()(changing.pixels(index))
+            np.testing.assert_allclose(rms(measurement.wavefront.views), rms(expected.views), rtol=1e-3)
+
+
+def test_other_settings_show_something_else(changing: Recording) -> None:
+    player = Player(changing.folder, settings=("reconstruction.method=zonal",), frames="1:3")
+    assert player.bench.reconstruction.method == "zonal"
+
+
+def test_frames_without_a_calibration_cannot_be_played(changing: Recording, tmp_path: Path) -> None:
+    frame = changing.frame(0)
+    writer = RunWriter(tmp_path / "run", {"command": "live", "bench": write_bench(changing.bench)})
+    writer.write(Record.of(Measurement(frame, None, "no reference yet", Counts(), 0, 0), 0))
+    writer.finish("", acquired=1, facts={})
+    writer.close()
+    with pytest.raises(InputError, match="have no calibration"):
+        Player(tmp_path / "run")
+
+
+def test_the_window_shows_it(changing: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the command, unseen; what it leaves is the wavefront of one of the frames."""
+    out = tmp_path / "out"
+    arguments = ("--replay", changing.folder, "--frames", "0:2", "--seconds", "0.5", "--out", out)
+    assert run(monkeypatch, "live", *arguments) == 0
+    assert (out / "window.png").stat().st_size > 10_000
+    expected = [rms(changing.calibration(0).reconstructor()(changing.pixels(index)).views) for index in (0, 1)]
+    with xr.open_dataset(out / "result.nc") as shown:
+        assert any(np.allclose(shown["rms"], each, rtol=1e-3) for each in expected)
+
+
+def test_frames_of_no_recording_are_a_mistake(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "live", "--frames", "0:2") == 2
+    assert "give --replay RECORDING" in capsys.readouterr().err

@@ -1,0 +1,372 @@
+"""A recording goes through the pipeline again: bit by bit the same, or compared with what another bench makes of it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.command_line import run
+from support.recordings import edit_line, record, remove_coefficients, replace_pixels
+
+from app.bench.config import write_bench
+from app.errors import InputError, Interrupted, RunError
+from app.measurement.measurement import PASSED_OVER, Counts, Measurement
+from app.recording.reader import Recording
+from app.recording.record import Record
+from app.recording.run_writer import RunWriter
+from app.results.replay import results
+from app.results.replay.run import Replay, replay
+from reconstruction.displacement import Displacement
+from reconstruction.errors import ReconstructionError
+from reconstruction.pipeline import ReconstructionSettings, Reconstructor
+from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.wavefront import rms
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module", params=["plain", "refined"])
+def recording(request: pytest.FixtureRequest, small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    folder = tmp_path_factory.mktemp("recording") / request.param
+    if request.param == "plain":
+        return record(small_toml, folder, frames=FRAMES)
+    return record(small_toml, folder, "reconstruction.refine=true", frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def plain(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(small_toml, tmp_path_factory.mktemp("recording") / "plain", frames=8)
+
+
+@pytest.fixture
+def mine(plain: Recording, tmp_path: Path) -> Recording:
+    """A copy that a test may damage."""
+    return Recording(shutil.copytree(plain.folder, tmp_path / "mine"))
+
+
+def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
+    given: dict[str, Any] = {"bench": None, "frames": None, "out": None, "verify": False, "report": lambda *_: None}
+    return replay(folder, settings=settings, **{**given, **options})
+
+
+@pytest.mark.parametrize("frames", [":", "4:"])
+def test_every_frame_is_made_again_to_the_last_bit(recording: Recording, tmp_path: Path, frames: str) -> None:
+    """Also in the middle, where the start of the first is only known from the recording."""
+    is_refined = recording.folder.name == "refined"
+    assert (recording.line(5).bias is not None) == is_refined
+    made = replayed(recording.folder, verify=True, frames=frames, out=tmp_path / "r.nc")
+    assert made.verification is not None
+    first = int(frames.partition(":")[0] or 0)
+    assert (made.verification.frames, made.verification.different) == (FRAMES - first, 0)
+    with xr.open_dataset(tmp_path / "r.nc") as again:
+        np.testing.assert_array_equal(again["recording_index"], range(first, FRAMES))
+        for at, index in enumerate(range(first, FRAMES)):
+            np.testing.assert_array_equal(again["coefficients"][at], recording.coefficients(index))
+            assert again["frame_index"][at] == recording.line(index).camera_index
+            assert again["time"][at] == recording.line(index).camera_time_s
+        assert bool(np.isfinite(again["bias_age"]).all()) == is_refined
+        assert again.attrs["recording"] == recording.folder.name
+
+
+def test_the_command_says_so(
+    plain: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "replay", plain.folder, "--verify") == 0
+    assert "8 frames, each bit-identical to what was recorded" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("threads", [1, 5])
+def test_how_many_threads_share_the_work_does_not_matter(recording: Recording, threads: int) -> None:
+    compared = replayed(recording.folder, f"registration.threads={threads}").comparison
+    assert compared is not None
+    assert compared.frames == FRAMES
+    assert not compared.difference_rms_rad.any()
+
+
+def test_a_changed_pixel_is_found(
+    mine: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One bit of one pixel; the frames after it begin where they began then, and are the same."""
+    lattice = mine.calibration(0).lattice
+    pixels = mine.pixels(3).copy()
+    pixels[round(lattice.center_y_px), round(lattice.center_x_px)] ^= 1
+    replace_pixels(mine, 3, pixels)
+    assert run(monkeypatch, "replay", mine.folder, "--verify") == 1
+    said = capsys.readouterr().err
+    assert re.search(r"1 of 8 frames differ from what was recorded; frame 3: displacements by up to \S+ px", said)
+    assert re.search(r"coefficients by up to \S+ rad \(both by svwfs", said)
+    assert run(monkeypatch, "replay", mine.folder) == 0  # without --verify it is only told
+    assert "1 of 8 frames differ" in capsys.readouterr().out
+
+
+def test_another_software_is_named(mine: Recording) -> None:
+    path = mine.folder / "run.json"
+    fields = json.loads(path.read_text())
+    fields["versions"]["svwfs"] = "0.0.7"
+    path.write_text(json.dumps(fields))
+    edit_line(mine, 5, rms_rad=1.0)
+    with pytest.raises(RunError, match=r"frame 5: the RMS by up to .* rad \(recorded by svwfs 0.0.7, replayed by"):
+        replayed(mine.folder, verify=True)
+
+
+DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
+    "a result is missing": (
+        lambda mine: remove_coefficients(mine, 6),
+        "frame 6: coefficients were not recorded",
+    ),
+    "a problem is invented": (
+        lambda mine: edit_line(mine, 2, problem="too dark"),
+        'frame 2: the problem was "too dark" and is ""',
+    ),
+    "a start is forgotten": (lambda mine: edit_line(mine, 4, start=None), "frame 4: displacements by up to"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_what_differs_is_said(mine: Recording, name: str) -> None:
+    damage, sentence = DAMAGES[name]
+    damage(mine)
+    with pytest.raises(RunError, match=f"1 of 8 frames differ .*{re.escape(sentence)}"):
+        replayed(mine.folder, verify=True)
+
+
+def test_another_method_is_compared(recording: Recording, tmp_path: Path) -> None:
+    """Against reconstructors that are made here; the registration being the same, so are start and bias."""
+    made = replayed(recording.folder, "reconstruction.method=zonal", out=tmp_path / "r.nc")
+    kept = recording.calibration(0)
+    settings: dict[str, Any] = {
+        "sensor": kept.bench.sensor,
+        "lattice": kept.lattice,
+        "field": kept.bench.field,
+        "registration": RegistrationSettings(),
+        "full_scale": kept.full_scale,
+        "noise": kept.reconstructor().noise,
+        "reference_frames": kept.reference.frames,
+        "dark": kept.dark.mean if kept.dark else None,
+    }
+    modal, zonal = (
+        Reconstructor(kept.reference.mean, reconstruction=reconstruction, **settings)
+        for reconstruction in (kept.bench.reconstruction, ReconstructionSettings(method="zonal"))
+    )
+    then, now, apart = [], [], []
+    with one_blas_thread():
+        for index in range(FRAMES):
+            line = recording.line(index)
+            bias = None if line.bias is None else recording.bias(line.bias)
+            registered = modal.register(recording.pixels(index))
+            views = modal.solve(registered, bias=bias).views, zonal.solve(registered, bias=bias).views
+            then.append(rms(views[0]))
+            now.append(rms(views[1]))
+            apart.append(rms(views[1] - views[0]))
+    compared = made.comparison
+    assert compared is not None
+    assert (made.verification, made.unrefined) == (None, 0)
+    np.testing.assert_allclose(compared.recorded_rms_rad, np.mean(then, axis=0), rtol=1e-3)
+    np.testing.assert_allclose(compared.rms_rad, np.mean(now, axis=0), rtol=1e-3)
+    np.testing.assert_allclose(compared.difference_rms_rad, np.mean(apart, axis=0), rtol=1e-2)
+    with xr.open_dataset(tmp_path / "r.nc") as written:
+        np.testing.assert_allclose(written["difference_rms"].mean("frame"), compared.difference_rms_rad)
+        np.testing.assert_allclose(written["recorded_rms"].mean("frame"), compared.recorded_rms_rad)
+        np.testing.assert_allclose(written["rms"].mean("frame"), compared.rms_rad)
+        assert "coefficients" not in written
+        assert 'method = "zonal"' in written.attrs["bench"]
+
+
+def test_another_registration_leaves_the_refinement_out_and_says_so(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "replay", recording.folder, "--set", "registration.warp=affine") == 0
+    said = capsys.readouterr().out
+    assert (f"{FRAMES} frames were refined when they were recorded; with this bench they are not" in said) == (
+        recording.folder.name == "refined"
+    )
+    assert f"mean of {FRAMES} frames" in said
+    assert "bit-identical" not in said
+
+
+@pytest.mark.parametrize(("setting", "rows"), [("field.view_rows=2", (2, 5)), ("sensor.lenslet_rows=3", (3, 3))])
+def test_other_views_or_lenslets_are_not_compared(
+    plain: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    setting: str,
+    rows: tuple[int, int],
+) -> None:
+    options = ("--set", setting, "--set", "reconstruction.pupil_modes=6", "--out", tmp_path / "r.nc", "--frames", ":2")
+    assert run(monkeypatch, "replay", plain.folder, *options) == 0
+    assert "nothing to compare" in capsys.readouterr().out
+    with xr.open_dataset(tmp_path / "r.nc") as written:
+        assert (written.sizes["view_row"], written.sizes["lenslet_row"]) == rows
+
+
+DARK, PASSED, UNCALIBRATED, CHANGED = 3, 2, 0, 6  # frames of the recording below to which something happens
+
+
+@pytest.fixture(scope="module")
+def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Eight frames: before the reference, passed over, too dark; and from the seventh on with other settings."""
+    folder = tmp_path_factory.mktemp("recording") / "eventful"
+    kept = plain.calibration(0)
+    fewer = replace(kept.bench, reconstruction=ReconstructionSettings(pupil_modes=10))
+    calibrations = [kept] * CHANGED + [replace(kept, bench=fewer)] * 2
+    writer = RunWriter(folder, {"command": "live", "bench": write_bench(kept.bench)})
+    before: Displacement | None = None
+    with one_blas_thread():
+        for index, calibration in enumerate(calibrations):
+            frame = plain.frame(index)
+            if index == DARK:
+                frame = replace(frame, pixels=np.full_like(frame.pixels, 500))
+            start = None if index == CHANGED else before
+            made = Measurement(frame, None, "", Counts(), 0, 0, calibration=calibration)
+            if index == UNCALIBRATED:
+                made = replace(made, calibration=None, problem="no reference yet")
+            elif index == PASSED:
+                made = replace(made, problem=PASSED_OVER)
+            else:
+                try:
+                    reconstructor = calibration.reconstructor()
+                    registered = reconstructor.register(frame.pixels, start=start)
+                    wavefront = reconstructor.solve(registered)
+                    made = replace(made, wavefront=wavefront, start=start, registered=registered)
+                    before = registered
+                except ReconstructionError as error:
+                    made = replace(made, problem=str(error), start=start)
+            writer.write(Record.of(made, 0))
+    writer.finish("", acquired=8, facts={})
+    writer.close()
+    return Recording(folder)
+
+
+def test_whatever_happened_meanwhile_happens_again(eventful: Recording) -> None:
+    assert "is the light on?" in eventful.line(DARK).problem
+    made = replayed(eventful.folder, verify=True)
+    assert made.verification is not None
+    assert (made.verification.frames, made.verification.different) == (6, 0)  # of the others nothing is recorded
+    assert (made.frames, made.reconstructed, made.problem) == (8, 6, "no reference yet")
+
+
+def test_it_begins_where_it_began_though_the_first_frames_were_passed_over(small_toml: Path, tmp_path: Path) -> None:
+    recording = record(small_toml, tmp_path / "run", frames=4, before=1, passed_over=[0, 1])
+    assert [recording.start(index) is None for index in range(4)] == [True, True, False, False]
+    made = replayed(recording.folder, verify=True)
+    assert made.verification is not None
+    assert (made.verification.frames, made.verification.different) == (2, 0)
+
+
+@pytest.mark.parametrize("frame", [UNCALIBRATED, PASSED])
+def test_nothing_to_compare_is_no_proof(eventful: Recording, frame: int) -> None:
+    with pytest.raises(RunError, match="there is nothing to compare"):
+        replayed(eventful.folder, verify=True, frames=f"{frame}:{frame + 1}")
+
+
+def test_a_frame_that_was_passed_over_is_reconstructed_now(eventful: Recording, tmp_path: Path) -> None:
+    replayed(eventful.folder, frames=f":{CHANGED}", out=tmp_path / "r.nc")
+    kept = eventful.calibration(0).reconstructor()(eventful.pixels(PASSED))
+    with xr.open_dataset(tmp_path / "r.nc") as written:
+        assert written["recording_index"].to_numpy().tolist() == [1, PASSED, 4, 5]
+        np.testing.assert_allclose(written["rms"][1], rms(kept.views), rtol=1e-3)
+
+
+@pytest.mark.parametrize("at_once", [32, 4])  # in one piece, or the first is written already
+def test_settings_that_changed_cannot_go_into_one_file(
+    eventful: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
+) -> None:
+    monkeypatch.setattr(results, "_PIECE", at_once)
+    with pytest.raises(InputError, match="the settings changed between the frames: choose some that go together"):
+        replayed(eventful.folder, out=tmp_path / "r.nc")
+    assert not list(tmp_path.iterdir())
+    replayed(eventful.folder, out=tmp_path / "r.nc", frames=f"{CHANGED}:")
+    with xr.open_dataset(tmp_path / "r.nc") as written:
+        assert written.sizes["pupil_mode"] == 10
+
+
+def test_pieces_are_as_good_as_the_whole(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    replayed(plain.folder, out=tmp_path / "one.nc", frames=":5")
+    monkeypatch.setattr(results, "_PIECE", 2)
+    replayed(plain.folder, out=tmp_path / "two.nc", frames=":5")
+    with xr.open_dataset(tmp_path / "one.nc") as one, xr.open_dataset(tmp_path / "two.nc") as two:
+        xr.testing.assert_identical(one, two)
+
+
+def test_ctrl_c_leaves_nothing_half_written(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "_PIECE", 2)
+
+    def interrupt(_text: str, fraction: float) -> None:
+        if fraction > 0.7:
+            raise Interrupted("interrupted")
+
+    with pytest.raises(Interrupted):
+        replayed(plain.folder, out=tmp_path / "r.nc", report=interrupt)
+    assert not list(tmp_path.iterdir())
+
+
+MISTAKES: dict[str, tuple[tuple[str, ...], str]] = {
+    "verify and another bench": (("--verify", "--set", "registration.warp=affine"), "leave --bench and --set out"),
+    "no frame": (("--frames", "8:"), '--frames "8:" means no frame; .* has 8'),
+    "one number": (("--frames", "5"), "write FIRST:END"),
+    "no number": (("--frames", "a:b"), "write FIRST:END"),
+    "an unknown setting": (("--set", "registration.wrap=affine"), "the recorded bench: .*unknown key wrap"),
+    "no such bench": (("--bench", "nowhere.toml"), "nowhere.toml: No such file"),
+    "another sensor": (("--bench", "paper_simulation"), "does not go with this bench"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_one_line(
+    plain: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    arguments, sentence = MISTAKES[name]
+    assert run(monkeypatch, "replay", plain.folder, *arguments) == 2
+    said = capsys.readouterr().err
+    assert re.search(sentence, said)
+    assert said.count("\n") == 1
+
+
+def _cut_average(mine: Recording) -> None:
+    path = mine.folder / "calibrations" / "0" / "reference.npz"
+    with np.load(path) as kept:
+        np.savez(path, allow_pickle=False, **{**kept, "mean": kept["mean"][:100]})
+
+
+def _misshape_bias(mine: Recording) -> None:
+    (mine.folder / "biases").mkdir()
+    np.save(mine.folder / "biases" / "0.npy", np.zeros((3, 7, 6, 2)))
+    edit_line(mine, 1, bias=0)
+
+
+def _truncate(mine: Recording) -> None:
+    path = mine.folder / "frames.zarr" / "0" / "c" / "1" / "0" / "0"
+    path.write_bytes(path.read_bytes()[:100])
+
+
+FAULTS: dict[str, tuple[Callable[[Recording], object], str]] = {
+    "no frames": (lambda mine: (mine.folder / "frames.jsonl").write_text(""), "holds no frame"),
+    "no recording": (lambda mine: (mine.folder / "run.json").unlink(), "holds no recording"),
+    "half a frame": (_truncate, "is damaged"),
+    "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
+    "a reference of another size": (_cut_average, "the dark has 172 x 240 pixels, but the reference has 100 x 240"),
+    "a bias of other lenslets": (_misshape_bias, "bias 0 is not of these lenslets"),
+    "a bias that is not there": (lambda mine: edit_line(mine, 1, bias=7), "7.npy: cannot be read"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_damaged_recording_is_one_line(
+    mine: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    damage, sentence = FAULTS[name]
+    damage(mine)
+    assert run(monkeypatch, "replay", mine.folder) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1

@@ -1,0 +1,349 @@
+"""The report of a recording says what the recording holds, legibly, whatever has become of it."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure, FigureBase
+from matplotlib.text import Text
+from support.command_line import run
+from support.recordings import edit_line, record, replace_pixels
+
+from app.errors import InputError, RunError
+from app.recording.reader import Recording
+from app.results.export.run import export
+from app.results.replay.change import change_of
+from app.results.report.certainty import draw_certainty
+from app.results.report.comparison import draw_comparison
+from app.results.report.facts import facts
+from app.results.report.layout import Page, one_page
+from app.results.report.overview import draw_overview
+from app.results.report.residual import residual_of
+from app.results.report.run import report_pages
+from app.results.report.summary import Summary, summarise
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Outcome
+
+FRAMES = 5
+
+
+@pytest.fixture(scope="module")
+def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Five frames, of which the third has its left part in the dark."""
+    made = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+    pixels = made.pixels(2).copy()
+    pixels[:, :80] = 480
+    replace_pixels(made, 2, pixels)
+    return made
+
+
+@pytest.fixture(scope="module")
+def summary(recording: Recording) -> Summary:
+    return summarise(recording, None, lambda *_: None)
+
+
+@pytest.fixture
+def mine(recording: Recording, tmp_path: Path) -> Recording:
+    """A copy that a test may damage."""
+    return Recording(shutil.copytree(recording.folder, tmp_path / "mine"))
+
+
+def reported(folder: Path, out: Path, **options: Any) -> tuple[Summary, object]:
+    given: dict[str, Any] = {"beside": None, "settings": (), "frames": None, "overwrite": False}
+    return report_pages(folder, out, report=lambda *_: None, **{**given, **options})
+
+
+def drawn(page: Page) -> Figure:
+    """A page as it is when it has been laid out."""
+    figure = one_page(page)
+    figure.savefig(io.BytesIO())
+    return figure
+
+
+def certainty(summary: Summary) -> Figure:
+    found = summary.found
+    assert found is not None
+    return drawn(lambda onto: draw_certainty(onto, summary, found))
+
+
+def texts(figure: FigureBase) -> Iterator[Text]:
+    """All text that is to be seen."""
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and text.get_visible() and text.get_text().strip():
+            yield text
+
+
+def said(figure: FigureBase) -> str:
+    return "\n".join(text.get_text() for text in texts(figure))
+
+
+def axis_titled(figure: Figure, start: str) -> Axes:
+    (axis,) = (axis for axis in figure.findobj(Axes) if isinstance(axis, Axes) and axis.get_title().startswith(start))
+    return axis
+
+
+def maps_of(figure: Figure) -> Floats:
+    """The maps of 5 x 7 lenslets, as they follow one another."""
+    images = [image.get_array() for axis in figure.findobj(Axes) if isinstance(axis, Axes) for image in axis.images]
+    return np.stack([np.ma.filled(image, np.nan) for image in images if image is not None and image.shape == (5, 7)])
+
+
+def assert_legible(figure: Figure) -> None:
+    """No text lies over another or leaves the page."""
+    hidden = beyond_limits(figure)
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure) if text not in hidden]
+    for name, box in boxes:
+        assert box.x0 >= 0, name
+        assert box.y0 >= 0, name
+        assert box.x1 <= figure.bbox.x1, name
+        assert box.y1 <= figure.bbox.y1, name
+    for (name, box), (other_name, other) in itertools.combinations(boxes, 2):
+        assert not box.padded(-1).overlaps(other.padded(-1)), (name, other_name)
+
+
+def beyond_limits(figure: Figure) -> list[Text]:
+    """Tick labels that exist, but are not drawn, as they lie beyond the limits of their axis."""
+    labels = [
+        (label, label.get_position()[at], limits)
+        for axis in figure.findobj(Axes)
+        if isinstance(axis, Axes)
+        for at, limits, of_axis in (
+            (0, sorted(axis.get_xlim()), axis.get_xticklabels(which="both")),
+            (1, sorted(axis.get_ylim()), axis.get_yticklabels(which="both")),
+        )
+        for label in of_axis
+    ]
+    return [label for label, position, (low, high) in labels if not low <= position <= high]
+
+
+def test_the_sums_are_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
+    export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, report=lambda *_: None)
+    found = summary.found
+    assert found is not None
+    with xr.open_dataset(tmp_path / "r.nc") as results:
+        wavefront, sigma = results["wavefront"].to_numpy(), results["wavefront_sigma"].to_numpy()
+        outcome = results["outcome"].to_numpy()
+    np.testing.assert_allclose(found.mean, np.nanmean(wavefront, axis=0))
+    np.testing.assert_allclose(found.sigma, np.sqrt(np.nanmean(sigma**2, axis=(0, 1, 2))))
+    np.testing.assert_allclose(found.rms_sigma_rad, np.sqrt(np.nanmean(sigma**2, axis=(1, 2, 3, 4))))
+    np.testing.assert_array_equal(found.lost, np.mean(outcome != 0, axis=0))
+    assert 0 < np.count_nonzero(found.lost) < found.lost.size
+    assert set(found.reason[found.lost > 0].tolist()) == {Outcome.DARK}
+    live = [recording.line(index).rms_rad for index in (0, 1, 3, 4)]
+    np.testing.assert_allclose(found.rms_rad[[0, 1, 3, 4]], np.array(live, float))
+
+
+def test_the_bar_covers_the_scatter_of_the_rms(small_toml: Path, tmp_path: Path) -> None:
+    """It is an upper bound: the RMS scatters by no more (Cauchy and Schwarz), here of 30 frames of one sample."""
+    found = summarise(record(small_toml, tmp_path / "run", frames=30), None, lambda *_: None).found
+    assert found is not None
+    assert 0 < found.rms_rad.std() < found.rms_sigma_rad.mean() < 0.05 * found.rms_rad.mean()
+
+
+def test_the_facts_are_those_of_the_recording(mine: Recording) -> None:
+    edit_line(mine, 1, lost=3)
+    edit_line(mine, 4, exposure_s=0.04, light_current_a=0.5)
+    edit_line(mine, 0, light_current_a=0.25)
+    path = mine.folder / "run.json"
+    devices = {
+        "camera": {"name": "C9100", "amplifier": "em", "readout_speed": 2, "sensor_temperature": -65.0},
+        "light": {"name": "a lamp"},
+        "stage": {"mask": "stars"},
+    }
+    timings = {"register": {"p50_s": 0.0171, "p99_s": 0.03}, "reconstruct": {"p50_s": None, "p99_s": None}}
+    facts_of_run = {**json.loads(path.read_text()), "devices": devices, "timings": timings}
+    path.write_text(json.dumps({**facts_of_run, "ended_early": "the disk is full"}))
+    found = dict(facts(summarise(Recording(mine.folder), None, lambda *_: None)))
+    assert found["recorded"].endswith("by svwfs measure; ended early: the disk is full")
+    assert found["frames"].startswith("5 recorded of 5 acquired; 3 lost by the camera; 5 of 5")
+    assert found["camera"] == "C9100, 240 x 172 pixels of 16 µm, sensor_temperature -65.0"
+    assert found["exposure"] == "20 ... 40 ms, em amplifier, readout speed 2, em gain 8"
+    assert found["light"] == "a lamp, 250 ... 500 mA"
+    assert found["mask"] == "stars"
+    assert found["dark"] == found["reference"] == "mean of 4 frames of 20 ms, em gain 8"
+    assert "counts an electron" in found["noise"]
+    assert found["lattice"] == "7 x 5 lenslets, pitch 31.2500 px, centre (121.30, 84.60) px, turned by +3.00 mrad"
+    assert found["method"] == "gauss_newton, warp automatic, modal, legendre, 15 pupil modes"
+    assert found["speed"] == "registration 17.1 (30.0) ms: median (99 %)"
+    assert found["software"].startswith("svwfs ")
+
+
+def test_the_first_page_shows_the_mean_of_every_view(summary: Summary) -> None:
+    figure = drawn(lambda onto: draw_overview(onto, summary))
+    assert summary.found is not None
+    np.testing.assert_array_equal(maps_of(figure), summary.found.mean.reshape(9, 5, 7))
+    mean = summary.found.mean[2, 1]
+    assert f"(+0.00, +0.50) mm\n{np.std(mean):.3f} / {np.ptp(mean):.2f}" in said(figure)
+    limits = {axis.images[0].get_clim() for axis in figure.findobj(Axes) if isinstance(axis, Axes) and axis.images}
+    assert limits == {(-np.abs(summary.found.mean).max(), np.abs(summary.found.mean).max())}
+
+
+def test_the_second_page_shows_error_bars_and_what_was_lost(summary: Summary, mine: Recording) -> None:
+    assert summary.found is not None
+    figure = certainty(summary)
+    trend = axis_titled(figure, "RMS of the wavefront")
+    (bars,) = (each for each in trend.containers if isinstance(each, ErrorbarContainer))
+    ends = np.array(bars.lines[2][0].get_segments())[:, :, 1]
+    np.testing.assert_allclose(np.diff(ends)[:, 0], 2 * summary.found.rms_sigma_rad)
+    lost = int((summary.found.lost > 0).sum())
+    assert axis_titled(figure, f"{lost} of 35 lenslets lost, 0 of them always").get_legend() is not None
+    assert f"dark: {lost}" in said(figure)
+    assert "frames lost" not in said(figure)
+    edit_line(mine, 1, lost=3)
+    edit_line(mine, 3, problem="passed over", rms_rad=None)
+    other = summarise(Recording(mine.folder), None, lambda *_: None)
+    assert other.found is not None
+    assert len(other.found.frames) == FRAMES  # it was only passed over
+    words = said(certainty(other))
+    assert "frames lost" in words
+    assert "no live wavefront" in words
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        (),
+        ("field.view_rows=1", "field.view_columns=1"),
+        ("field.view_rows=9", "field.view_columns=9", "field.view_spacing_m=0.14e-3"),
+        ("reconstruction.method=zonal", "field.view_rows=2", "field.view_columns=5", "field.view_spacing_m=0.2e-3"),
+    ],
+)
+def test_every_page_is_legible(recording: Recording, settings: tuple[str, ...]) -> None:
+    change = change_of(None, settings)
+    summary = summarise(recording, ":2", lambda *_: None, change=change)
+    problems = summary.problems.copy()
+    problems["a sentence that is so long that it has to be broken: " + 20 * "words and more words, "] = 3
+    summary = replace(summary, problems=problems)
+    assert summary.found is not None
+    residual = replace(residual_of(summary, summary), name="$\\nothing$ ^_ " + 60 * "long ")
+    assert_legible(drawn(lambda onto: draw_overview(onto, summary)))
+    assert_legible(certainty(summary))
+    assert_legible(drawn(lambda onto: draw_comparison(onto, residual)))
+
+
+def test_of_many_frames_some_are_made_again(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.results.report.summary._LOOKED_AT", 2)
+    summary = summarise(recording, None, lambda *_: None)
+    assert summary.found is not None
+    assert summary.found.frames.tolist() == [0, 3]
+    assert (len(summary.lines), summary.frames_looked_at) == (FRAMES, "2 of 5 frames")
+
+
+def test_nothing_reconstructed_is_said(mine: Recording, tmp_path: Path) -> None:
+    for index in range(FRAMES):
+        replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
+    summary, _ = reported(mine.folder, tmp_path / "r.pdf")
+    assert summary.found is None
+    figure = drawn(lambda onto: draw_overview(onto, summary))
+    assert "no frame has a wavefront" in said(figure)
+    assert "5 of them: no lenslet of the frame could be matched" in said(figure)
+    assert "frame 0: 500 ... 500 counts" in said(figure)
+    assert_legible(figure)
+    with pytest.raises(InputError, match="no frame has a wavefront"):
+        reported(mine.folder, tmp_path / "s.pdf", beside=mine.folder)
+    assert not (tmp_path / "s.pdf").exists()
+
+
+def test_unfinished_without_calibration_and_of_one_frame(mine: Recording, tmp_path: Path) -> None:
+    path = mine.folder / "run.json"
+    whole = json.loads(path.read_text())
+    short = {key: whole[key] for key in ("format", "bench", "complete")} | {"complete": False}
+    path.write_text(json.dumps(short))
+    edit_line(mine, 4, calibration=None, start=None, problem="no reference yet", rms_rad=None)
+    summary, _ = reported(mine.folder, tmp_path / "r.png", frames="3:4")
+    found = dict(facts(summary))
+    assert "not finished" in found["recorded"]
+    assert found["frames"].startswith("3 ... 3 of 5 recorded; 0 lost")
+    assert (tmp_path / "r.png").stat().st_size > 50_000
+    summary, _ = reported(mine.folder, tmp_path / "s.pdf", frames="4:")
+    assert dict(facts(summary))["reference"] == "none: these frames have no calibration"
+
+
+@pytest.mark.parametrize("name", ["r.html", "r", "r.txt"])
+def test_other_formats_are_refused_before_any_work(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"ends in \.pdf or \.png"):
+        reported(tmp_path / "nowhere", tmp_path / name)
+
+
+def test_what_is_no_recording_is_refused(mine: Recording, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no recording"):
+        reported(tmp_path, tmp_path / "r.pdf")
+    (mine.folder / "frames.jsonl").write_text("")
+    with pytest.raises(InputError, match="holds no frame"):
+        reported(mine.folder, tmp_path / "r.pdf")
+    assert not (tmp_path / "r.pdf").exists()
+
+
+def test_a_report_appears_whole_and_replaces_nothing_unasked(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "new" / "r.PDF"
+    reported(recording.folder, out)
+    first = out.read_bytes()
+    assert first.startswith(b"%PDF")
+    assert first.count(b"/Type /Page ") == 2
+    with pytest.raises(InputError, match="is there already"):
+        reported(recording.folder, out)
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("app.results.report.run.draw_certainty", fail)
+    with pytest.raises(RunError, match="No space left"):
+        reported(recording.folder, out, overwrite=True)
+    assert out.read_bytes() == first
+    assert [path.name for path in out.parent.iterdir()] == ["r.PDF"]
+
+
+def test_what_is_left_is_the_difference(summary: Summary, mine: Recording) -> None:
+    """A plane of slope s on 7 x 5 lenslets has the RMS s sqrt((7^2 - 1) / 12); piston does not count."""
+    assert summary.found is not None
+    plane = 0.3 * np.arange(7.0) + 5.0
+    other = replace(summary, found=replace(summary.found, mean=summary.found.mean - plane))
+    residual = residual_of(summary, other)
+    np.testing.assert_allclose(residual.rms_rad, 0.3 * np.sqrt((7**2 - 1) / 12))
+    np.testing.assert_allclose(residual.views, np.broadcast_to(plane - plane.mean(), residual.views.shape), atol=1e-12)
+    assert residual.sentence == "RMS of what is left at the views: least 0.600, most 0.600, mean 0.600 rad"
+    np.testing.assert_array_equal(residual_of(summary, summary).views, 0)
+    maps = maps_of(drawn(lambda onto: draw_comparison(onto, residual)))
+    np.testing.assert_array_equal(
+        maps.reshape(3, *residual.views.shape), [residual.mean, residual.other_mean, residual.views]
+    )
+    coarse = change_of(None, ("field.view_rows=1", "field.view_columns=1"))
+    with pytest.raises(InputError, match="other views or lenslets"):
+        residual_of(summary, summarise(mine, None, lambda *_: None, change=coarse))
+    unknown = replace(summary, found=replace(summary.found, mean=np.full_like(summary.found.mean, np.nan)))
+    with pytest.raises(InputError, match="knows none of the lenslets"):
+        residual_of(summary, unknown)
+
+
+def test_the_command_compares_with_another_method(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, tmp_path: Path
+) -> None:
+    words = ("--beside", recording.folder, "--set", "registration.method=correlation", "--frames", ":2")
+    assert run(monkeypatch, "report", recording.folder, "--out", tmp_path / "r.pdf", *words) == 0
+    shown = capsys.readouterr().out
+    assert "run minus run" in shown
+    assert "the report of 2 frames is in" in shown
+    least, most, mean = (float(number) for number in re.findall(r"\d+\.\d{3}", shown)[-3:])
+    assert 0 < least < mean < most  # a single shift per lenslet does not vary over the field
+    changed = change_of(None, ("registration.method=correlation",))
+    methods = [summarise(recording, ":1", lambda *_: None, change=change) for change in (None, changed)]
+    assert [dict(facts(each))["method"].split(",")[0] for each in methods] == ["gauss_newton", "correlation"]
+    assert run(monkeypatch, "report", recording.folder, "--out", tmp_path / "r.pdf") == 2
+    assert "--overwrite replaces it" in capsys.readouterr().err
+    assert run(monkeypatch, "report", "--help") == 0
+    assert "--beside" in capsys.readouterr().out

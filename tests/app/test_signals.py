@@ -1,0 +1,84 @@
+"""Whoever ends the program, and however: the light goes off, and what was measured is kept."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+from support.patience import HANG_S
+
+from app.signals import ENDING, ended_by
+from simulated_devices.wires.dc4100 import DC4100Wire
+from simulated_devices.wires.pseudo_terminal import PtyServer
+
+# A command that has the light on, as the command line runs it; nothing of it may reach its terminal any more.
+LIT = """
+import sys, time, typer
+from app import cli
+from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings, ThorlabsDC4100
+
+@cli.cli.command()
+def shine(port: str) -> None:
+    with ThorlabsDC4100(DC4100Settings(port=port)) as light:
+        light.set_on(True)
+        print("lit", flush=True)
+        time.sleep(60)
+
+cli.main()
+"""
+
+
+def lit_program(port: str, prepare: Callable[[], object]) -> subprocess.Popen[str]:
+    return subprocess.Popen(  # noqa: S603 - our own interpreter
+        [sys.executable, "-c", LIT, "shine", port],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=prepare,  # noqa: PLW1509 - it has one thread
+    )
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_the_light_goes_off(number: signal.Signals) -> None:
+    device = DC4100Wire()
+    with (
+        PtyServer(device) as server,
+        lit_program(server.port, lambda: signal.signal(number, signal.SIG_DFL)) as program,
+    ):
+        assert program.stdout is not None
+        assert program.stdout.readline() == "lit\n"
+        assert device.is_lit
+        program.stdout.close()  # the terminal is gone
+        program.send_signal(number)
+        _, errors = program.communicate(timeout=HANG_S)
+        assert not device.is_lit
+        assert (program.returncode, errors) == (130, "svwfs: interrupted\n")
+
+
+def test_a_hangup_that_nohup_ignores_ends_nothing() -> None:
+    device = DC4100Wire()
+    ignoring = lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)  # noqa: E731 - as nohup does
+    with PtyServer(device) as server, lit_program(server.port, ignoring) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "lit\n"
+        program.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            program.wait(0.3)
+        assert device.is_lit
+        program.terminate()
+        program.communicate(timeout=HANG_S)
+        assert not device.is_lit
+
+
+def test_what_was_there_before_is_there_again() -> None:
+    came: list[int] = []
+    before = [signal.getsignal(number) for number in ENDING]
+    with ended_by(lambda number, _frame: came.append(number)):
+        for number in ENDING:
+            os.kill(os.getpid(), number)
+    assert came == list(ENDING)
+    assert [signal.getsignal(number) for number in ENDING] == before

@@ -1,0 +1,264 @@
+"""The driver of Hamamatsu's cameras over the stand-in: the contract of all cameras; modes, limits, regions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from support.dcam_tools import dcam_stand_in, library, open_camera
+from support.device_contract import CameraContract, CameraFaultContract
+
+from drivers.dcam.camera import DcamCamera
+from drivers.dcam.property_ids import Id
+from drivers.dcam.settings import DcamSettings
+from drivers.interface import (
+    BadValue,
+    Range,
+    Region,
+    WrongState,
+)
+from simulated_devices.wires.dcam.stand_in import Plug, StandIn, pattern
+
+SENSOR = Region(0, 0, 512, 512)
+INVALIDVALUE, OUTOFRANGE = 0x80000821, 0x80000822
+
+
+@pytest.fixture
+def stand_in() -> Iterator[StandIn]:
+    with dcam_stand_in() as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
+    with open_camera(stand_in) as camera:
+        yield camera
+
+
+class Hand:
+    """At the camera's cable."""
+
+    def __init__(self, stand_in: StandIn, how: Plug) -> None:
+        self._stand_in = stand_in
+        self._how = how
+
+    def unplug(self) -> None:
+        self._stand_in.unplug(self._how)
+
+    def plug_in(self) -> None:
+        self._stand_in.plug_in()
+
+    def stall(self) -> None:
+        self._stand_in.stall()
+
+    def lose_frames(self, count: int) -> None:
+        self._stand_in.lose(count)
+
+    def refuse_next(self) -> None:
+        self._stand_in.fail("dcamprop_setgetvalue", OUTOFRANGE)
+
+
+class TestDcamCamera(CameraFaultContract):
+    """In real time."""
+
+    @pytest.fixture(params=[Plug.TOLD, Plug.HALFWAY], ids=lambda how: how.name.lower())
+    def faults(self, stand_in: StandIn, request: pytest.FixtureRequest) -> Hand:
+        return Hand(stand_in, request.param)
+
+    @pytest.fixture
+    def stand_in(self) -> Iterator[StandIn]:
+        with dcam_stand_in(speed=1.0) as stand_in:
+            yield stand_in
+
+    @pytest.fixture
+    def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
+        return lambda: DcamCamera(DcamSettings(), library(stand_in))
+
+    @pytest.fixture
+    def camera(self, reopen: Callable[[], DcamCamera]) -> Iterator[DcamCamera]:
+        with reopen() as camera:
+            yield camera
+
+
+class TestDcamCameraAtLeisure(CameraContract):
+    """A part of the sensor, binned, with the normal amplifier."""
+
+    @pytest.fixture
+    def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
+        return lambda: open_camera(stand_in, amplifier="normal", binning=2, region=Region(16, 32, 128, 256))
+
+    @pytest.fixture
+    def camera(self, reopen: Callable[[], DcamCamera]) -> Iterator[DcamCamera]:
+        with reopen() as camera:
+            yield camera
+
+
+class TestDcamCameraTriggeredByWhoReads(CameraContract):
+    """Nobody else fires the software trigger."""
+
+    @pytest.fixture
+    def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
+        return lambda: open_camera(stand_in, trigger="software", region=Region(16, 32, 128, 256))
+
+    @pytest.fixture
+    def camera(self, reopen: Callable[[], DcamCamera]) -> Iterator[DcamCamera]:
+        with reopen() as camera:
+            yield camera
+
+
+def test_exposure_limits_follow_amplifier_and_speed(camera: DcamCamera) -> None:
+    assert camera.capabilities.exposure_range_s == Range(0.0139, 1.0)
+    with pytest.raises(BadValue, match=r"0\.0139 \.\.\. 1"):
+        camera.set_exposure(3.8)
+    camera.set_readout_speed(1)
+    assert camera.capabilities.exposure_range_s == Range(0.42147, 7200.0)
+    assert camera.set_exposure(3.8) == 3.8
+    camera.set_readout_speed(2)
+    assert camera.capabilities.exposure_range_s == Range(0.02713, 7200.0)
+    assert camera.exposure_s == 3.8
+    camera.set_amplifier("normal")
+    assert camera.capabilities.readout_speeds == (1,)
+    with pytest.raises(BadValue):
+        camera.set_exposure(0.15)
+    camera.set_amplifier("em")
+    assert camera.readout_speed == 3
+    assert camera.exposure_s == 1.0  # moved into the range
+
+
+def test_exposures_are_rounded_to_the_cameras_steps(camera: DcamCamera) -> None:
+    assert camera.set_exposure(0.0200049) == pytest.approx(0.02, abs=1e-12)
+    assert camera.set_exposure(0.0200051) == camera.exposure_s == pytest.approx(0.02001, abs=1e-12)
+
+
+def test_a_camera_that_does_not_round_is_given_whole_steps(stand_in: StandIn, camera: DcamCamera) -> None:
+    stand_in.set_rounding(is_automatic=False)
+    assert camera.set_exposure(0.0200049) == pytest.approx(0.02, abs=1e-12)
+    assert camera.set_exposure(1.0) == 1.0
+    camera.set_readout_speed(2)
+    assert camera.set_exposure(7200.0) == 7200.0  # 27.13 ms and so many steps are more, in floating point
+
+
+def test_settings_of_the_bench_are_taken(stand_in: StandIn) -> None:
+    region = Region(64, 128, 256, 192)
+    with open_camera(
+        stand_in,
+        device="000123",
+        amplifier="em",
+        readout_speed=1,
+        exposure_s=3.8,
+        em_gain=50,
+        em_gain_protection_frames=7,
+        em_gain_warning_level=2,
+        binning=2,
+        region=region,
+        trigger="external",
+        trigger_active="level",
+        trigger_polarity="positive",
+        trigger_delay_s=0.001,
+        output="exposure",
+        output_polarity="positive",
+        cooler="max",
+    ) as camera:
+        assert (camera.readout_speed, camera.exposure_s, camera.em_gain, camera.binning) == (1, 3.8, 50.0, 2)
+        assert (camera.region, camera.trigger) == (region, "external")
+        told = camera.properties()
+        expected = {
+            "TRIGGER ACTIVE": "LEVEL",
+            "TRIGGER POLARITY": "POSITIVE",
+            "TRIGGER DELAY": 0.001,
+            "OUTPUT TRIGGER KIND": "EXPOSURE",
+            "OUTPUT TRIGGER KIND[1]": "LOW",
+            "OUTPUT TRIGGER POLARITY": "POSITIVE",
+            "SENSOR COOLER": "MAX",
+            "EM GAIN PROTECT MODE": "ON",
+            "EM GAIN PROTECT AFTER FRAMES": 7,
+            "EM GAIN WARNING LEVEL": 2,
+        }
+        assert {name: told[name] for name in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"exposure_s": 0.0}, "exposure_s must be positive"),
+        ({"exposure_s": float("nan")}, "exposure_s must be positive"),
+        ({"pixel_pitch_m": -1.0}, "pixel_pitch_m must be positive"),
+        ({"readout_speed": 0}, "readout_speed must be at least 1"),
+        ({"em_gain": -1.0}, "em_gain must be 0 or positive"),
+        ({"em_gain": 5.0, "amplifier": "normal"}, 'em_gain needs amplifier = "em"'),
+        ({"em_gain_protection_frames": 0}, r"em_gain_protection_frames must be 1 \.\.\. 255"),
+        ({"em_gain_warning_level": 4}, "em_gain_warning_level must be 1, 2 or 3"),
+        ({"binning": 0}, r"binning must be 1 \.\.\. 16"),
+        ({"trigger_delay_s": -0.1}, "trigger_delay_s must be 0 or positive"),
+        ({"ring_frames": 3}, r"ring_frames must be 4 \.\.\. 10000"),
+    ],
+)
+def test_impossible_settings_name_their_key(settings: dict[str, object], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        DcamSettings(**settings)  # type: ignore[arg-type] # wrong on purpose
+
+
+def test_settings_that_the_camera_cannot_take_let_it_go_again(stand_in: StandIn) -> None:
+    with pytest.raises(BadValue, match=r"exposure_s = 3.8 is outside 0.0139 \.\.\. 1"):
+        open_camera(stand_in, exposure_s=3.8)
+    with pytest.raises(BadValue, match="there is no binning 3"):
+        open_camera(stand_in, binning=3)
+    open_camera(stand_in).close()
+
+
+@pytest.mark.parametrize("binning", [1, 2, 4])
+@pytest.mark.parametrize("region", [Region(0, 0, 16, 16), Region(496, 480, 16, 32), Region(64, 0, 256, 512), SENSOR])
+def test_the_part_that_is_asked_for_is_read_out(camera: DcamCamera, region: Region, binning: int) -> None:
+    camera.set_binning(binning)
+    camera.set_region(Region(496, 496, 16, 16))  # as far away as can be
+    assert camera.set_region(region) == camera.region == region
+    assert camera.capabilities.rows == region.rows // binning
+    assert camera.capabilities.columns == region.columns // binning
+    assert camera.capabilities.pixel_pitch_m == pytest.approx(16e-6 * binning)
+    camera.start()
+    np.testing.assert_array_equal(camera.read(1.0).pixels, pattern(0, region, binning))
+
+
+@pytest.mark.parametrize(
+    "region", [Region(1, 0, 16, 16), Region(0, 0, 20, 16), Region(496, 0, 32, 16), Region(-16, 0, 16, 16)]
+)
+def test_a_region_off_the_sensor_or_its_steps_is_refused(camera: DcamCamera, region: Region) -> None:
+    with pytest.raises(BadValue, match="in steps of 16"):
+        camera.set_region(region)
+    assert camera.region == SENSOR
+
+
+@pytest.mark.parametrize("failing", [Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS])
+def test_a_region_that_is_refused_half_way_leaves_the_one_before(
+    stand_in: StandIn, camera: DcamCamera, failing: Id
+) -> None:
+    before = camera.set_region(Region(32, 48, 64, 80))
+    writes = {Id.SUBARRAYHSIZE: 2, Id.SUBARRAYVPOS: 4}[failing]
+    stand_in.fail("dcamprop_setgetvalue", OUTOFRANGE, after=writes)
+    with pytest.raises(BadValue, match="subarray"):
+        camera.set_region(Region(0, 0, 128, 128))
+    assert camera.region == before
+    assert (camera.capabilities.rows, camera.capabilities.columns) == (64, 80)
+
+
+def test_modes_cannot_be_changed_while_running(camera: DcamCamera) -> None:
+    camera.start()
+    for change in (
+        lambda: camera.set_readout_speed(1),
+        lambda: camera.set_binning(2),
+        lambda: camera.set_region(Region(0, 0, 16, 16)),
+        lambda: camera.set_trigger("external"),
+    ):
+        with pytest.raises(WrongState):
+            change()
+    camera.stop()
+    camera.set_readout_speed(1)
+
+
+def test_a_value_that_the_camera_refuses_is_told_with_what_is_allowed(stand_in: StandIn, camera: DcamCamera) -> None:
+    stand_in.refuse(Id.EXPOSURETIME, INVALIDVALUE)
+    before_s = camera.exposure_s
+    with pytest.raises(BadValue, match=r"exposure time = 0.5, allowed are 0.0139 \.\.\. 1"):
+        camera.set_exposure(0.5)
+    assert camera.exposure_s == before_s

@@ -1,0 +1,180 @@
+"""What a DCAM camera tells of itself: its EM gain, its properties, and what to beware of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from support.dcam_tools import dcam_stand_in, open_camera
+
+from drivers.dcam.camera import DcamCamera
+from drivers.dcam.property_ids import Id
+from drivers.interface import (
+    BadValue,
+    DeviceError,
+    Range,
+    Region,
+    Unsupported,
+)
+from simulated_devices.wires.dcam.stand_in import StandIn
+
+SENSOR = Region(0, 0, 512, 512)
+EM_PROPERTIES = (0x00400310, 0x00200220, 0x00200250, 0x00200260, 0x00200270, 0x00200290, 0x002002A0, 0x002002B0)
+
+
+@pytest.fixture
+def stand_in() -> Iterator[StandIn]:
+    with dcam_stand_in() as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
+    with open_camera(stand_in) as camera:
+        yield camera
+
+
+def test_the_em_gain_is_the_true_multiplication(camera: DcamCamera) -> None:
+    assert camera.capabilities.em_gain_range == Range(4.0, 1200.0)
+    assert camera.set_em_gain(300.4) == camera.em_gain == 300.0
+    camera.start()
+    assert camera.read(1.0).em_gain == 300.0
+    assert camera.properties()["MEASURED SENSITIVITY"] == pytest.approx(300.0)
+    camera.stop()
+    camera.set_amplifier("normal")
+    assert camera.capabilities.em_gain_range == Range(1.0, 1.0)
+    assert camera.set_em_gain(1.0) == camera.em_gain == 1.0
+    with pytest.raises(BadValue):
+        camera.set_em_gain(2.0)
+    camera.set_amplifier("em")
+    assert camera.properties()["DIRECT EM GAIN MODE"] == "ON"
+
+
+@pytest.mark.parametrize("code", [0x80000F03, 0x80000825])
+def test_a_question_that_fails_is_not_taken_for_a_camera_without_em_gain(
+    stand_in: StandIn, camera: DcamCamera, code: int
+) -> None:
+    assert camera.em_gain == 4.0
+    stand_in.fail("dcamprop_getvalue", code)
+    with pytest.raises(Unsupported):
+        _ = camera.em_gain
+    assert camera.em_gain == 4.0
+
+
+def test_a_relative_em_gain_is_told_as_such(stand_in: StandIn) -> None:
+    stand_in.remove(Id.DIRECTEMGAIN_MODE)
+    with open_camera(stand_in) as camera:
+        assert camera.capabilities.em_gain_range == Range(0.0, 255.0)
+        assert any("own scale" in sentence for sentence in camera.warnings())
+
+
+def test_a_camera_without_em_gain_is_an_ordinary_one(stand_in: StandIn) -> None:
+    stand_in.remove(*EM_PROPERTIES, Id.READOUTSPEED, Id.SUBARRAYMODE, Id.TRIGGERSOURCE, Id.BINNING)
+    with open_camera(stand_in) as camera:
+        allowed = camera.capabilities
+        assert (allowed.amplifiers, allowed.readout_speeds, allowed.triggers) == (("normal",), (1,), ("internal",))
+        assert (allowed.binnings, allowed.sensor, allowed.em_gain_range) == ((1,), None, Range(1.0, 1.0))
+        assert (camera.amplifier, camera.em_gain, camera.readout_speed, camera.region) == ("normal", 1.0, 1, SENSOR)
+        camera.set_amplifier("normal")
+        camera.set_readout_speed(1)
+        camera.set_binning(1)
+        camera.set_trigger("internal")
+        camera.start()
+        assert camera.read(1.0).em_gain == 1.0
+        assert camera.warnings() == ()
+
+
+def test_a_property_that_goes_with_the_mode_is_no_longer_asked_for(stand_in: StandIn, camera: DcamCamera) -> None:
+    assert list(camera.capabilities.triggers) == ["internal", "external", "software"]
+    stand_in.remove(Id.TRIGGERSOURCE)
+    camera.set_binning(2)
+    assert list(camera.capabilities.triggers) == ["internal"]
+    assert camera.trigger == "internal"
+
+
+def test_a_camera_that_does_not_tell_its_pixels_needs_to_be_told(stand_in: StandIn) -> None:
+    stand_in.remove(Id.IMAGEDETECTOR_PIXELWIDTH)
+    with pytest.raises(Unsupported, match=r"set camera\.pixel_pitch_m"):
+        open_camera(stand_in)
+    with open_camera(stand_in, pixel_pitch_m=6.5e-6) as camera:
+        assert camera.capabilities.pixel_pitch_m == 6.5e-6
+
+
+def test_too_much_light_is_warned_of_and_black_frames_are_no_frames(stand_in: StandIn) -> None:
+    with open_camera(stand_in, em_gain_protection_frames=3) as camera:
+        camera.start()
+        stand_in.overexpose()
+        for _ in range(3):
+            camera.read(1.0)
+        assert camera.warnings() == ("too much light for this EM gain: it ages the multiplication register",)
+        with pytest.raises(DeviceError, match="protects its EM register"):
+            camera.read(1.0)
+        assert any("black" in sentence for sentence in camera.warnings())
+        camera.stop()
+        stand_in.overexpose(is_overexposed=False)
+        camera.start()
+        assert camera.read(1.0).pixels.any()
+
+
+def test_without_protection_the_frames_go_on(stand_in: StandIn) -> None:
+    with open_camera(stand_in, em_gain_protection=False) as camera:
+        stand_in.overexpose()
+        camera.start()
+        for _ in range(10):
+            assert camera.read(1.0).pixels.any()
+
+
+def test_every_readable_property_is_told(camera: DcamCamera) -> None:
+    told = camera.properties()
+    assert told["exposure_s"] == told["EXPOSURE TIME"] == 0.0139
+    expected = {
+        "CONVERSION FACTOR COEFF": 5.8,
+        "CONVERSION FACTOR OFFSET": 500.0,
+        "SENSOR TEMPERATURE": -65.0,
+        "RECURSIVE FILTER": "OFF",
+        "SUBTRACT": "OFF",
+        "SHADING CORRECTION": "OFF",
+        "READOUT SPEED": 3,
+        "model": "C9100-23B",
+        "warnings": "",
+    }
+    assert {name: told[name] for name in expected} == expected
+    assert "STORE SUBTRACT IMAGE TO MEMORY" not in told  # can only be written
+
+
+@pytest.mark.parametrize(
+    ("identifier", "value", "word"),
+    [
+        (Id.RECURSIVEFILTER, 2, "averages frames"),
+        (Id.FRAMEAVERAGINGMODE, 2, "averages frames"),
+        (Id.SPOTNOISEREDUCER, 2, "single pixels"),
+        (Id.SUBTRACT, 2, "subtracts"),
+        (Id.SHADINGCORRECTION, 2, "shading"),
+        (Id.INTENSITYLUT_MODE, 3, "table"),
+        (Id.PHOTONIMAGINGMODE, 1, "photon imaging"),
+        (Id.CAPTUREMODE, 2, "calibration"),
+    ],
+)
+def test_filters_in_the_camera_are_warned_of(camera: DcamCamera, identifier: Id, value: float, word: str) -> None:
+    assert camera.warnings() == ()
+    camera._values.set(identifier, value)
+    (warning,) = camera.warnings()
+    assert word in warning
+    assert camera.properties()["warnings"] == warning
+
+
+def test_a_warm_sensor_is_warned_of(stand_in: StandIn, camera: DcamCamera) -> None:
+    stand_in.break_cooler()
+    (warning,) = camera.warnings()
+    assert "cooler is in trouble at 12.5 degC" in warning
+
+
+def test_a_property_that_cannot_be_read_now_says_so_in_its_place(stand_in: StandIn, camera: DcamCamera) -> None:
+    before = len(camera.properties())
+    calls = stand_in.calls("dcamprop_getvalue")
+    camera.properties()
+    last = stand_in.calls("dcamprop_getvalue") - calls - 40
+    stand_in.fail("dcamprop_getvalue", 0x8000082C, after=last)
+    told = camera.properties()
+    assert len(told) == before
+    assert sum("ACCESSDENY" in str(value) for value in told.values()) == 1

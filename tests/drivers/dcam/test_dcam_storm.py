@@ -1,0 +1,75 @@
+"""Commands and faults in any order through the DCAM driver."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import strategies as st
+from hypothesis.stateful import run_state_machine_as_test
+from support.camera_storm import CameraStorm
+from support.dcam_tools import dcam_stand_in, open_camera
+from support.storm import storm_settings
+
+from drivers.dcam.camera import DcamCamera
+from drivers.dcam.errors import ERRORS, NotThere
+from drivers.dcam.library import PROTOTYPES
+from drivers.interface import (
+    BadValue,
+    DeviceError,
+    DeviceTimeout,
+    Disconnected,
+    FrameLost,
+    Region,
+    Unsupported,
+)
+from simulated_devices.wires.dcam.stand_in import Plug, StandIn
+
+
+def codes(*kinds: type[DeviceError]) -> st.SearchStrategy[int]:
+    return st.sampled_from([code for code, (_, kind, _) in ERRORS.items() if kind in kinds])
+
+
+# What each function may say beside the truth. One that tells of another state than it is in, would be believed.
+ANY = st.tuples(st.sampled_from(sorted(PROTOTYPES)), codes(Disconnected, DeviceTimeout, DeviceError), st.integers(1, 3))
+REFUSAL = st.tuples(st.just("dcamprop_setgetvalue"), codes(BadValue, Unsupported, NotThere), st.just(1))
+DAMAGE = st.tuples(st.sampled_from(["dcambuf_copyframe", "dcamwait_start"]), codes(FrameLost), st.integers(1, 3))
+NO_START = st.tuples(st.sampled_from(["dcambuf_alloc", "dcamcap_start"]), codes(Unsupported, BadValue), st.just(1))
+FAILURE = st.tuples(ANY | REFUSAL | DAMAGE | NO_START, st.integers(0, 6)).map(
+    lambda drawn: ("fail", *drawn[0], drawn[1])
+)
+
+
+def test_no_sequence_of_commands_and_faults_leaves_the_family() -> None:
+    with dcam_stand_in() as stand_in:
+
+        class Storm(CameraStorm):
+            longest_s = 300.0  # a question about all properties, of a library that takes 0.3 s for each call
+
+            def now(self) -> float:
+                return stand_in.now()
+
+            def make(self) -> StandIn:
+                stand_in.reset()
+                return stand_in
+
+            def open(self) -> DcamCamera:
+                return open_camera(stand_in, ring_frames=8, region=Region(0, 0, 32, 32))
+
+            def faults(self) -> st.SearchStrategy[tuple[Any, ...]]:
+                return st.one_of(
+                    FAILURE,
+                    st.tuples(st.just("slow"), st.sampled_from(sorted(PROTOTYPES)), st.sampled_from([0, 5, 300])),
+                    st.tuples(st.just("unplug"), st.sampled_from(Plug), st.floats(0.0, 0.1)),
+                    st.tuples(st.just("plug_in")),
+                    st.tuples(st.just("lose"), st.integers(1, 20)),
+                    st.tuples(st.just("advance"), st.floats(0.0, 1.0)),
+                    st.tuples(st.just("stall")),
+                )
+
+            def happen(self, fault: tuple[Any, ...]) -> None:
+                getattr(stand_in, fault[0])(*fault[1:])
+
+            def recover(self) -> None:
+                stand_in.reset()
+
+        run_state_machine_as_test(Storm, settings=storm_settings(40, steps=40))

@@ -1,0 +1,113 @@
+"""What begins an exposure of a DCAM camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from support.dcam_tools import dcam_stand_in, open_camera
+
+from drivers.dcam.camera import DcamCamera
+from drivers.interface import (
+    DeviceTimeout,
+    Disconnected,
+    FrameLost,
+    Region,
+)
+from simulated_devices.wires.dcam.stand_in import StandIn, pattern
+
+SENSOR = Region(0, 0, 512, 512)
+LOSTFRAME, NOTREADY = 0x80000301, 0x80000103
+
+
+@pytest.fixture
+def stand_in() -> Iterator[StandIn]:
+    with dcam_stand_in() as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
+    with open_camera(stand_in) as camera:
+        yield camera
+
+
+def test_an_external_trigger_makes_a_frame(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="external", exposure_s=0.05) as camera:
+        camera.start()
+        with pytest.raises(DeviceTimeout):
+            camera.read(1.0)
+        stand_in.trigger()
+        assert camera.read(1.0).index == 0
+        with pytest.raises(DeviceTimeout):
+            camera.read(1.0)
+        assert stand_in.calls("dcamcap_firetrigger") == 0
+
+
+def test_a_change_before_a_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="external", exposure_s=0.05) as camera:
+        camera.start()
+        for exposure_s in (0.1, 0.2, 0.3):
+            camera.set_exposure(exposure_s)
+            stand_in.trigger()
+            frame = camera.read(1.0)
+            assert frame.exposure_s == exposure_s
+            assert frame.camera_time_s == pytest.approx(stand_in.now(), abs=2e-6)
+
+
+def test_an_exposure_that_pulses_make_is_warned_of(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="external", trigger_active="level") as camera:
+        assert camera.warnings() == ("the trigger's pulses make the exposure, not the time that is set",)
+
+
+def test_with_the_software_trigger_each_read_makes_its_frame(stand_in: StandIn, camera: DcamCamera) -> None:
+    """So that whoever measures or looks needs not know that somebody has to trigger."""
+    camera.set_trigger("software")
+    camera.start()
+    for index in range(3):
+        stand_in.advance(10.0)  # nothing is taken meanwhile
+        asked_s = stand_in.now()
+        frame = camera.read(1.0)
+        assert frame.index == index
+        np.testing.assert_array_equal(frame.pixels, pattern(index, SENSOR))
+        assert frame.camera_time_s == pytest.approx(asked_s + camera.exposure_s, abs=2e-6)
+    assert stand_in.calls("dcamcap_firetrigger") == 3
+
+
+def test_a_software_trigger_is_fired_once_for_a_frame_that_takes_long(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="software", exposure_s=0.5, readout_speed=2) as camera:
+        camera.start()
+        for timeout_s in (0.0, 0.1, 0.2):
+            with pytest.raises(DeviceTimeout):
+                camera.read(timeout_s)
+        camera.set_exposure(0.1)  # holds from the next one on
+        assert [camera.read(1.0).exposure_s for _ in range(3)] == [0.5, 0.1, 0.1]
+        assert stand_in.calls("dcamcap_firetrigger") == 3
+
+
+def test_a_software_trigger_is_fired_again_for_a_frame_that_was_lost(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="software") as camera:
+        camera.start()
+        assert camera.read(1.0).index == 0
+        stand_in.lose(2)
+        assert camera.read(1.0).index == 3
+        stand_in.fail("dcambuf_copyframe", LOSTFRAME)
+        with pytest.raises(FrameLost):
+            camera.read(1.0)
+        assert camera.read(1.0).index == 5
+
+
+def test_a_camera_that_takes_no_software_trigger_times_out(stand_in: StandIn) -> None:
+    with open_camera(stand_in, trigger="software") as camera:
+        camera.start()
+        stand_in.fail("dcamcap_firetrigger", NOTREADY, times=2)
+        assert camera.read(1.0).index == 0  # asked again, it does
+        stand_in.stall()
+        for _ in range(2):
+            with pytest.raises(DeviceTimeout):
+                camera.read(0.5)
+        camera.stop()
+        stand_in.unplug()
+        with pytest.raises(Disconnected):
+            camera.start()

@@ -1,0 +1,147 @@
+"""GenICam cameras without any camera: frame numbers, pixel formats, calls that hang, settings, a missing library."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import itertools
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.patience import HANG_S, wait_until
+
+from drivers.errors import Disconnected, Unsupported
+from drivers.genicam.calls import PatientCalls
+from drivers.genicam.frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
+from drivers.genicam.library import load_aravis
+from drivers.genicam.search import find
+from drivers.genicam.settings import GenicamSettings
+
+
+@given(first=st.integers(1, 65535), steps=st.lists(st.integers(1, 65534), max_size=50))
+def test_short_numbers_go_round_without_a_zero(first: int, steps: list[int]) -> None:
+    given_in_turn = itertools.cycle(range(1, 65536))
+    ids = itertools.islice(given_in_turn, first - 1, None)
+    count = FrameCount()
+    assert count.advance(next(ids)) == 0
+    for expected, step in zip(np.cumsum(steps), steps, strict=True):
+        assert count.advance(next(itertools.islice(ids, step - 1, None))) == expected
+
+
+def test_a_loss_across_the_end_of_the_numbers_is_counted() -> None:
+    count = FrameCount()
+    assert [count.advance(frame_id) for frame_id in (65533, 65534, 2, 3)] == [0, 1, 4, 5]  # 65535 and 1 are missing
+
+
+def test_long_numbers_go_on_and_may_begin_with_zero() -> None:
+    count = FrameCount()
+    assert [count.advance(frame_id) for frame_id in (0, 1, 65535, 65536, 2**40)] == [0, 1, 65535, 65536, 2**40]
+
+
+@pytest.mark.parametrize(
+    ("name", "full_scale"), [("Mono8", 255), ("Mono10", 1023), ("Mono12", 4095), ("Mono16", 65535)]
+)
+def test_pixels_are_copied_row_by_row(name: str, full_scale: int) -> None:
+    pixel_format = PIXEL_FORMATS[name]
+    assert pixel_format.full_scale == full_scale
+    counts = np.linspace(0, full_scale, 12).astype(int)
+    sent = b"".join(int(count).to_bytes(1 if name == "Mono8" else 2, "little") for count in counts)
+    memory = ctypes.create_string_buffer(sent, len(sent))
+    pixels = copied_pixels(ctypes.addressof(memory), 3, 4, pixel_format)
+    memory.raw = bytes(len(sent))
+    assert pixels.dtype == np.uint16
+    assert not pixels.flags.writeable
+    np.testing.assert_array_equal(pixels, counts.reshape(3, 4))
+
+
+def test_the_deepest_format_comes_first() -> None:
+    assert [pixel_format.bits for pixel_format in PIXEL_FORMATS.values()] == [16, 14, 12, 10, 8]
+
+
+def test_a_frame_has_the_exposure_that_was_in_force_when_it_began() -> None:
+    log = ExposureLog.beginning_with(0.5)
+    log.change(10.0, 2.0)
+    assert log.of_frame(11.9) == 0.5  # began at 11.4 at the earliest with the old one; with the new one, before 10
+    assert log.of_frame(12.1) == 2.0
+    log.change(13.0, 0.1)
+    assert log.of_frame(13.05) == 2.0
+    assert log.of_frame(13.2) == 0.1
+
+
+def test_a_short_exposure_overtakes_a_long_one_that_never_was() -> None:
+    log = ExposureLog.beginning_with(0.5)
+    log.change(10.0, 100.0)
+    log.change(10.1, 0.2)
+    assert log.of_frame(10.2) == 0.5
+    assert log.of_frame(10.4) == 0.2
+
+
+def test_a_call_that_hangs_is_given_up() -> None:
+    calls, ending = PatientCalls("test"), threading.Event()
+    with pytest.raises(Disconnected, match=r"did not answer for 0\.1 s"):
+        calls.make(lambda: ending.wait(HANG_S), 0.1)
+    with pytest.raises(Disconnected):
+        calls.make(lambda: 1, 0.1)  # behind it
+    ending.set()
+    assert calls.make(lambda: 2, 10) == 2  # what nobody waits for any longer does no harm
+    calls.end()
+
+
+def test_an_answer_is_seen_that_is_overdue_when_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where this computer stood still: both the answer and the end of the patience lay in that time."""
+    monkeypatch.setattr("drivers.genicam.calls._LAST_LOOK_S", HANG_S)
+    calls, coming = PatientCalls("test"), threading.Timer(0.05, lambda: None)
+    coming.start()
+    assert calls.make(coming.join, 0.0) is None
+    calls.end()
+
+
+def test_a_call_raises_what_it_raises() -> None:
+    def fails() -> None:
+        raise Unsupported("no")
+
+    calls = PatientCalls("test")
+    with pytest.raises(Unsupported, match="no"):
+        calls.make(fails, 10)
+    assert calls.make(lambda: "goes on", 10) == "goes on"
+    calls.end()
+
+
+def test_the_thread_ends() -> None:
+    calls = PatientCalls("test that ends")
+    calls.end()
+    wait_until(lambda: not any(thread.name == "test that ends" for thread in threading.enumerate()))
+
+
+def test_without_the_library_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> None:
+        raise OSError(name)
+
+    monkeypatch.setattr(ctypes, "CDLL", missing)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda _: None)
+    load_aravis.cache_clear()
+    with pytest.raises(Unsupported, match=r"sudo apt-get install libaravis-0\.8-0$"):
+        find()
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: GenicamSettings(pixel_pitch_m=-1.0), "pixel_pitch_m"),
+        (lambda: GenicamSettings(exposure_s=float("nan")), "exposure_s"),
+        (lambda: GenicamSettings(frame_rate_hz=0.0), "frame_rate_hz"),
+        (lambda: GenicamSettings(gain=float("inf")), "gain"),
+        (lambda: GenicamSettings(pixel_format="Mono12Packed"), "pixel_format"),
+        (lambda: GenicamSettings(binning=0), "binning"),
+        (lambda: GenicamSettings(buffers=1), "buffers"),
+        (lambda: GenicamSettings(packet_size=100), "packet_size"),
+        (lambda: GenicamSettings(socket_buffer_bytes=0), "socket_buffer_bytes"),
+    ],
+)
+def test_a_bad_setting_is_named(make: Callable[[], object], key: str) -> None:
+    with pytest.raises(ValueError, match=f"^{key} "):
+        make()

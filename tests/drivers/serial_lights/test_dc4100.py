@@ -1,0 +1,517 @@
+"""The DC4100's driver, byte by byte, over a stand-in that has its limits and its faults, and over a real port."""
+
+from __future__ import annotations
+
+import errno
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Any
+
+import pytest
+import serial
+from hypothesis import strategies as st
+from hypothesis.stateful import rule
+from support.device_contract import LightFaultContract
+from support.patience import own_time
+from support.serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to
+from support.storm import storm_settings
+
+from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
+from drivers.serial_lights.line import Wire
+from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings, Status, ThorlabsDC4100
+from simulated_devices.clock import ManualClock
+from simulated_devices.wires.dc4100 import DC4100Wire
+from simulated_devices.wires.pseudo_terminal import PtyServer
+from simulated_devices.wires.serial import FaultKind, LineFault
+
+# What goes over the wire when channel 1 is opened, from the protocol, by hand.
+OPENING = [
+    (b"\r\n", b""),
+    (b"n?\r\n", b"DC4104\r\n"),
+    (b"o -1 0\r\n", b""),
+    (b"v?\r\n", b"1.8.4\r\n"),
+    (b"s?\r\n", b"M00266001\r\n"),
+    (b"e?\r\n", b"ERROR 1: Unknown command\r\n"),  # what somebody else did
+    (b"sm?\r\n", b"1\r\n"),
+    (b"sm 0\r\n", b""),
+    (b"e?\r\n", b"ERROR 0: No error\r\n"),
+    (b"m?\r\n", b"2\r\n"),
+    (b"m 0\r\n", b""),
+    (b"e?\r\n", b"ERROR 0: No error\r\n"),
+    (b"r?\r\n", b"2560\r\n"),  # 0b1010_0000_0000: no LED at channels 2 and 3
+    (b"wl? 1\r\n", b"455.0\r\n"),
+    (b"hs? 1\r\n", b"M00250001\r\n"),
+    (b"o -1 0\r\n", b""),
+    (b"e?\r\n", b"ERROR 0: No error\r\n"),
+    (b"o? 1\r\n", b"0\r\n"),
+    (b"ml? 1\r\n", b"350\r\n"),
+    (b"l? 1\r\n", b"200\r\n"),
+    (b"cc? 1\r\n", b"900\r\n"),
+    (b"cc 1 200\r\n", b""),
+    (b"e?\r\n", b"ERROR 0: No error\r\n"),
+    (b"cc? 1\r\n", b"200\r\n"),
+]
+CLOSING = [(b"o -1 0\r\n", b""), (b"e?\r\n", b"ERROR 0: No error\r\n"), (b"o? 1\r\n", b"0\r\n")]
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+def device() -> DC4100Wire:
+    device = DC4100Wire()
+    device.heads[0].is_on = True  # as somebody left it
+    return device
+
+
+def open_light(device: DC4100Wire, clock: ManualClock, **settings: Any) -> ThorlabsDC4100:
+    chosen = DC4100Settings(port="COM7", **settings)
+    return ThorlabsDC4100(chosen, wire=wire_to(device, clock), sleep=clock.sleep)
+
+
+@pytest.fixture
+def light(device: DC4100Wire, clock: ManualClock) -> Iterator[ThorlabsDC4100]:
+    light = open_light(device, clock)
+    yield light
+    with suppress(DeviceError):
+        light.close()
+
+
+class TestContract(LightFaultContract):
+    @pytest.fixture
+    def reopen(self, device: DC4100Wire, clock: ManualClock) -> Callable[[], ThorlabsDC4100]:
+        return lambda: open_light(device, clock)
+
+    @pytest.fixture
+    def faults(self, device: DC4100Wire) -> SerialFaults:
+        return SerialFaults(device)
+
+
+class TestContractOnAPort(LightFaultContract):
+    @pytest.fixture
+    def faults(self, device: DC4100Wire) -> Iterator[PtyFaults]:
+        faults = PtyFaults(device)
+        yield faults
+        faults.server.close()
+
+    @pytest.fixture
+    def reopen(self, faults: PtyFaults) -> Callable[[], ThorlabsDC4100]:
+        return lambda: ThorlabsDC4100(DC4100Settings(port=faults.server.port))
+
+    @pytest.fixture
+    def light(self, reopen: Callable[[], ThorlabsDC4100]) -> Iterator[ThorlabsDC4100]:
+        with reopen() as light:
+            yield light
+
+
+def test_every_byte_of_opening_setting_and_closing(clock: ManualClock) -> None:
+    setting = [
+        (b"ml? 1\r\n", b"350\r\n"),
+        (b"l? 1\r\n", b"200\r\n"),
+        (b"o? 1\r\n", b"0\r\n"),
+        (b"cc 1 20\r\n", b""),
+        (b"e?\r\n", b"ERROR 0: No error\r\n"),
+        (b"cc? 1\r\n", b"20\r\n"),
+    ]
+    port, seen = ScriptedPort(OPENING + setting + CLOSING, clock), dict[str, Any]()
+    wire = Wire(open_port=port.opener(seen), clock=clock.now)
+    light = ThorlabsDC4100(DC4100Settings(port="COM7", channel=1), wire=wire, sleep=clock.sleep)
+    assert light.name == "Thorlabs DC4104 M00266001 LED2"
+    assert light.set_current(0.0204) == 0.020  # whole milliamperes, never more than was asked
+    light.close()
+    assert port.is_done()
+    assert seen == {"port": "COM7", "baudrate": 115200, "timeout": 0.02, "write_timeout": 1.0, "exclusive": True}
+
+
+def test_what_was_left_on_is_off_in_constant_current(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    assert not device.is_lit
+    assert (device.mode, device.selection) == (0, 0)
+    light.set_on(True)
+    assert [head.is_on for head in device.heads] == [True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("channel", "limit_a", "maximum_a"), [(0, None, 1.0), (1, None, 0.2), (1, 0.05, 0.05), (0, 5.0, 1.0)]
+)
+def test_the_lowest_of_three_limits_holds(
+    device: DC4100Wire, clock: ManualClock, channel: int, limit_a: float | None, maximum_a: float
+) -> None:
+    with open_light(device, clock, channel=channel, limit_a=limit_a) as light:
+        assert light.current_range_a.maximum == maximum_a
+        assert light.current_a <= maximum_a
+        assert light.set_current(maximum_a) == maximum_a
+        with pytest.raises(BadValue, match="outside 0"):
+            light.set_current(maximum_a + 0.001)
+        assert device.heads[channel].current_ma == round(maximum_a * 1000)
+
+
+def test_the_owners_limit_is_not_rounded_up(device: DC4100Wire, clock: ManualClock) -> None:
+    with open_light(device, clock, limit_a=0.0357) as light:
+        assert light.set_current(0.0357) == 0.035
+
+
+def test_the_current_comes_up_in_steps(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_current(1.0)
+    del device.received[:]
+    light.set_on(True)
+    steps = [int(command.split()[2]) for command in device.received if command.startswith("cc ")]
+    assert steps[0] == 0
+    assert steps == sorted(steps)
+    assert len(steps) >= 8
+    assert steps[-1] == 1000
+
+
+def test_each_set_is_followed_by_the_question_for_errors(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_current(0.1)
+    light.set_on(True)
+    light.set_on(False)
+    for command, after in zip(device.received, [*device.received[1:], ""], strict=True):
+        if command and "?" not in command and command != "o -1 0":
+            assert after == "e?"
+
+
+@pytest.mark.parametrize(
+    ("register", "words"),
+    [
+        (0, ""),
+        (1 << 1, "power supply"),
+        (1 << 3, "too hot"),
+        (1 << 9, "no LED"),  # 5, 7, 9, 11 are LED1 ... LED4
+        (1 << 17, "does not conduct"),  # 13, 15, 17, 19
+        (1 << 5 | 1 << 7 | 1 << 11 | 1 << 13 | 1 << 15 | 1 << 19, ""),  # the other channels
+        (0x55555555, ""),  # the even bits only say that something has changed
+    ],
+)
+def test_the_status_register(register: int, words: str) -> None:
+    fault = Status.decode(register, 2).fault
+    assert words in fault
+    assert bool(words) == bool(fault)
+
+
+def test_the_limit_is_a_status_and_no_fault() -> None:
+    status = Status.decode(1 << 25, 2)
+    assert status.is_at_limit
+    assert not status.fault
+
+
+def test_properties(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    assert light.properties() == {
+        "name": "Thorlabs DC4100 M00266001 LED1",
+        "is_on": False,
+        "current_a": 0.1,
+        "lowest_current_a": 0.0,
+        "highest_current_a": 1.0,
+        "lit_s": 0.0,
+        "firmware": "1.8.4",
+        "channel": 0,
+        "wavelength_nm": "455.0",
+        "head_serial_number": "M00250001",
+        "head_maximum_a": 1.0,
+        "user_limit_a": 1.0,
+        "is_at_limit": False,
+        "fault": "",
+    }
+    device.heads[0].is_open = True
+    assert "does not conduct" in str(light.properties()["fault"])
+
+
+@pytest.mark.parametrize("kind", ["silence", "late", "half", "garbage"])
+def test_a_lost_answer_switches_off_and_the_next_question_works(
+    device: DC4100Wire, light: ThorlabsDC4100, kind: FaultKind
+) -> None:
+    light.set_current(0.2)
+    light.set_on(True)
+    assert device.is_lit
+    device.faults.append(LineFault(kind, delay_s=0.6 if kind == "late" else 0.0))
+    with pytest.raises(DeviceError) as caught:
+        light.set_current(0.1)
+    assert type(caught.value) is DeviceError if kind == "garbage" else isinstance(caught.value, DeviceTimeout)
+    assert not device.is_lit
+    assert light.current_a == 0.2
+    assert light.set_current(0.15) == 0.15
+
+
+@pytest.mark.parametrize("delay_s", [0.51, 0.6, 0.9, 1.02, 1.3, 1.55, 1.9])
+def test_a_late_answer_is_never_taken_for_that_of_another_question(
+    device: DC4100Wire, light: ThorlabsDC4100, delay_s: float
+) -> None:
+    device.heads[0].current_ma = 77  # would be the limit, if it were taken for the next answer
+    device.faults.append(LineFault("late", delay_s=delay_s))
+    with pytest.raises(DeviceTimeout):
+        _ = light.current_a
+    for _ in range(4):
+        with suppress(DeviceTimeout):
+            assert light.current_range_a.maximum == 1.0
+            break
+    else:
+        pytest.fail("never came into step again")
+    assert light.current_a == 0.077
+    assert not light.is_on
+
+
+def test_noise_between_answers_is_passed_over(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    device.faults.append(LineFault("noise"))
+    assert light.current_a == 0.1
+
+
+def test_a_command_that_was_lost_is_noticed(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_current(0.2)
+    light.set_on(True)
+    original = device.answer
+
+    def lose_sets(command: str) -> Any:
+        return [] if command.startswith("cc 0") else original(command)
+
+    device.answer = lose_sets  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="was asked for 100 mA and set 200 mA"):
+        light.set_current(0.1)
+    assert not device.is_lit
+
+
+def test_switching_off_is_said_again_where_it_was_lost(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_on(True)
+    device.faults.append(LineFault("deaf"))
+    light.set_on(False)
+    assert not device.is_lit
+
+
+def test_a_refused_value_changes_nothing(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_current(0.2)
+    light.set_on(True)
+    device.refuses_next = True
+    with pytest.raises(BadValue, match=r"refuses “cc 0 100”: Value refused \(error 2\)"):
+        light.set_current(0.1)
+    assert light.is_on
+    assert light.current_a == 0.2
+
+
+def test_over_temperature_while_lit(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_on(True)
+    device.heat_up()
+    with pytest.raises(DeviceError, match="too hot"):
+        _ = light.is_on
+    assert not light.is_on  # told once
+    with pytest.raises(DeviceError, match="too hot"):
+        light.set_on(True)
+    device.is_over_temperature = False
+    light.set_on(True)
+    assert device.is_lit
+
+
+def test_a_led_that_does_not_conduct(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    device.heads[0].is_open = True
+    with pytest.raises(DeviceError, match="does not conduct"):
+        light.set_on(True)
+    assert not device.heads[0].is_on
+
+
+def test_a_button_at_the_front_panel(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_on(True)
+    device.heads[0].is_on = False
+    with pytest.raises(DeviceError, match="front panel"):
+        light.set_current(0.05)
+
+
+def test_no_head_at_the_channel(device: DC4100Wire, clock: ManualClock) -> None:
+    with pytest.raises(WrongState, match=r"COM7, LED3: there is no LED"):
+        open_light(device, clock, channel=2)
+    assert not device.is_lit
+
+
+def test_a_light_that_stays_on_is_told(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+    light.set_on(True)
+    device.is_stuck_on = True
+    with pytest.raises(DeviceError, match="still on"):
+        light.set_on(False)
+
+
+@pytest.mark.parametrize("model", ["DC4100", "DC4104", "LEDD4"])
+def test_each_model_is_known_by_its_name(clock: ManualClock, model: str) -> None:
+    with open_light(DC4100Wire(f"Thorlabs {model} 1.8"), clock) as light:
+        assert light.name == f"Thorlabs {model} M00266001 LED1"
+
+
+@pytest.mark.parametrize("name", ["PM100D 1.0", "DC2100"])
+def test_another_instrument_is_left_alone(clock: ManualClock, name: str) -> None:
+    device = DC4100Wire(name)
+    with pytest.raises(DeviceError, match=f"answered “n\\?” with '{name}': a bad cable, or another device"):
+        open_light(device, clock)
+    assert device.received == ["", "n?"]
+
+
+def test_a_silent_port(device: DC4100Wire, clock: ManualClock) -> None:
+    device.faults.append(LineFault("silence"))
+    with pytest.raises(DeviceTimeout, match=r"did not answer “n\?” within 0.5 s; is it switched on"):
+        open_light(device, clock)
+
+
+def test_an_empty_line_may_be_an_error(clock: ManualClock) -> None:
+    with open_light(DC4100Wire(is_empty_line_an_error=True), clock) as light:
+        assert light.set_current(0.1) == 0.1
+
+
+def test_unplugged_in_the_middle_of_a_command(device: DC4100Wire, light: ThorlabsDC4100, clock: ManualClock) -> None:
+    device.faults.append(LineFault("unplug"))
+    start_s = clock.now()
+    with pytest.raises(Disconnected, match="COM7 is gone"):
+        light.set_current(0.1)
+    assert clock.now() - start_s < 2
+    with pytest.raises(Disconnected):
+        light.set_on(True)
+    light.close()
+    light.close()
+
+
+def test_unplugged_between_commands_on_a_port() -> None:
+    with PtyServer(DC4100Wire()) as server:
+        light = ThorlabsDC4100(DC4100Settings(port=server.port))
+        server.unplug()
+        with own_time() as elapsed_s:
+            with pytest.raises(Disconnected):
+                light.set_on(True)
+            assert elapsed_s() < 2
+        light.close()
+
+
+def test_unplugged_in_the_middle_of_a_command_on_a_port_and_plugged_in_again() -> None:
+    device = DC4100Wire()
+    with PtyServer(device) as server:
+        light = ThorlabsDC4100(DC4100Settings(port=server.port))
+        device.faults.append(LineFault("unplug"))
+        with pytest.raises(Disconnected):
+            _ = light.current_a
+        light.close()
+    device.is_unplugged = False
+    with PtyServer(device) as server, ThorlabsDC4100(DC4100Settings(port=server.port)) as light:
+        light.set_on(True)
+        assert device.is_lit
+    assert not device.is_lit
+
+
+def test_a_port_that_another_program_holds() -> None:
+    with (
+        PtyServer(DC4100Wire()) as server,
+        serial.Serial(server.port, exclusive=True),
+        pytest.raises(Busy, match=f"another program holds {server.port}"),
+    ):
+        ThorlabsDC4100(DC4100Settings(port=server.port))
+
+
+def test_a_port_that_is_not_there() -> None:
+    with pytest.raises(Disconnected, match="there is no /dev/ttyNone"):
+        ThorlabsDC4100(DC4100Settings(port="/dev/ttyNone"))
+    with pytest.raises(DeviceError, match="cannot be opened as a serial port"):
+        ThorlabsDC4100(DC4100Settings(port=__file__))
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "words"),
+    [
+        (serial.SerialException(errno.EACCES, "[Errno 13] Permission denied"), DeviceError, "dialout"),
+        (serial.SerialException(errno.EBUSY, "Device or resource busy"), Busy, "another program"),
+        (serial.SerialException("could not open port 'COM7': PermissionError(13, 'Denied')"), Busy, "another program"),
+        (serial.SerialException("could not open port 'COM7': FileNotFoundError(2, 'x')"), Disconnected, "no COM7"),
+    ],
+)
+def test_why_a_port_cannot_be_opened(error: Exception, kind: type[DeviceError], words: str) -> None:
+    def open_port(_port: str, **_settings: object) -> Any:
+        raise error
+
+    with pytest.raises(kind, match=words):
+        ThorlabsDC4100(DC4100Settings(port="COM7"), wire=Wire(open_port=open_port))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({}, "port must be given"),
+        ({"port": "COM1", "serial_number": "A"}, "not both"),
+        ({"port": "COM1", "channel": 4}, "channel"),
+        ({"port": "COM1", "limit_a": 0.0}, "limit_a"),
+        ({"port": "COM1", "limit_a": float("nan")}, "limit_a"),
+    ],
+)
+def test_settings_check_themselves(wrong: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        DC4100Settings(**wrong)
+
+
+LEAVING = """
+import signal, sys
+from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings, ThorlabsDC4100
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests were started with
+light = ThorlabsDC4100(DC4100Settings(port=sys.argv[1]))
+light.set_on(True)
+assert light.is_on
+print("lit", flush=True)
+sys.stdin.readline()
+{ending}
+"""
+
+
+WITHOUT_DEL = "from drivers.light_source import LightSource; del LightSource.__del__"
+
+
+@pytest.mark.parametrize("ending", ["sys.exit(3)", "raise RuntimeError", "del light", "while True: pass", WITHOUT_DEL])
+def test_off_when_the_interpreter_ends(ending: str) -> None:
+    device = DC4100Wire()
+    with PtyServer(device) as server:
+        program = subprocess.Popen(  # noqa: S603 - our own interpreter
+            [sys.executable, "-c", LEAVING.format(ending=ending), server.port],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        with program:
+            assert program.stdout is not None
+            assert program.stdout.readline() == "lit\n"
+            assert device.is_lit
+            assert program.stdin is not None
+            program.stdin.write("\n")
+            program.stdin.flush()
+            if ending.startswith("while"):
+                time.sleep(0.2)
+                program.send_signal(signal.SIGINT)  # Ctrl-C
+        assert not device.is_lit
+
+
+class Storm(SerialStorm):
+    device: DC4100Wire
+
+    def make(self) -> DC4100Wire:
+        return DC4100Wire()
+
+    def open(self) -> ThorlabsDC4100:
+        return open_light(self.device, self.clock)
+
+    def true_current_a(self) -> float:
+        return self.device.heads[0].current_ma / 1000
+
+    def true_maximum_a(self) -> float:
+        return self.device.heads[0].maximum_ma / 1000
+
+    def recover(self) -> None:
+        super().recover()
+        self.device.is_over_temperature = False
+
+    @rule(is_hot=st.booleans())
+    def temperature(self, *, is_hot: bool) -> None:
+        if is_hot:
+            self.device.heat_up()
+        else:
+            self.device.is_over_temperature = False
+
+    @rule()
+    def refuse(self) -> None:
+        self.device.refuses_next = True
+
+
+TestStorm = Storm.TestCase
+TestStorm.settings = storm_settings()

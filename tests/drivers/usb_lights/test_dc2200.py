@@ -1,0 +1,385 @@
+"""The DC2200's driver over a stand-in on the USB bus: its bytes, its limits, its faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Any, get_args
+
+import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import rule
+from support.device_contract import LightFaultContract
+from support.light_storm import LightStorm
+from support.storm import storm_settings
+from support.usb_stand_in import Bus, Plug
+
+from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
+from drivers.usb_lights.thorlabs_dc2200 import DC2200Settings, ThorlabsDC2200, find
+from simulated_devices.clock import ManualClock
+from simulated_devices.wires.dc2200 import DC2200Wire, header
+from simulated_devices.wires.usbtmc import UsbFault, UsbFaultKind
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+def device() -> DC2200Wire:
+    return DC2200Wire()
+
+
+def open_light(device: DC2200Wire, clock: ManualClock, **settings: Any) -> ThorlabsDC2200:
+    bus = Bus(Plug(device, device.serial_number), clock=clock)
+    return ThorlabsDC2200(DC2200Settings(**settings), backend=bus, sleep=clock.sleep)
+
+
+@pytest.fixture
+def reopen(device: DC2200Wire, clock: ManualClock) -> Callable[[], ThorlabsDC2200]:
+    return lambda: open_light(device, clock)
+
+
+@pytest.fixture
+def light(reopen: Callable[[], ThorlabsDC2200]) -> Iterator[ThorlabsDC2200]:
+    light = reopen()
+    yield light
+    with suppress(DeviceError):
+        light.close()
+
+
+class Faults:
+    def __init__(self, device: DC2200Wire) -> None:
+        self.device = device
+
+    @property
+    def shines(self) -> bool:
+        return self.device.is_lit
+
+    def fail_next(self) -> None:
+        self.device.faults.append(UsbFault("silence"))
+
+    def refuse_next(self) -> None:
+        self.device.refuses_next = True
+
+    def unplug(self) -> None:
+        self.device.is_unplugged = True
+
+    def plug_in(self) -> None:
+        self.device.plug_in()
+
+
+class TestContract(LightFaultContract):
+    @pytest.fixture
+    def faults(self, device: DC2200Wire) -> Faults:
+        return Faults(device)
+
+
+class TestContractGated(TestContract):
+    @pytest.fixture
+    def reopen(self, device: DC2200Wire, clock: ManualClock) -> Callable[[], ThorlabsDC2200]:
+        return lambda: open_light(device, clock, gate="ttl", terminal=2)
+
+
+def test_every_command_of_opening_setting_and_closing(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    assert device.received == [
+        "*IDN?",
+        "OUTP 0",
+        "OUTP:TERM?",
+        "*CLS",
+        "OUTP:TERM 1",
+        "SYST:ERR?",
+        "SYST:TERM1:HTYP?",
+        "*CLS",
+        "SOUR:MODE CC",
+        "SYST:ERR?",
+        "OUTP 0",
+        "SYST:ERR?",
+        "OUTP?",
+        "SOUR:CURR:LIM:AMPL?",
+        "SOUR:CURR:LIM:AMPL? MAX",
+        "SOUR:CCUR?",
+    ]
+    assert device.transfers[2] == b"\x01\x03\xfc\x00\x06\x00\x00\x00\x01\x00\x00\x00OUTP 0\x00\x00"
+    del device.received[:]
+    assert light.set_current(0.12345678) == 0.1234  # tenths of a milliampere, never more than was asked
+    assert device.received[-4:] == ["*CLS", "SOUR:CCUR 0.1234", "SYST:ERR?", "SOUR:CCUR?"]
+    del device.received[:]
+    light.close()
+    assert device.received == ["OUTP 0", "SYST:ERR?", "OUTP?"]
+
+
+def test_what_was_left_on_is_off(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    assert not device.is_lit
+    assert (device.terminal, device.mode) == (1, "CC")
+    assert light.name == "Thorlabs DC2200 M00331234 terminal 1"
+
+
+@pytest.mark.parametrize(
+    ("terminal", "limit_a", "maximum_a"), [(1, None, 1.0), (2, None, 0.5), (2, 0.05, 0.05), (1, 5.0, 1.0)]
+)
+def test_the_lowest_of_three_limits_holds(
+    device: DC2200Wire, clock: ManualClock, terminal: int, limit_a: float | None, maximum_a: float
+) -> None:
+    with open_light(device, clock, terminal=terminal, limit_a=limit_a) as light:
+        assert light.current_range_a.maximum == maximum_a
+        assert light.current_a <= maximum_a
+        assert light.set_current(maximum_a) == device.current_a == maximum_a
+        with pytest.raises(BadValue, match="outside 0"):
+            light.set_current(maximum_a + 0.001)
+
+
+def test_a_limit_that_was_meant_for_another_head_does_not_count(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    terminal = device.terminals[1]
+    terminal.limit_a = 2 * terminal.maximum_a
+    assert light.current_range_a.maximum == terminal.maximum_a
+
+
+def test_gated_by_the_camera(device: DC2200Wire, clock: ManualClock) -> None:
+    with open_light(device, clock, gate="ttl", terminal=2) as light:
+        assert device.mode == "TTL"
+        light.set_current(0.25)
+        assert device.ttl_a == 0.25
+        light.set_on(True)
+        assert light.is_on
+        assert "SOUR:TTL 0.2500" in device.received
+        assert not any(command.startswith("SOUR:CCUR") for command in device.received)
+        assert light.properties()["gate"] == "ttl"
+    assert not device.is_output_on
+
+
+def test_each_set_is_followed_by_the_question_for_errors(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    light.set_current(0.3)
+    light.set_on(True)
+    light.set_on(False)
+    for command, after in zip(device.received[3:], [*device.received[4:], ""], strict=True):
+        if "?" not in command and command != "*CLS":
+            assert after == "SYST:ERR?"
+
+
+def test_properties(light: ThorlabsDC2200) -> None:
+    light.set_current(0.2)
+    light.set_on(True)
+    properties = light.properties()
+    assert properties.pop("lit_s") != 0
+    assert properties == {
+        "name": "Thorlabs DC2200 M00331234 terminal 1",
+        "is_on": True,
+        "current_a": 0.2,
+        "lowest_current_a": 0.0,
+        "highest_current_a": 1.0,
+        "firmware": "1.2.0",
+        "terminal": 1,
+        "gate": "internal",
+        "head": "Thorlabs,M455L4,M00412345,1.0.0",
+        "user_limit_a": 1.0,
+        "head_maximum_a": 1.0,
+        "measured_current_a": 0.2,
+        "fault": "",
+    }
+
+
+@pytest.mark.parametrize("kind", ["silence", "late", "half", "wrong tag", "garbage", "deaf", "stall"])
+def test_a_lost_answer_switches_off_and_the_next_question_works(
+    device: DC2200Wire, light: ThorlabsDC2200, kind: UsbFaultKind
+) -> None:
+    light.set_current(0.2)
+    light.set_on(True)
+    assert device.is_lit
+    device.faults.append(UsbFault(kind))
+    with pytest.raises(DeviceError) as caught:
+        light.set_current(0.1)
+    assert isinstance(caught.value, DeviceTimeout) == (kind in {"silence", "late", "deaf"})
+    assert not device.is_lit
+    assert light.current_a == 0.2
+    assert light.current_range_a.maximum == 1.0
+    assert light.set_current(0.15) == 0.15
+
+
+def test_a_refused_value_changes_nothing(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    light.set_current(0.2)
+    light.set_on(True)
+    device.refuses_next = True
+    with pytest.raises(BadValue, match=r"M00331234 refuses “SOUR:CCUR 0.1000”: Data out of range \(error -222\)"):
+        light.set_current(0.1)
+    assert light.is_on
+    assert light.current_a == 0.2
+
+
+def test_another_value_than_was_asked_is_no_setting(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    light.set_on(True)
+
+    def set_milliamperes(argument: str) -> None:
+        device.current_a = float(argument) * 1000
+
+    device._commands = [
+        (pattern, set_milliamperes if pattern.fullmatch("SOUR:CCUR") else setter, getter)
+        for pattern, setter, getter in device._commands
+    ]
+    with pytest.raises(DeviceError, match=r"was asked for 0.2 A and set 200 A"):
+        light.set_current(0.2)
+    assert not device.is_lit
+
+
+def test_errors_of_others_are_forgotten(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    for _ in range(12):
+        list(device.receive("NONSENSE"))
+    assert light.set_current(0.15) == 0.15
+
+
+def test_over_temperature_while_lit(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    light.set_on(True)
+    device.heat_up()
+    with pytest.raises(DeviceError, match="head is too hot; let it cool"):
+        _ = light.is_on
+    assert not light.is_on
+    with pytest.raises(DeviceError, match="too hot"):
+        light.set_on(True)
+    device.is_head_hot = False
+    light.set_on(True)
+    assert device.is_lit
+
+
+def test_switched_off_at_its_screen(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    light.set_on(True)
+    device.is_output_on = False
+    with pytest.raises(DeviceError, match="at its screen"):
+        light.set_current(0.1)
+
+
+def test_a_light_that_stays_on_is_told(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    light.set_on(True)
+    device.is_stuck_on = True
+    with pytest.raises(DeviceError, match="still on"):
+        light.set_on(False)
+
+
+def test_no_head(device: DC2200Wire, clock: ManualClock) -> None:
+    device.terminals[1].head = "Thorlabs,no head,no head,-2.0.0"
+    with pytest.raises(WrongState, match="no LED at terminal 1"):
+        open_light(device, clock)
+    assert not device.is_lit
+
+
+def test_another_instrument_is_left_alone(device: DC2200Wire, clock: ManualClock) -> None:
+    device.model = "PM400"
+    with pytest.raises(DeviceError, match=r"calls itself 'Thorlabs,PM400,.*no DC2200"):
+        open_light(device, clock)
+    assert device.received == ["*IDN?"]
+
+
+def test_unplugged_in_the_middle_of_a_command(device: DC2200Wire, light: ThorlabsDC2200, clock: ManualClock) -> None:
+    device.faults.append(UsbFault("unplug"))
+    start_s = clock.now()
+    with pytest.raises(Disconnected, match="DC2200 M00331234 is gone"):
+        light.set_current(0.1)
+    assert clock.now() - start_s < 2
+    light.close()
+    light.close()
+
+
+def test_unplugged_while_it_is_opened(device: DC2200Wire, clock: ManualClock) -> None:
+    device.faults.append(UsbFault("unplug"))
+    with pytest.raises(Disconnected):
+        open_light(device, clock)
+    device.plug_in()
+    with open_light(device, clock) as light:
+        assert not light.is_on
+
+
+def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
+    other = DC2200Wire("M00990000")
+    bus = Bus(Plug(device, "M00331234"), Plug(other, "M00990000"), clock=clock)
+    assert [(one.description, one.settings) for one in find(bus)] == [
+        ("Thorlabs DC2200 M00331234", {"serial_number": "M00331234"}),
+        ("Thorlabs DC2200 M00990000", {"serial_number": "M00990000"}),
+    ]
+    with ThorlabsDC2200(DC2200Settings(serial_number="M00990000"), backend=bus, sleep=clock.sleep) as light:
+        assert "M00990000" in light.name
+    assert not device.received
+    with pytest.raises(BadValue, match="several DC2200; say which by serial_number: M00331234, M00990000"):
+        ThorlabsDC2200(DC2200Settings(), backend=bus)
+    with pytest.raises(Disconnected, match="no DC2200 M1 on USB; found: M00331234, M00990000"):
+        ThorlabsDC2200(DC2200Settings(serial_number="M1"), backend=bus)
+    with pytest.raises(Disconnected, match="no DC2200 on USB; found: none"):
+        ThorlabsDC2200(DC2200Settings(), backend=Bus(clock=clock))
+
+
+def test_one_that_may_not_be_used(device: DC2200Wire, clock: ManualClock) -> None:
+    plug = Plug(device, "M1")
+    plug.is_allowed = False
+    (found,) = find(Bus(plug, clock=clock))
+    assert found.name == "thorlabs_dc2200"
+    assert "udevadm control --reload" in found.missing
+    with pytest.raises(DeviceError, match=r"you may not use the USB device 1313:80c8: .*70-svwfs.rules"):
+        ThorlabsDC2200(DC2200Settings(), backend=Bus(plug, clock=clock))
+    plug.is_allowed, plug.is_taken = True, True
+    with pytest.raises(Busy):
+        ThorlabsDC2200(DC2200Settings(), backend=Bus(plug, clock=clock))
+
+
+@pytest.mark.parametrize("wrong", [{"terminal": 3}, {"gate": "external"}, {"limit_a": -1.0}, {"limit_a": float("inf")}])
+def test_settings_check_themselves(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        DC2200Settings(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("word", "fits"),
+    [
+        ("SOUR:CCUR", True),
+        ("SOURCE1:CCURENT:CURRENT?", True),
+        (":SOURCE:CCUR:CURR", True),
+        ("SOUR:CCURRENT", False),
+        ("SOURC:CCUR", False),
+        ("SOUR2:CCUR", False),
+    ],
+)
+def test_the_stand_in_knows_short_and_long_headers_alone(word: str, *, fits: bool) -> None:
+    assert bool(header("SOURce1:CCURent[:CURRent]").fullmatch(word)) == fits
+
+
+class Storm(LightStorm):
+    device: DC2200Wire
+
+    def make(self) -> DC2200Wire:
+        return DC2200Wire()
+
+    def open(self) -> ThorlabsDC2200:
+        return open_light(self.device, self.clock)
+
+    def true_current_a(self) -> float:
+        return float(f"{self.device.current_a:.6E}")
+
+    def true_maximum_a(self) -> float:
+        return self.device.terminals[1].maximum_a
+
+    def faults(self) -> st.SearchStrategy[UsbFault]:
+        return st.builds(UsbFault, st.sampled_from(get_args(UsbFaultKind)), st.integers(1, 3))
+
+    def happen(self, fault: UsbFault) -> None:
+        self.device.faults.append(fault)
+
+    def is_calm(self) -> bool:
+        return not self.device.faults and not self.device.is_unplugged
+
+    def recover(self) -> None:
+        super().recover()
+        self.device.plug_in()
+        self.device.is_head_hot = False
+
+    @rule(is_hot=st.booleans())
+    def temperature(self, *, is_hot: bool) -> None:
+        if is_hot:
+            self.device.heat_up()
+        else:
+            self.device.is_head_hot = False
+
+    @rule()
+    def refuse(self) -> None:
+        self.device.refuses_next = True
+
+
+TestStorm = Storm.TestCase
+TestStorm.settings = storm_settings()

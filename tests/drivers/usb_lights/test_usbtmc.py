@@ -1,0 +1,190 @@
+"""USBTMC, byte by byte: framing, long answers, and that the next question works whatever came before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import pytest
+import usb.backend.libusb0
+import usb.backend.libusb1
+import usb.backend.openusb
+from support.usb_stand_in import IN, Bus, Plug
+
+from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
+from drivers.usb_lights import usbtmc
+from drivers.usb_lights.usbtmc import Usbtmc
+from simulated_devices.clock import ManualClock
+from simulated_devices.wires.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
+
+
+class Echo(UsbtmcWire):
+    """Answers every question with itself."""
+
+    def __init__(self, *, largest_answer: int = 1 << 16) -> None:
+        super().__init__(largest_answer=largest_answer)
+        self.messages: list[str] = []
+        self.interruptions = 0
+
+    def receive(self, message: str) -> Iterable[str]:
+        self.messages.append(message)
+        return [message] if message.endswith("?") else []
+
+    def interrupted(self) -> None:
+        self.interruptions += 1
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+def wire() -> Echo:
+    return Echo()
+
+
+def connect(wire: UsbtmcWire, clock: ManualClock) -> Usbtmc:
+    (instrument,) = usbtmc.find(0x1313, {0x80C8}, Bus(Plug(wire, "M1"), clock=clock))
+    return Usbtmc(instrument, what="the echo", sleep=clock.sleep)
+
+
+def test_every_byte_of_a_question(wire: Echo, clock: ManualClock) -> None:
+    echo = connect(wire, clock)
+    assert wire.requests == [(7, 0, 0), (5, 0, 0), (6, 0, 0), (6, 0, 0)]  # capabilities, clear, pending, cleared
+    assert not wire.transfers
+    assert echo.query("*IDN?") == "*IDN?"
+    assert wire.transfers == [
+        b"\x01\x01\xfe\x00\x05\x00\x00\x00\x01\x00\x00\x00*IDN?\x00\x00\x00",
+        b"\x02\x02\xfd\x00\xf4\x0f\x00\x00\x00\x00\x00\x00",  # 4084 bytes and a header make 64 packets
+    ]
+    echo.write("OUTP 0 ")
+    assert wire.transfers[2] == b"\x01\x03\xfc\x00\x07\x00\x00\x00\x01\x00\x00\x00OUTP 0 \x00"
+
+
+def test_tags_go_round_and_are_never_zero(wire: Echo, clock: ManualClock) -> None:
+    echo = connect(wire, clock)
+    for _ in range(300):
+        assert echo.query("A?") == "A?"
+    tags = [transfer[1] for transfer in wire.transfers]
+    assert tags == [1 + number % 255 for number in range(600)]
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 4, 50, 51, 52, 53, 115, 116, 4084, 4085, 9000])
+@pytest.mark.parametrize("largest_answer", [40, 52, 1 << 16])
+def test_answers_and_messages_of_any_length(length: int, largest_answer: int, clock: ManualClock) -> None:
+    wire = Echo(largest_answer=largest_answer)
+    echo, question = connect(wire, clock), "x" * (length - 1) + "?"
+    assert echo.query(question) == question
+    assert echo.query("?") == "?"
+    assert not wire.interruptions
+    assert all(len(transfer) % 4 == 0 and len(transfer) <= 4096 for transfer in wire.transfers)
+
+
+def test_an_answer_without_an_end(clock: ManualClock) -> None:
+    with pytest.raises(DeviceError, match="without an end"):
+        connect(Echo(), clock).query("x" * ((1 << 20) + 1) + "?")
+
+
+@pytest.mark.parametrize("kind", ["silence", "late", "half", "wrong tag", "garbage", "deaf", "stall"])
+@pytest.mark.parametrize("after", [1, 2])
+def test_the_next_question_works(kind: UsbFaultKind, after: int, wire: Echo, clock: ManualClock) -> None:
+    echo = connect(wire, clock)
+    for number in range(3):
+        if kind == "garbage":
+            wire.faults.append(UsbFault(kind))
+            assert echo.query("first?") == "\\xff\x00{"
+        else:
+            wire.faults.append(UsbFault(kind, after))
+            with pytest.raises(DeviceError) as caught:
+                echo.query("first?")
+            assert isinstance(caught.value, DeviceTimeout) == (kind in {"silence", "late", "deaf"})
+        assert echo.query(f"second{number}?") == f"second{number}?"
+    assert not wire.faults
+
+
+def test_a_timeout_aborts_the_transfer_drains_and_clears(wire: Echo, clock: ManualClock) -> None:
+    echo = connect(wire, clock)
+    wire.faults.append(UsbFault("silence"))
+    del wire.requests[:]
+    with pytest.raises(DeviceTimeout):
+        echo.query("A?")
+    assert wire.requests == [(3, 2, IN), (4, 0, IN), (5, 0, 0), (6, 0, 0), (6, 0, 0)]
+    assert clock.now() == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_message_that_is_not_taken_is_aborted(wire: Echo, clock: ManualClock) -> None:
+    echo = connect(wire, clock)
+    echo.query("A?")
+    wire.faults.append(UsbFault("deaf"))
+    del wire.requests[:]
+    with pytest.raises(DeviceTimeout):
+        echo.write("B")
+    assert wire.requests[:2] == [(1, 3, 1), (5, 0, 0)]  # it had not begun
+    echo.write("C")
+    assert wire.messages == ["A?", "C"]
+
+
+def test_unplugged(wire: Echo, clock: ManualClock) -> None:
+    echo = connect(wire, clock)
+    wire.faults.append(UsbFault("unplug"))
+    with pytest.raises(Disconnected, match="the echo is gone"):
+        echo.query("A?")
+    for call in (echo.clear, echo.read, lambda: echo.write("B")):
+        with pytest.raises(Disconnected):
+            call()
+    echo.close()
+    echo.close()
+
+
+def test_unplugged_while_it_recovers(wire: Echo, clock: ManualClock, monkeypatch: pytest.MonkeyPatch) -> None:
+    echo = connect(wire, clock)
+    wire.faults.append(UsbFault("silence"))
+    monkeypatch.setattr(wire, "_let_time_pass", lambda: setattr(wire, "is_unplugged", True))
+    with pytest.raises(Disconnected):
+        echo.query("A?")
+
+
+def test_what_keeps_an_instrument_from_being_used(wire: Echo, clock: ManualClock) -> None:
+    plug = Plug(wire, "M1")
+    bus = Bus(plug, clock=clock)
+    plug.is_taken = True
+    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    with pytest.raises(Busy, match="another program holds the echo"):
+        Usbtmc(instrument, what="the echo")
+    plug.is_taken, plug.is_allowed = False, False
+    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    assert "1313:80c8" in instrument.trouble
+    assert "70-svwfs.rules" in instrument.trouble
+    assert 'ATTR{idVendor}=="1313"' in instrument.trouble
+    with pytest.raises(DeviceError, match="you may not use the echo"):
+        Usbtmc(instrument, what="the echo")
+    plug.is_allowed, plug.has_driver = True, False
+    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    with pytest.raises(Unsupported, match="Zadig"):
+        Usbtmc(instrument, what="the echo")
+    plug.has_driver, plug.is_configured = True, False
+    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    assert instrument.serial_number == "M1"
+    Usbtmc(instrument, what="the echo", sleep=clock.sleep).close()
+    assert plug.is_configured
+
+
+def test_an_instrument_in_its_update_mode(wire: Echo, clock: ManualClock) -> None:
+    (instrument,) = usbtmc.find(0x1313, {0x80C0}, Bus(Plug(wire, "M1", product_id=0x80C0), clock=clock))
+    with pytest.raises(Unsupported, match="firmware update mode"):
+        Usbtmc(instrument, what="the echo")
+
+
+def test_without_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
+    for backend in (usb.backend.libusb1, usb.backend.openusb, usb.backend.libusb0):
+        monkeypatch.setattr(backend, "get_backend", lambda: None)
+    with pytest.raises(Unsupported, match=r"apt install libusb-1\.0-0"):
+        usbtmc.find(0x1313, {0x80C8})
+
+
+def test_looking_for_instruments_says_nothing_to_them(wire: Echo, clock: ManualClock) -> None:
+    assert usbtmc.find(0x1313, {0x80C8}, Bus(clock=clock)) == []
+    assert usbtmc.find(0x1313, {0x1111}, Bus(Plug(wire, "M1"), clock=clock)) == []
+    usbtmc.find(0x1313, {0x80C8}, Bus(Plug(wire, "M1"), clock=clock))
+    assert not wire.requests
+    assert not wire.transfers

@@ -1,0 +1,42 @@
+"""The camera's noise in closed form and against draws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reconstruction.frame.noise import CameraNoise
+
+
+def test_the_variance_is_that_of_poissons_electrons_and_the_read_out() -> None:
+    rng = np.random.default_rng(0)
+    light = np.array([0.0, 40.0, 4000.0])  # counts
+    noise = CameraNoise(counts_per_electron=2.5, read_noise_counts=6.0)
+    draws = rng.poisson(light / 2.5, (200_000, 3)) * 2.5 + rng.normal(0, 6.0, (200_000, 3))
+    np.testing.assert_allclose(noise.variance(light), draws.var(axis=0), rtol=0.02)
+
+
+def test_the_register_doubles_the_shot_noise() -> None:
+    # An exponentially distributed number of electrons leaves a long register for each that enters.
+    rng = np.random.default_rng(0)
+    electrons = rng.poisson(50.0, 200_000)
+    counts = rng.gamma(np.maximum(electrons, 1), 8.0) * (electrons > 0)
+    noise = CameraNoise(counts_per_electron=8.0, read_noise_counts=0.0, excess_noise=2.0)
+    np.testing.assert_allclose(noise.variance(np.array([400.0])), counts.var(), rtol=0.02)
+
+
+def test_darkness_has_the_read_noise_alone() -> None:
+    assert CameraNoise(1.0, 3.0).variance(np.array([-5.0])) == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"counts_per_electron": 0.0}, "counts_per_electron must be positive"),
+        ({"read_noise_counts": -1.0}, "read_noise_counts must be 0 or positive"),
+        ({"excess_noise": 0.5}, "excess_noise must be 1 ... 2"),
+    ],
+)
+def test_nonsense_is_refused(changes: dict[str, float], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        CameraNoise(**{"counts_per_electron": 1.0, "read_noise_counts": 1.0, **changes})

@@ -1,0 +1,101 @@
+"""The camera's noise, found in simulated frames of known noise; what it decides."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.optics import SmallBench
+
+from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument
+from app.bench.config import load_bench
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.photon_transfer import photon_transfer
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.registration.methods import RegistrationSettings
+from simulated_devices.detector.emccd import Detector, Exposure
+from simulated_devices.settings import SimulatedCameraSettings
+
+ROWS = COLUMNS = 256
+
+
+@pytest.mark.parametrize(("em_gain", "frames"), [(1.0, 20), (50.0, 20), (50.0, 5)])
+def test_noise_is_found_in_frames_of_the_simulated_camera(em_gain: float, frames: int) -> None:
+    settings = SimulatedCameraSettings(rows=ROWS, columns=COLUMNS, em_gain=em_gain)
+    detector = Detector(settings, seed=3)
+    ramp = np.linspace(0, 3000 / em_gain**0.5, ROWS * COLUMNS, dtype=np.float32).reshape(ROWS, COLUMNS)
+
+    def stack(photons: np.ndarray, first: int) -> np.ndarray:
+        exposures = (
+            Exposure(index=i, exposure_s=0.02, amplifier="em", readout_speed=3, em_gain=em_gain)
+            for i in range(first, first + frames)
+        )
+        return np.array([detector.counts(photons, exposure) for exposure in exposures], np.float64)
+
+    dark, light = stack(np.zeros_like(ramp), 0), stack(ramp, 100)
+    detector.close()
+    noise = photon_transfer(
+        (light.mean(axis=0) - dark.mean(axis=0)).astype(np.float32),
+        light.var(axis=0, ddof=1).astype(np.float32),
+        frames=frames,
+        dark_variance=dark.var(axis=0, ddof=1).astype(np.float32),
+    )
+    assert noise is not None
+    # Behind a register of gain G the variance of n electrons is n (2 G^2 - G): excess noise 2 - 1 / G.
+    expected = em_gain / settings.electrons_per_count * (2 - 1 / em_gain)
+    assert noise.counts_per_light == pytest.approx(expected, rel=0.03)
+    read_noise_counts = np.hypot(settings.em_read_noise_e[2] / settings.electrons_per_count, 12**-0.5)
+    assert noise.read_noise_counts == pytest.approx(read_noise_counts, rel=0.05)
+
+
+def test_too_few_frames_or_none_of_light_tell_nothing() -> None:
+    flat = np.ones((8, 8), np.float32)
+    assert photon_transfer(flat, flat, frames=3, dark_variance=flat) is None
+    assert photon_transfer(flat, flat * 0, frames=20, dark_variance=flat) is None
+
+
+@pytest.mark.parametrize(("peak_e", "warp"), [(1e6, "quadratic"), (3000, "quadratic"), (30, "affine")])
+def test_the_noise_says_how_freely_a_warp_may_bend(small_bench: SmallBench, peak_e: float, warp: str) -> None:
+    per_electron = float(small_bench.reference.max()) / peak_e
+    reconstructor = small_bench.reconstructor(
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(),
+        noise=CameraNoise(per_electron, 8 * per_electron),
+    )
+    assert reconstructor.registration.warp == warp
+
+
+def test_a_reference_with_few_lenslets_lit_is_no_obstacle(small_bench: SmallBench) -> None:
+    columns = np.arange(small_bench.frame_shape[1])
+    reference = np.where(columns < 100, small_bench.reference, 0).astype(np.float32)
+    per_electron = float(reference.max()) / 3000
+    reconstructor = small_bench.reconstructor(
+        reference=reference,
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(),
+        noise=CameraNoise(per_electron, 8 * per_electron),
+    )
+    assert reconstructor.registration.warp == "quadratic"
+    assert np.isfinite(reconstructor(reference).views[1, 1, :, :2]).all()
+
+
+def test_without_a_noise_to_go_by_the_warp_is_quadratic(small_bench: SmallBench) -> None:
+    assert small_bench.reconstructor(registration=RegistrationSettings()).registration.warp == "quadratic"
+
+
+def test_the_instrument_measures_its_noise_with_dark_and_reference(small_toml: Path) -> None:
+    bench = load_bench(small_toml)
+    with open_devices(bench, lambda _: None) as devices, closing(Instrument(devices, bench)) as instrument:
+        devices.light.set_on(True)
+        instrument.take_dark(6, progress=lambda *_: None, should_stop=lambda: False)
+        instrument.take_reference(6, progress=lambda *_: None, should_stop=lambda: False)
+        reconstructor = instrument._reconstructor
+        assert reconstructor is not None
+        assert reconstructor.noise is not None
+        settings = bench.camera_model
+        expected = settings.em_gain / settings.electrons_per_count * (2 - 1 / settings.em_gain)
+        assert reconstructor.noise.counts_per_light == pytest.approx(expected, rel=0.1)
+        assert reconstructor.subimages.reference_frames == 6

@@ -1,0 +1,80 @@
+"""The B-spline against SciPy's, and the compiled one against the array one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from reconstruction.frame.spline import sample, spline_coefficients
+from reconstruction.registration.gauss_newton.kernel import look, new_scratch
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (3, 40), (8, 8), (64, 9), (150, 2), (1, 1), (1, 30), (30, 1), (2, 2)])
+def test_coefficients_are_scipys(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(0).uniform(0, 1000, shape).astype(np.float32)
+    np.testing.assert_allclose(spline_coefficients(image), ndimage.spline_filter(image, mode="mirror"), atol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["u1", "<u2", ">u2", ">f4", "f8"])
+def test_every_kind_of_pixels_and_any_order_in_memory_has_the_same_coefficients(kind: str) -> None:
+    counts = np.random.default_rng(7).integers(0, 256, (70, 90))
+    expected = spline_coefficients(counts.astype(np.float32))
+    image = counts.astype(kind)
+    turned, wide = np.asfortranarray(image), np.repeat(image, 2, axis=1)[:, ::2]
+    image.flags.writeable = False
+    for each in (image, turned, wide, image[::-1][::-1]):
+        before = each.copy()
+        np.testing.assert_array_equal(spline_coefficients(each), expected)
+        np.testing.assert_array_equal(each, before)
+
+
+def test_samples_are_scipys() -> None:
+    rng = np.random.default_rng(1)
+    image = rng.uniform(0, 1, (40, 60)).astype(np.float32)
+    position = rng.uniform([0, 0], [59, 39], (200, 2))
+    values, _ = sample(spline_coefficients(image), position)
+    expected = ndimage.map_coordinates(image, [position[:, 1], position[:, 0]], order=3, mode="mirror")
+    np.testing.assert_allclose(values, expected, atol=1e-5)
+
+
+def test_gradients_are_those_of_the_values() -> None:
+    rng = np.random.default_rng(2)
+    coefficients = spline_coefficients(ndimage.gaussian_filter(rng.uniform(0, 1, (40, 60)), 2).astype(np.float32))
+    position = rng.uniform([3, 3], [56, 36], (50, 2))
+    _, gradients = sample(coefficients, position)
+    step = 1e-5
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        slope = (sample(coefficients, position + shift)[0] - sample(coefficients, position - shift)[0]) / (2 * step)
+        np.testing.assert_allclose(gradients[:, axis], slope, atol=1e-6)
+
+
+def test_compiled_sampling_of_a_warp_is_scipys_and_its_stretch_the_determinant() -> None:
+    rng = np.random.default_rng(3)
+    coefficients = spline_coefficients(rng.uniform(0, 1, (40, 60)).astype(np.float32))
+    uv = rng.uniform(-1, 1, (2, 100)).astype(np.float32)
+    u, v = uv.astype(np.float64)
+    polynomials = rng.uniform(-0.4, 0.4, (2, 10)).astype(np.float32)
+    powers = np.array([[degree - n, n] for degree in range(4) for n in range(degree + 1)])
+    monomial = u[:, None] ** powers[:, 0] * v[:, None] ** powers[:, 1]
+    scratch = new_scratch(100)
+    center_px, turn, per_unit = np.array([30.3, 19.8]), np.array([np.cos(0.1), np.sin(0.1)], np.float32), 9.0
+    scale = (np.float32(per_unit), np.float32(1 / per_unit))
+    look(coefficients, polynomials, uv, center_px, turn, scale, scratch)
+    along, across = np.array([u, v]) * per_unit + polynomials @ monomial.T
+    x, y = 30.3 + turn[0] * along - turn[1] * across, 19.8 + turn[1] * along + turn[0] * across
+    by_u = np.where(powers[:, 0] > 0, powers[:, 0] * u[:, None] ** np.maximum(powers[:, 0] - 1, 0), 0)
+    by_v = np.where(powers[:, 1] > 0, powers[:, 1] * v[:, None] ** np.maximum(powers[:, 1] - 1, 0), 0)
+    slope_u = polynomials @ (by_u * v[:, None] ** powers[:, 1]).T / per_unit
+    slope_v = polynomials @ (by_v * u[:, None] ** powers[:, 0]).T / per_unit
+    stretch = (1 + slope_u[0]) * (1 + slope_v[1]) - slope_v[0] * slope_u[1]
+    light = ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
+    np.testing.assert_allclose(scratch.light, light, atol=5e-5)
+    np.testing.assert_allclose(scratch.stretch, stretch, atol=1e-5)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_a_shared_image_has_the_same_coefficients(threads: int) -> None:
+    image = np.random.default_rng(5).normal(100, 30, (1001, 803)).astype(np.float32)
+    np.testing.assert_array_equal(spline_coefficients(image, threads=threads), spline_coefficients(image))

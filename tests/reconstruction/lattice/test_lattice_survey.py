@@ -1,0 +1,413 @@
+"""The lattice is found on frames drawn in closed form, whatever the bench does to them; what is none is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage import data
+from support.lattice_frames import Shape, draw, image_of, photographed, sensor_with
+
+import reconstruction.lattice.search as lattice_module
+from reconstruction.arrays import Floats
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Lattice
+from reconstruction.lattice.search import Survey, survey
+
+FRAME = (512, 512)
+TRUTH = Lattice(center_x_px=257.3, center_y_px=251.8, pitch_px=31.4, rotation_rad=0.017)
+SHAPES: tuple[Shape, ...] = ("square", "disc", "stars", "ring", "pinhole")
+SENSOR = sensor_with(15, 15, 31.25)
+
+
+def drawn(
+    shape: Shape = "square", half_width: float = 0.3, brightness: Floats | None = None, lattice: Lattice = TRUTH
+) -> Floats:
+    """A frame of 15 x 15 lenslets, or of as many as `brightness` has."""
+    return draw(
+        FRAME,
+        center_px=(lattice.center_x_px, lattice.center_y_px),
+        pitch_px=lattice.pitch_px,
+        rotation_rad=lattice.rotation_rad,
+        brightness=np.ones((15, 15)) if brightness is None else brightness,
+        image_px=image_of(shape, lattice.pitch_px, half_width, 1.2),
+    )
+
+
+def errors(found: Survey, truth: Lattice = TRUTH) -> tuple[float, float, float]:
+    """How far centre (px), pitch (px) and rotation (mrad) are off."""
+    lattice = found.lattice
+    center_px = np.hypot(lattice.center_x_px - truth.center_x_px, lattice.center_y_px - truth.center_y_px)
+    return (
+        float(center_px),
+        abs(lattice.pitch_px - truth.pitch_px),
+        abs(lattice.rotation_rad - truth.rotation_rad) * 1e3,
+    )
+
+
+def check(found: Survey, truth: Lattice = TRUTH, *, times: float = 1.0) -> None:
+    """Assert what is asked of the calibration, or so many times that."""
+    center_px, pitch_px, rotation_mrad = errors(found, truth)
+    assert center_px < 0.1 * times
+    assert pitch_px < 0.02 * times
+    assert rotation_mrad < 0.2 * times
+
+
+@settings(max_examples=25, deadline=None)
+@given(draws=st.data())
+def test_any_lattice_is_found_on_a_clean_frame(draws: st.DataObject) -> None:
+    rows, columns = draws.draw(st.integers(4, 9)), draws.draw(st.integers(4, 9))
+    pitch_px, blur_px = draws.draw(st.floats(14.0, 36.0)), draws.draw(st.floats(0.7, 1.4))
+    shape: Shape = draws.draw(st.sampled_from(SHAPES))
+    widest = min(0.27 if shape in {"ring", "stars"} else 0.4, 0.5 - 2 * blur_px / pitch_px)  # no light in the next cell
+    half_width = draws.draw(st.floats(0.15, widest))
+    rotation_rad, designed = draws.draw(st.floats(-0.1, 0.1)), draws.draw(st.floats(0.91, 1.1))
+    margin = draws.draw(st.floats(0.2, 0.8))  # pitches
+    reach = np.array([rows, columns]) + 2 * margin + 0.11 * max(rows, columns)
+    frame = (int(reach[0] * pitch_px), int(reach[1] * pitch_px))
+    truth = Lattice(
+        center_x_px=frame[1] / 2 + draws.draw(st.floats(-2, 2)),
+        center_y_px=frame[0] / 2 + draws.draw(st.floats(-2, 2)),
+        pitch_px=pitch_px,
+        rotation_rad=rotation_rad,
+    )
+    light = draw(
+        frame,
+        center_px=(truth.center_x_px, truth.center_y_px),
+        pitch_px=pitch_px,
+        rotation_rad=rotation_rad,
+        brightness=np.ones((rows, columns)),
+        image_px=image_of(shape, pitch_px, half_width, blur_px),
+        blur_px=blur_px,
+    )
+    found = survey(light * 1000 + 100, sensor_with(rows, columns, pitch_px * designed))
+    check(found, truth)
+    assert (found.rows, found.columns) == (rows, columns)
+    assert found.illuminated.all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), shape=st.sampled_from(["square", "disc", "stars"]))
+def test_faint_frames_with_dead_lenslets_gradients_and_a_cut_border(seed: int, shape: Shape) -> None:
+    rng = np.random.default_rng(seed)
+    truth = Lattice(
+        center_x_px=255.5 + rng.uniform(-3, 3),
+        center_y_px=255.5 + rng.uniform(-3, 3),
+        pitch_px=rng.uniform(30.9, 31.6),
+        rotation_rad=rng.uniform(-0.02, 0.02),
+    )
+    dead = rng.random((17, 17)) < 0.1
+    vignetting = np.add.outer(*(np.linspace(0.5, rng.uniform(0.3, 0.5), 17) for _ in range(2)))
+    light = drawn(shape, 0.25, np.where(dead, 0, vignetting), truth)
+    y, x = np.indices(FRAME)
+    found = survey(photographed(light, rng, peak_e=200, background_e=20 + 0.05 * x + 0.02 * y), SENSOR)
+    check(found, truth, times=2)
+    np.testing.assert_array_equal(found.illuminated, ~dead[1:-1, 1:-1])
+
+
+@pytest.mark.parametrize("shape", ["square", "disc"])
+def test_images_that_almost_touch(shape: Shape) -> None:
+    dead = np.random.default_rng(4).random((17, 17)) < 0.1
+    slope = np.linspace(0.4, 1, 17)
+    light = drawn(shape, 0.44, np.where(dead, 0, slope))
+    check(survey(photographed(light, np.random.default_rng(5), peak_e=2000), SENSOR))
+
+
+def test_the_background_does_not_pull_the_centre() -> None:
+    y, x = np.indices(FRAME) / 512
+    light = drawn("square", 0.35, np.ones((17, 17))) * 1000 + 4000 * x + 2000 * y - 1500 * x**2
+    center_px, pitch_px, _ = errors(survey(light, SENSOR))
+    assert center_px < 0.01
+    assert pitch_px < 0.001
+
+
+def test_the_centre_of_a_lopsided_image_is_where_its_first_harmonic_has_phase_0() -> None:
+    found = survey(drawn("corner", 0.15), SENSOR)
+    # Along each axis two of the three stars lie at -0.15 pitches and one at 0.15; they are blurred alike.
+    offset = np.angle(2 * np.exp(-2j * np.pi * 0.15) + np.exp(2j * np.pi * 0.15)) / (2 * np.pi) * TRUTH.pitch_px
+    x_px, y_px = TRUTH.to_camera_px(np.array([offset, offset]))
+    assert (found.lattice.center_x_px, found.lattice.center_y_px) == pytest.approx((x_px, y_px), abs=0.01)
+
+
+def test_a_ring_whose_harmonic_is_negative_is_centred_on_its_middle() -> None:
+    check(survey(drawn("ring", 0.41), SENSOR))  # J0(2 pi 0.41) < 0
+
+
+def test_stars_in_the_outer_part_of_the_cells() -> None:
+    check(survey(drawn("stars", 0.38), SENSOR))  # 1 + 2 cos(2 pi 0.38) < 0
+
+
+@pytest.mark.parametrize("rotation_rad", [-0.7, 0.3, 0.75])
+def test_up_to_45_degrees(rotation_rad: float) -> None:
+    truth = Lattice(center_x_px=250.2, center_y_px=260.9, pitch_px=31.4, rotation_rad=rotation_rad)
+    check(survey(drawn(lattice=truth, brightness=np.ones((10, 9))), sensor_with(10, 9, 31.25)), truth)
+
+
+def test_beyond_45_degrees_it_is_the_same_lattice_turned_back_by_90() -> None:
+    turned = Lattice(center_x_px=255.5, center_y_px=255.5, pitch_px=31.4, rotation_rad=0.79)
+    found = survey(drawn(lattice=turned, brightness=np.ones((9, 9))), sensor_with(9, 9, 31.25))
+    assert found.lattice.rotation_rad == pytest.approx(0.79 - np.pi / 2, abs=2e-4)
+
+
+def test_what_is_lit_and_where_the_light_lies() -> None:
+    brightness = np.ones((15, 15))
+    brightness[3, 4] = brightness[7, 7] = 0
+    brightness[0, 14] = 0.05
+    found = survey(drawn(brightness=brightness) * 1000, SENSOR)
+    np.testing.assert_array_equal(found.illuminated, brightness > 0.1)
+    assert np.isnan(found.displacement_px[~found.illuminated]).all()
+    assert found.residual_px < 0.01
+    assert found.illuminated_fraction == pytest.approx(222 / 225)
+    assert found.likeness > 0.999
+
+
+def test_the_residual_is_how_far_the_light_lies_beside_the_lattice() -> None:
+    beside = np.random.default_rng(3).normal(0, 0.4, (15, 15, 2))
+    light = draw(
+        FRAME,
+        center_px=(TRUTH.center_x_px, TRUTH.center_y_px),
+        pitch_px=TRUTH.pitch_px,
+        rotation_rad=TRUTH.rotation_rad,
+        brightness=np.ones((15, 15)),
+        image_px=image_of("square", TRUTH.pitch_px, 0.3, 1.2),
+        beside_px=beside,
+    )
+    found = survey(light, SENSOR)
+    assert found.residual_px == pytest.approx(np.sqrt(np.mean(np.sum(beside**2, axis=-1))), rel=0.05)
+    mean = beside.mean(axis=(0, 1))
+    np.testing.assert_allclose(found.displacement_px, beside - mean, atol=0.15)
+
+
+def test_a_few_lenslets_far_beside_the_lattice_do_not_drag_it() -> None:
+    beside = np.zeros((15, 15, 2))
+    beside[:3, :4] = 1.5  # a scratch, a bubble
+    light = draw(
+        FRAME,
+        center_px=(TRUTH.center_x_px, TRUTH.center_y_px),
+        pitch_px=TRUTH.pitch_px,
+        rotation_rad=TRUTH.rotation_rad,
+        brightness=np.ones((15, 15)),
+        image_px=image_of("square", TRUTH.pitch_px, 0.3, 1.2),
+        beside_px=beside,
+    )
+    _, pitch_px, rotation_mrad = errors(survey(light, SENSOR))
+    assert pitch_px < 0.002
+    assert rotation_mrad < 0.05
+
+
+def test_more_lenslets_on_the_frame_than_the_sensor_has_are_counted() -> None:
+    found = survey(drawn(brightness=np.ones((15, 15))), sensor_with(9, 13, 31.25))
+    assert (found.rows, found.columns) == (15, 15)
+    check(found)  # the middle ones
+
+
+def test_some_dead_lenslets_do_not_push_the_block_aside() -> None:
+    """The middle of three blocks has four dead lenslets in a column that the first does not have."""
+    brightness = np.ones((15, 15))
+    brightness[[2, 5, 9, 11], 13] = 0
+    check(survey(drawn(brightness=brightness), sensor_with(15, 13, 31.25)))
+
+
+def test_the_lit_block_is_taken_wherever_it_lies() -> None:
+    truth = Lattice(center_x_px=330.0, center_y_px=180.0, pitch_px=31.0, rotation_rad=-0.01)
+    found = survey(drawn(lattice=truth, brightness=np.ones((6, 7))), sensor_with(6, 7, 31.25))
+    check(found, truth)
+    assert (found.rows, found.columns) == (6, 7)
+
+
+def test_a_round_pupil() -> None:
+    y, x = np.indices((15, 15)) - 7
+    found = survey(drawn(brightness=(np.hypot(x, y) < 7.6).astype(float)), SENSOR)
+    check(found)
+    np.testing.assert_array_equal(found.illuminated, np.hypot(x, y) < 7.6)
+
+
+def test_the_dark_is_subtracted_and_hot_pixels_do_no_harm() -> None:
+    rng = np.random.default_rng(8)
+    pattern = 300 * np.sin(2 * np.pi * np.indices(FRAME)[1] / 31.4)  # of the camera, with the lattice's own pitch
+    light = drawn() * 400 + 1000 + pattern
+    for row, column in rng.integers(0, 512, (40, 2)):
+        light[row, column] = 60000
+    check(survey(light, SENSOR, dark=1000 + pattern))
+    assert errors(survey(light, SENSOR))[0] > 0.1
+
+
+def test_a_reflection_that_outshines_everything() -> None:
+    y, x = np.indices(FRAME)
+    light = drawn() * 100 + 5000 * np.exp(-((x - 300) ** 2 + (y - 100) ** 2) / 30)
+    check(survey(light, SENSOR))
+
+
+def noise(seed: int) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).normal(500, 8, FRAME)
+
+
+def waves(along_x: float, along_y: float) -> Floats:
+    y, x = np.indices(FRAME)
+    return 1000 * (1 + np.cos(2 * np.pi * (along_x * x + along_y * y)))
+
+
+def hexagonal() -> Floats:
+    y, x = np.indices(FRAME)
+    angle = np.pi / 3 * np.arange(3)
+    waves_of = [np.cos(2 * np.pi * (np.cos(one) * x + np.sin(one) * y) / 29) for one in angle]
+    return np.asarray(5000 + 1000 * np.sum(waves_of, axis=0))
+
+
+def pitch_of(pitch_px: float) -> Floats:
+    count, blur_px = int(512 / pitch_px), pitch_px / 25
+    return draw(
+        FRAME,
+        center_px=(255.0, 255.0),
+        pitch_px=pitch_px,
+        rotation_rad=0.01,
+        brightness=np.ones((count, count)),
+        image_px=image_of("square", pitch_px, 0.3, blur_px),
+        blur_px=blur_px,
+    )
+
+
+def two_kinds() -> Floats:
+    """Lenslets on a lattice, every other one with an upright bar, the others with a level one."""
+    x, y = np.meshgrid(np.arange(15), np.arange(15))
+    along_px = np.linspace(-11, 11, 15)
+    level_px = np.stack([along_px, np.zeros(15)], axis=-1)
+
+    def some(kind: int, image_px: Floats) -> Floats:
+        brightness = ((x + y) % 2 == kind).astype(np.float64)
+        return draw(
+            FRAME, center_px=(255.0, 255.0), pitch_px=31.25, rotation_rad=0, brightness=brightness, image_px=image_px
+        )
+
+    return some(0, level_px) + some(1, level_px[:, ::-1])
+
+
+def scattered() -> Floats:
+    beside_px = np.random.default_rng(5).normal(0, 3.2, (15, 15, 2))
+    return draw(
+        FRAME,
+        center_px=(255.0, 255.0),
+        pitch_px=31.25,
+        rotation_rad=0.0,
+        brightness=np.ones((15, 15)),
+        image_px=image_of("square", 31.25, 0.25, 1.2),
+        beside_px=beside_px,
+    )
+
+
+def spot(width_px: float) -> Floats:
+    y, x = np.indices(FRAME)
+    return noise(1) + 1e4 * np.exp(-((x - 200) ** 2 + (y - 300) ** 2) / (2 * width_px**2))
+
+
+def gradient() -> Floats:
+    y, x = np.indices(FRAME)
+    return np.asarray(3.0 * x + y, np.float64)
+
+
+REFUSED: dict[str, tuple[Callable[[], NDArray[np.generic]], str]] = {
+    "noise": (lambda: noise(0), "was the light on"),
+    "dark counts": (lambda: np.rint(noise(2)).astype(np.uint16), "was the light on"),
+    "constant": (lambda: np.full(FRAME, 700), "all its pixels are alike"),
+    "zero": (lambda: np.zeros(FRAME), "all its pixels are alike"),
+    "gradient": (gradient, "no lattice"),
+    "rounded gradient": (lambda: np.rint(gradient() * 0.13), "no lattice"),
+    "a spot": (lambda: spot(5), "was the light on"),
+    "a large spot": (lambda: spot(60), "no lattice"),
+    "two spots": (lambda: spot(5) + np.roll(spot(5), 31, axis=1), "no lattice"),
+    "stripes": (lambda: waves(1 / 31.25, 0) + noise(3), "one direction only"),
+    "clean stripes": (lambda: waves(0, 1 / 31.25), "one direction only"),
+    "slanted stripes": (lambda: waves(0.03, 0.01), "one direction only"),
+    "hexagons": (hexagonal, "hexagonal"),
+    "half the pitch": (lambda: pitch_of(15.6), "it shows one of 15.6 px; check sensor.lenslet_pitch_m"),
+    "twice the pitch": (lambda: pitch_of(62.5), "it shows one of 62.5 px; check sensor.lenslet_pitch_m"),
+    "1.4 times the pitch": (lambda: pitch_of(44.0), "no lattice"),
+    "two kinds of images": (two_kinds, "its cells do not hold the same image"),
+    "images far from their places": (scattered, r"the images lie \d+ % of the pitch beside a square lattice"),
+    "a photographer": (data.camera, "no lattice"),
+    "bricks": (data.brick, "no lattice"),
+    "gravel": (data.gravel, "no lattice"),
+    "clouds": (lambda: ndimage.gaussian_filter(noise(4), 8), "no lattice"),
+    "too few": (lambda: drawn(brightness=np.pad(np.ones((3, 3)), 6)), "no lattice"),
+    "cut": (lambda: drawn(lattice=Lattice(center_x_px=300, center_y_px=255, pitch_px=31)), "only 15 x"),
+    "not a number": (lambda: np.where(np.indices(FRAME)[0] == 7, np.nan, drawn()), "not finite"),
+    "infinite": (lambda: np.where(np.indices(FRAME)[0] == 7, np.inf, drawn()), "not finite"),
+    "tiny": (lambda: np.ones((3, 3)), "do not fit on 3 x 3 pixels"),
+    "empty": (lambda: np.zeros((0, 512)), "no image"),
+    "a line": (lambda: np.zeros(512), "no image"),
+    "colours": (lambda: np.zeros((512, 512, 3)), "no image"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_lattice_is_refused_in_one_sentence(name: str) -> None:
+    make, sentence = REFUSED[name]
+    with pytest.raises(ReconstructionError, match=sentence) as refusal:
+        survey(make(), SENSOR)  # type: ignore[arg-type] # some are no images
+    assert refusal.value.image in {"reference", "dark"}
+    assert "\n" not in str(refusal.value)
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 12))
+def test_noise_is_never_a_lattice(seed: int, count: int) -> None:
+    frame = np.random.default_rng(seed).normal(500, 8, (int(count * 31.25) + 9,) * 2)
+    with pytest.raises(ReconstructionError):
+        survey(frame, sensor_with(count, count, 31.25))
+
+
+def test_saturated_and_ill_fitting_frames_are_refused() -> None:
+    light = np.minimum(drawn() * 9e4, 65535).astype(np.uint16)
+    with pytest.raises(ReconstructionError, match="saturated"):
+        survey(light, SENSOR, full_scale=65535)
+    with pytest.raises(ReconstructionError, match="another size") as refusal:
+        survey(light, SENSOR, dark=light[:100])
+    assert refusal.value.image == "dark"
+
+
+def test_the_reference_is_left_as_it_was() -> None:
+    light = photographed(drawn(), np.random.default_rng(1), peak_e=300)
+    before = light.copy()
+    survey(light, SENSOR)
+    np.testing.assert_array_equal(light, before)
+
+
+def _many(peak: float) -> NDArray[np.float32]:
+    """A noisy frame with room for 2000 lenslets and 300 hot pixels, lit as brightly as `peak`."""
+    side, rng = 750, np.random.default_rng(6)
+    light = draw(
+        (side, side),
+        center_px=(374.6, 373.9),
+        pitch_px=16.1,
+        rotation_rad=0.004,
+        brightness=np.ones((46, 46)),
+        image_px=image_of("square", 16.1, 0.2, 1.2),
+    )
+    frame = light * peak + rng.normal(500, 8, (side, side))
+    frame[tuple(rng.integers(0, side, (2, 300)))] = 400_000
+    return frame.astype(np.float32)
+
+
+def test_a_large_frame_without_a_lattice_is_refused_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fitted(*_: object) -> None:
+        raise AssertionError("it was fitted, which takes minutes on many megapixels")
+
+    monkeypatch.setattr(lattice_module, "fit_lattice", fitted)
+    monkeypatch.setattr(lattice_module, "find_bad_pixels", fitted)
+    with pytest.raises(ReconstructionError, match=r"no lattice of 16.0 px pitch: was the light on\?"):
+        survey(_many(0), sensor_with(46, 46, 16.0))
+
+
+def test_hot_pixels_do_not_hide_a_faint_lattice_on_a_large_frame() -> None:
+    heard: list[tuple[str, float]] = []
+    found = survey(_many(60), sensor_with(46, 46, 16.0), report=lambda text, done: heard.append((text, done)))
+    truth = Lattice(center_x_px=374.6, center_y_px=373.9, pitch_px=16.1, rotation_rad=0.004)
+    check(found, truth)
+    assert (found.rows, found.columns) == (46, 46)
+    assert [done for _, done in heard] == sorted(done for _, done in heard)
+    assert heard[-1][0] == "fitting the lattice"

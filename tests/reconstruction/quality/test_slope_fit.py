@@ -1,0 +1,80 @@
+"""Measured, fitted and their difference, on polynomials that are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.optics import FIELD, SmallBench, converged, sensor_of
+
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Displacement
+from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.quality.isoplanatism import without_tilt
+from reconstruction.quality.slope_fit import compare
+from reconstruction.solve.zonal import ZonalSolution
+from reconstruction.wavefront import Wavefront, without_piston
+
+SENSOR = sensor_of(7, 9)
+U, V = np.meshgrid(SENSOR.pupil_x_m, SENSOR.pupil_y_m)
+BOWL = 4e5 * U * U - 3e5 * U * V + 800 * V
+SLOPES = np.stack([8e5 * U - 3e5 * V, -3e5 * U + 800], axis=-1)  # of the bowl, rad/m
+
+
+def displacement() -> Displacement:
+    """What the bowl does at the middle of the field; towards the field's +x it becomes twice as strong."""
+    coefficients = np.stack([SLOPES, SLOPES, np.zeros_like(SLOPES)], axis=2) / SENSOR.slope_per_px
+    return converged(LegendreModes(3), coefficients, coefficients**2)
+
+
+def over_the_field(phase: Floats) -> Floats:
+    return np.tile(1 + np.array([-5, 0, 5])[:, None, None] / 6, (3, 1, 1, 1)) * without_piston(phase)
+
+
+def test_modal_is_compared_with_the_slopes(small_bench: SmallBench) -> None:
+    modes = pupil_modes(SENSOR, "legendre", 3)  # piston and tilt alone: the fit misses the curvature
+    wavefront = small_bench.reconstructor(warp="affine", pupil_modes=3).solve(displacement())
+    found = compare(wavefront, SENSOR, modes)
+    np.testing.assert_allclose(found.measured, over_the_field(BOWL), atol=1e-9)
+    np.testing.assert_array_equal(found.fitted, wavefront.views)
+    np.testing.assert_allclose(without_tilt(found.fitted), 0, atol=1e-9)
+    np.testing.assert_allclose(found.fitted + found.difference, found.measured, atol=1e-9)
+
+
+def test_fit_that_says_all_leaves_nothing(small_bench: SmallBench) -> None:
+    modes = pupil_modes(SENSOR, "legendre", 10)
+    coefficients = np.zeros((7, 9, 3, 2))
+    coefficients[:, :, 0] = modes.gradients[8] / SENSOR.slope_per_px  # a cubic: zonal integration only comes near it
+    measured = replace(displacement(), coefficients=coefficients)
+    wavefront = small_bench.reconstructor(warp="affine", pupil_modes=10).solve(measured)
+    found = compare(wavefront, SENSOR, modes)
+    np.testing.assert_allclose(found.difference, 0, atol=1e-9)
+    np.testing.assert_allclose(found.measured[0, 0], without_piston(modes.values[8]), atol=1e-9)
+
+
+def test_zonal_is_compared_with_the_modes_that_fit_it_best() -> None:
+    solution = ZonalSolution(
+        displacement().coefficients * SENSOR.slope_per_px, np.ones(U.shape, np.bool_), SENSOR.lenslet_pitch_m
+    )
+    wavefront = Wavefront.of(FIELD, displacement(), solution)
+    enough = compare(wavefront, SENSOR, pupil_modes(SENSOR, "legendre", 6))
+    np.testing.assert_allclose(enough.measured, over_the_field(BOWL), atol=1e-9)
+    np.testing.assert_allclose(enough.difference, 0, atol=1e-9)
+    too_few = compare(wavefront, SENSOR, pupil_modes(SENSOR, "legendre", 3))
+    curvature = 4e5 * (U * U - np.mean(U * U)) - 3e5 * U * V  # by symmetry it has no tilt
+    np.testing.assert_allclose(too_few.difference, over_the_field(curvature), atol=1e-9)
+
+
+@pytest.mark.parametrize("row", [0, 3])
+def test_what_is_not_known_is_not_compared(row: int) -> None:
+    valid = np.ones(U.shape, np.bool_)
+    valid[row, 4] = False
+    measured = displacement()
+    measured.outcome[~valid] = 3
+    solution = ZonalSolution(measured.coefficients * SENSOR.slope_per_px, valid, SENSOR.lenslet_pitch_m)
+    found = compare(Wavefront.of(FIELD, measured, solution), SENSOR, pupil_modes(SENSOR, "zernike", 6))
+    outside = (np.hypot(U, V) > SENSOR.pupil_half_width_m[1]) | ~valid
+    np.testing.assert_array_equal(np.isnan(found.difference), np.broadcast_to(outside, found.difference.shape))
+    np.testing.assert_allclose(found.difference[..., ~outside], 0, atol=1e-9)

@@ -1,0 +1,206 @@
+"""Stars followed one by one: known tilts through the forward model, and stars that cannot be followed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from support.optics import FIELD, SmallBench
+
+from reconstruction.arrays import Image, Mask
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.errors import ReconstructionError
+from reconstruction.modes.field_modes import SampledModes
+from reconstruction.registration.methods import RegistrationSettings, prepare_registration
+from reconstruction.registration.peers.centroids import Centroids
+from reconstruction.registration.subimages import ReferenceSubimages
+from simulated_devices.optics.source import stars
+from simulated_devices.settings import Source
+
+STAR_X = np.array([-1.0, 0.0, 1.0]) * 0.5 / 0.6
+STAR_Y = np.array([-0.5, 0.5]) * 0.5 / 0.6  # two rows of three: whatever mixes up rows and columns fails
+SOURCE = stars(Source(star_rows=2, star_columns=3))
+SHIFT_PX = (2.4, -1.3)
+Shift = Callable[[float, float], tuple[float, float]]  # of the normalised field position
+
+
+def _moved(bench: SmallBench, shift_px: Shift) -> Image:
+    """The stars, each moved by its own tilt."""
+    u, v = bench.samples()
+    slope, half_m = bench.sensor.slope_per_px, FIELD.half_width_m
+
+    def phase(x_m: float, y_m: float) -> Image:
+        x_px, y_px = shift_px(x_m / half_m, y_m / half_m)
+        return np.asarray(slope * (x_px * u + y_px * v), np.float32)
+
+    return bench.model.irradiance(SOURCE, phase) * np.float32(1e14)
+
+
+def _none(light: Image) -> Mask:
+    return np.zeros(light.shape, np.bool_)
+
+
+def _star_px(bench: SmallBench, row: int, column: int, star: int) -> tuple[int, int]:
+    """Nearest pixel, row and column, of a star's place in the reference."""
+    x, y = SampledModes(STAR_X, STAR_Y).nodes
+    half_px = FIELD.half_width_px(bench.sensor)
+    local = (np.array([column, row]) - [4, 3]) * bench.lattice.pitch_px + np.array([x[star], y[star]]) * half_px
+    x_px, y_px = np.rint(bench.lattice.to_camera_px(local)).astype(int)
+    return int(y_px), int(x_px)
+
+
+@pytest.fixture(scope="module")
+def still(small_bench: SmallBench) -> Image:
+    return small_bench.model.irradiance(SOURCE) * np.float32(1e14)
+
+
+@pytest.fixture(scope="module")
+def reference(small_bench: SmallBench, still: Image) -> ReferenceSubimages:
+    return ReferenceSubimages(still, sensor=small_bench.sensor, lattice=small_bench.lattice, field=FIELD)
+
+
+@pytest.fixture(scope="module")
+def centroids(reference: ReferenceSubimages) -> Centroids:
+    return Centroids(reference, star_x=STAR_X, star_y=STAR_Y)
+
+
+@pytest.fixture(scope="module")
+def shifted(small_bench: SmallBench) -> Image:
+    return _moved(small_bench, lambda _x, _y: SHIFT_PX)
+
+
+@pytest.mark.parametrize("shift_px", [SHIFT_PX, (0.5, 0.0), (-0.25, 4.1), (-3.7, -3.6)])
+def test_a_tilt_is_the_shift_of_every_star(
+    small_bench: SmallBench, centroids: Centroids, shift_px: tuple[float, float]
+) -> None:
+    light = _moved(small_bench, lambda _x, _y: shift_px)
+    displacement = centroids(light, saturated=_none(light))
+    assert displacement.valid.all()
+    assert displacement.coefficients.shape == displacement.variance.shape == (7, 9, 6, 2)
+    assert displacement.residual_rms.shape == (7, 9)
+    assert np.abs(displacement.coefficients - shift_px).max() < 0.01
+
+
+def test_each_star_has_its_own_displacement(small_bench: SmallBench, centroids: Centroids) -> None:
+    def shift_px(x: float, y: float) -> tuple[float, float]:
+        return 1.5 + 0.8 * x - 0.3 * y, -0.7 + 0.5 * x + 0.9 * y
+
+    light = _moved(small_bench, shift_px)
+    displacement = centroids(light, saturated=_none(light))
+    assert displacement.valid.all()
+    expected = np.stack([shift_px(x, y) for x, y in zip(*SampledModes(STAR_X, STAR_Y).nodes, strict=True)])
+    assert np.abs(displacement.coefficients - expected).max() < 0.02
+    assert np.abs(displacement.mean - [1.5, -0.7]).max() < 0.02
+
+
+def test_a_reference_against_itself_has_not_moved(centroids: Centroids, still: Image) -> None:
+    displacement = centroids(still, saturated=_none(still))
+    assert np.abs(displacement.coefficients).max() < 5e-3
+    assert displacement.residual_rms.max() < 5e-3
+
+
+def test_gain_and_offset_do_not_matter(centroids: Centroids, shifted: Image) -> None:
+    plain = centroids(shifted, saturated=_none(shifted))
+    other = centroids(np.asarray(0.4 * shifted + 0.3 * shifted.max(), np.float32), saturated=_none(shifted))
+    np.testing.assert_allclose(other.coefficients, plain.coefficients, atol=1e-3)
+    np.testing.assert_allclose(other.residual_rms, plain.residual_rms, atol=1e-3)
+
+
+def _only_lost(displacement: Displacement, row: int, column: int, outcomes: set[Outcome]) -> None:
+    valid = np.ones((7, 9), np.bool_)
+    valid[row, column] = False
+    np.testing.assert_array_equal(displacement.valid, valid)
+    assert displacement.outcome[row, column] in outcomes
+    for values in (displacement.coefficients, displacement.variance, displacement.residual_rms):
+        assert np.isnan(values[row, column]).all()
+        assert np.isfinite(values[valid]).all()
+
+
+@pytest.mark.parametrize("star", range(6))
+def test_a_lenslet_that_lost_one_star_yields_nothing(
+    small_bench: SmallBench, centroids: Centroids, still: Image, star: int
+) -> None:
+    light = still.copy()
+    y, x = _star_px(small_bench, 2, 5, star)
+    light[y - 3 : y + 4, x - 3 : x + 4] = 0
+    _only_lost(centroids(light, saturated=_none(light)), 2, 5, {Outcome.DARK, Outcome.DIVERGED})
+
+
+def test_a_dark_lenslet_yields_nothing(small_bench: SmallBench, centroids: Centroids, shifted: Image) -> None:
+    light = shifted.copy()
+    x, y = np.rint(small_bench.lattice.lenslet_centers_px(7, 9)[2, 5]).astype(int)
+    light[y - 15 : y + 16, x - 15 : x + 16] = 0
+    _only_lost(centroids(light, saturated=_none(light)), 2, 5, {Outcome.DARK})
+
+
+def test_a_saturated_star_yields_nothing(small_bench: SmallBench, centroids: Centroids, still: Image) -> None:
+    saturated = _none(still)
+    saturated[_star_px(small_bench, 4, 1, 2)] = True
+    _only_lost(centroids(still, saturated=saturated), 4, 1, {Outcome.SATURATED})
+
+
+def test_a_star_that_the_reference_lacks_is_not_looked_for(small_bench: SmallBench, still: Image) -> None:
+    dusty = still.copy()
+    y, x = _star_px(small_bench, 3, 6, 4)
+    dusty[y - 3 : y + 4, x - 3 : x + 4] = 0
+    reference = ReferenceSubimages(dusty, sensor=small_bench.sensor, lattice=small_bench.lattice, field=FIELD)
+    displacement = Centroids(reference, star_x=STAR_X, star_y=STAR_Y)(still, saturated=_none(still))
+    _only_lost(displacement, 3, 6, {Outcome.DARK, Outcome.DIVERGED})
+
+
+def test_a_star_that_strays_towards_its_neighbour_is_lost(small_bench: SmallBench, centroids: Centroids) -> None:
+    light = _moved(small_bench, lambda x, _y: (5.5 if x > 0.5 else 0.0, 0.0))
+    assert not centroids(light, saturated=_none(light)).valid.any()
+
+
+def test_noise_is_no_star(centroids: Centroids, still: Image) -> None:
+    noise = np.random.default_rng(1).normal(0, 1, still.shape).astype(np.float32)
+    assert not centroids(noise, saturated=_none(noise)).valid.any()
+
+
+def test_the_variance_is_that_of_the_shifts_that_noise_makes(centroids: Centroids, shifted: Image) -> None:
+    rng = np.random.default_rng(2)
+    noisy = np.asarray(shifted + rng.normal(0, 0.04 * shifted.max(), shifted.shape), np.float32)
+    calm, restless = (centroids(light, saturated=_none(light)) for light in (shifted, noisy))
+    both = calm.valid & restless.valid
+    assert both.mean() > 0.9
+    scatter = np.var((restless.coefficients - calm.coefficients)[both])
+    assert 0.5 < scatter / restless.variance[both].mean() < 2
+
+
+def test_nonsense_is_refused(small_bench: SmallBench, reference: ReferenceSubimages) -> None:
+    nonsense = {
+        "at least one": np.array([]),
+        "must lie in the field": np.array([0.0, 1.4]),
+        "must ascend": np.array([0.5, -0.5]),
+        "apart": np.array([0.0, 0.1]),
+    }
+    for sentence, star_x in nonsense.items():
+        with pytest.raises(ValueError, match=sentence):
+            Centroids(reference, star_x=star_x, star_y=STAR_Y)
+    with pytest.raises(ReconstructionError, match="no stars where they are expected"):
+        Centroids(
+            ReferenceSubimages(
+                small_bench.reference, sensor=small_bench.sensor, lattice=small_bench.lattice, field=FIELD
+            ),
+            star_x=STAR_X,
+            star_y=STAR_X,
+        )
+    with pytest.raises(ReconstructionError, match="no stars where they are expected"):
+        Centroids(reference, star_x=STAR_X, star_y=STAR_X)
+    with pytest.raises(ValueError, match="star_rows must be"):
+        RegistrationSettings(star_rows=0)
+    with pytest.raises(ValueError, match="star_spacing_m must be positive"):
+        RegistrationSettings(star_spacing_m=-1.0)
+
+
+def test_the_settings_choose_it(
+    small_bench: SmallBench, reference: ReferenceSubimages, still: Image, shifted: Image
+) -> None:
+    settings = RegistrationSettings(method="centroids", star_rows=2)
+    assert isinstance(prepare_registration(reference, settings, FIELD), Centroids)
+    wavefront = small_bench.reconstructor(method="zonal", reference=still, registration=settings)(shifted)
+    slopes = np.array(SHIFT_PX) * small_bench.sensor.slope_per_px
+    tilt = slopes[0] * small_bench.pupil_x_m + slopes[1] * small_bench.pupil_y_m
+    np.testing.assert_allclose(wavefront.views, np.broadcast_to(tilt, wavefront.views.shape), atol=0.02 * np.ptp(tilt))

@@ -1,0 +1,38 @@
+"""Compiled code is cached on disk, and compiled again when any source file of the package changes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from support.patience import HANG_S
+
+import reconstruction
+
+PROGRAM = """
+import numpy as np
+from reconstruction.solve.lenslet_weights import mean_variance
+print(mean_variance(np.ones((1, 1, 2, 1, 2))))
+"""
+
+
+def test_a_constant_from_another_file_is_compiled_again_when_it_changes(tmp_path: Path) -> None:
+    package = tmp_path / "reconstruction"
+    shutil.copytree(Path(str(reconstruction.__file__)).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def result() -> float:
+        command = [sys.executable, "-c", PROGRAM]
+        finished = subprocess.run(  # noqa: S603 - this interpreter
+            command, env=environment, capture_output=True, text=True, timeout=HANG_S, check=True, cwd=tmp_path
+        )
+        return float(finished.stdout.strip(" []\n"))
+
+    before = result()
+    source = package / "solve" / "whitening.py"
+    source.write_text(source.read_text().replace("SYSTEMATIC_PX = 0.01", "SYSTEMATIC_PX = 3.0"))
+    assert abs(before - 1.0001) < 1e-9
+    assert abs(result() - 10.0) < 1e-9

@@ -1,0 +1,82 @@
+"""BLAS in one thread, and short turns for all threads, whoever asks for it, and however they come and go."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import numpy as np
+import pytest
+import scipy.linalg
+from threadpoolctl import threadpool_info, threadpool_limits  # type: ignore[import-untyped] # ships no types
+
+from app.timing import short_turns
+from reconstruction.runtime.threads import one_blas_thread
+
+
+def blas_threads() -> set[int]:
+    """How many threads each BLAS in this program may use."""
+    scipy.linalg.eigh(np.eye(2))
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_the_limit_lasts_until_the_last_has_left() -> None:
+    """As when refinement ends late: it began before a replay, and leaves in the middle of it."""
+    with threadpool_limits(2, user_api="blas"):
+        first, second = one_blas_thread(), one_blas_thread()
+        first.__enter__()
+        second.__enter__()
+        assert blas_threads() == {1}
+        first.__exit__(None, None, None)
+        assert blas_threads() == {1}
+        second.__exit__(None, None, None)
+        assert blas_threads() == {2}
+
+
+def test_an_error_takes_the_limit_away_too() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        with pytest.raises(ValueError, match="wrong"), one_blas_thread():
+            raise ValueError("wrong")
+        assert blas_threads() == {2}
+
+
+def turns_s() -> float:
+    return sys.getswitchinterval()
+
+
+@pytest.mark.parametrize("leaving", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
+def test_turns_are_short_until_the_last_has_left_in_whatever_order(leaving: tuple[int, ...]) -> None:
+    before_s = turns_s()
+    wanting = [short_turns() for _ in leaving]
+    for each in wanting:
+        each.__enter__()
+        assert turns_s() < before_s
+    for index in leaving[:-1]:
+        wanting[index].__exit__(None, None, None)
+        assert turns_s() < before_s
+    wanting[leaving[-1]].__exit__(None, None, None)
+    assert turns_s() == before_s
+    with short_turns():  # and again
+        assert turns_s() < before_s
+    assert turns_s() == before_s
+
+
+def test_threads_that_come_and_go_leave_the_turns_as_they_were() -> None:
+    before_s = turns_s()
+    all_in = threading.Barrier(8)
+    seen_s: list[float] = []
+
+    def come_and_go() -> None:
+        for _ in range(50):
+            with short_turns():
+                seen_s.append(turns_s())
+        with short_turns():
+            all_in.wait()
+
+    threads = [threading.Thread(target=come_and_go) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(seen_s) == 400
+    assert max(seen_s) < before_s == turns_s()

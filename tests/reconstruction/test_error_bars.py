@@ -1,0 +1,104 @@
+"""The error bars against the scatter of many noisy frames; the noise of interpolation against SciPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+from support.optics import FIELD, SmallBench
+
+from reconstruction.arrays import Image
+from reconstruction.displacement import Estimator
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.spline import noise_power
+from reconstruction.registration.methods import RegistrationSettings, prepare_registration
+from reconstruction.registration.subimages import ReferenceSubimages
+
+DRAWS = 60
+NOISY_FRAMES = {  # electrons of the brightest pixel, read noise in electrons, excess noise, brightness over reference
+    "bright": (10000.0, 8.0, 1.0, 1.0),
+    "dim": (300.0, 8.0, 1.0, 1.0),
+    "dimmer than the reference": (600.0, 8.0, 1.0, 0.4),
+    "multiplied": (100.0, 0.5, 2.0, 1.3),
+}
+
+
+@pytest.fixture(scope="module")
+def deformed(small_bench: SmallBench) -> Image:
+    """A frame whose subimages lie at all fractions of a pixel, sheared and stretched."""
+    u, v = small_bench.samples()
+
+    def phase(x: float, y: float) -> Image:
+        return (1500.0 * u + 500.0 * v + 4e5 * u * x + 3e5 * (u**2 + v**2) + 2e8 * v * u * y).astype(np.float32)
+
+    return small_bench.frame(phase)
+
+
+def _estimator(bench: SmallBench, electrons: float, noise: CameraNoise | None) -> Estimator:
+    """The registration of quadratic warps against a reference whose brightest pixel has so many electrons."""
+    reference = bench.reference * np.float32(electrons / bench.reference.max())
+    subimages = ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, noise=noise)
+    return prepare_registration(subimages, RegistrationSettings(), FIELD)
+
+
+def _exposed(light: Image, read_noise: float, excess_noise: float, rng: np.random.Generator) -> Image:
+    """A frame of `light` electrons: Poisson's, with the register's own chance and the read noise as Gaussians."""
+    shot = rng.poisson(light) + np.sqrt((excess_noise - 1) * light) * rng.normal(size=light.shape)
+    return np.asarray(shot + rng.normal(0, read_noise, light.shape), np.float32)
+
+
+@pytest.mark.parametrize("name", NOISY_FRAMES)
+def test_two_thirds_of_the_errors_lie_within_sigma_and_chi_square_is_one(
+    small_bench: SmallBench, deformed: Image, name: str
+) -> None:
+    electrons, read_noise, excess_noise, brightness = NOISY_FRAMES[name]
+    estimate = _estimator(small_bench, electrons, CameraNoise(1.0, read_noise, excess_noise))
+    light = np.maximum(deformed * np.float32(brightness * electrons / small_bench.reference.max()), 0)
+    nowhere: NDArray[np.bool_] = np.zeros(light.shape, np.bool_)
+    still = estimate(light, saturated=nowhere)
+    rng = np.random.default_rng(3)
+    noisy = [estimate(_exposed(light, read_noise, excess_noise, rng), saturated=nowhere) for _ in range(30)]
+    error = np.array([frame.coefficients - still.coefficients for frame in noisy])
+    sigma = np.sqrt(np.array([frame.variance for frame in noisy]))
+    inside = np.mean(np.abs(error) < sigma, axis=(0, 1, 2))  # (field_mode, xy)
+    np.testing.assert_allclose(inside, 0.683, atol=0.05)
+    assert np.mean(np.abs(error) < sigma) == pytest.approx(0.683, abs=0.015)
+    chi_square = np.array([frame.chi_square for frame in noisy]).mean(axis=0) - still.chi_square
+    np.testing.assert_allclose(chi_square, 1.0, atol=0.08)
+    # Errors of a lenslet's coefficients go together as the covariance says.
+    whitened = np.linalg.solve(
+        np.linalg.cholesky(noisy[0].covariance.reshape(-1, 12, 12)), error.reshape(30, -1, 12, 1)
+    )[..., 0]
+    together = np.einsum("dli,dlj->ij", whitened, whitened) / whitened[..., 0].size
+    np.testing.assert_allclose(together, np.eye(12), atol=0.12)
+
+
+def test_without_known_noise_the_residual_stands_for_it(small_bench: SmallBench, deformed: Image) -> None:
+    displacement = _estimator(small_bench, 300.0, None)(deformed, saturated=np.zeros(deformed.shape, np.bool_))
+    assert np.isnan(displacement.chi_square).all()
+    assert np.all(np.linalg.eigvalsh(displacement.covariance.reshape(-1, 12, 12)) > 0)
+
+
+def test_coefficients_scatter_as_their_sigma_says(small_bench: SmallBench) -> None:
+    u, v = small_bench.samples()
+    frame = small_bench.frame(lambda x, _y: (1500.0 * u + 500.0 * v + 4e5 * u * x).astype(np.float32))
+    reconstructor = small_bench.reconstructor("quadratic", pupil_modes=15)
+    generator = np.random.default_rng(0)
+    noise = 0.01 * float(frame.max())
+    solutions = [
+        reconstructor(frame + generator.normal(0, noise, frame.shape).astype(np.float32)).solution for _ in range(DRAWS)
+    ]
+    coefficients = np.array([solution.coefficients for solution in solutions])  # type: ignore[attr-defined] # modal
+    sigma = np.array([solution.coefficients_sigma for solution in solutions]).mean(axis=0)  # type: ignore[attr-defined] # the same
+    ratio = coefficients.std(axis=0, ddof=1)[1:] / sigma[1:]  # the piston has neither
+    assert 0.9 < np.sqrt(np.mean(ratio**2)) < 1.1
+
+
+def test_interpolated_noise_is_as_weak_as_scipys() -> None:
+    noise = np.random.default_rng(0).normal(size=(400, 400))
+    y, x = np.meshgrid(np.arange(20, 380), np.arange(20, 380), indexing="ij")
+    for fraction_x, fraction_y in ((0.0, 0.0), (0.5, 0.0), (0.25, 0.5), (0.5, 0.5)):
+        values = ndimage.map_coordinates(noise, [y + fraction_y, x + fraction_x], order=3, mode="mirror")
+        expected = values.var() / noise.var()
+        np.testing.assert_allclose(noise_power(np.array([7 + fraction_x, 3 + fraction_y])), expected, rtol=0.02)

@@ -1,0 +1,164 @@
+"""What is wrong with a lenslet or a frame is told apart, and never becomes a slope."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.optics import SmallBench
+
+from reconstruction.displacement import Outcome
+from reconstruction.errors import ReconstructionError
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.wavefront import rms
+
+TILT = 2000.0
+
+
+@pytest.fixture(scope="module")
+def tilted(small_bench: SmallBench) -> NDArray[np.float32]:
+    u, v = small_bench.samples()
+    return small_bench.frame(lambda _x, _y: (TILT * u + 0 * v).astype(np.float32))
+
+
+def _cell(bench: SmallBench, row: int, column: int) -> tuple[slice, slice]:
+    """The pixels of one lenslet's cell."""
+    x, y = bench.lattice.lenslet_centers_px(7, 9)[row, column]
+    return slice(int(y - 14), int(y + 16)), slice(int(x - 14), int(x + 16))
+
+
+@pytest.mark.parametrize("method", ["zonal", "modal"])
+def test_a_lenslet_that_goes_dark_yields_no_slope_and_spoils_nothing(
+    small_bench: SmallBench, tilted: NDArray[np.float32], method: str
+) -> None:
+    frame = tilted + np.random.default_rng(0).normal(0, 20, tilted.shape).astype(np.float32)
+    frame[_cell(small_bench, 2, 5)] = np.random.default_rng(1).normal(0, 20, (30, 30))
+    wavefront = small_bench.reconstructor("affine", method)(frame)
+    assert wavefront.displacement.outcome[2, 5] == Outcome.DARK
+    assert np.count_nonzero(~wavefront.displacement.valid) == 1
+    assert np.isnan(wavefront.displacement.coefficients[2, 5]).all()
+    truth = TILT * small_bench.pupil_x_m
+    assert np.isnan(wavefront.views[:, :, 2, 5]).all()
+    assert np.count_nonzero(np.isnan(wavefront.views[1, 1])) == 1
+    assert rms(wavefront.views[1, 1] - truth) < 0.03
+
+
+def test_something_else_than_the_reference_is_no_match(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    frame = tilted.copy()
+    frame[_cell(small_bench, 3, 3)] = np.random.default_rng(2).uniform(0, tilted.max(), (30, 30))
+    outcome = small_bench.reconstructor()(frame).displacement.outcome
+    assert outcome[3, 3] == Outcome.DIVERGED
+    assert np.count_nonzero(outcome) == 1
+
+
+def test_a_subimage_beyond_its_cell_is_out_of_range(small_bench: SmallBench) -> None:
+    u, v = small_bench.samples()
+    slope = 7.5 * small_bench.sensor.slope_per_px  # 8.8 px of field and 7.5 px of shift are more than half a cell
+
+    def phase(_x: float, _y: float) -> NDArray[np.float32]:
+        return (slope * np.maximum(u - 1.25e-3, 0) + 0 * v).astype(np.float32)
+
+    outcome = small_bench.reconstructor()(small_bench.frame(phase)).displacement.outcome
+    assert set(outcome[:, 7:].ravel()) <= {Outcome.LEFT_CELL, Outcome.DIVERGED}
+    assert np.all(outcome[:, :6] == Outcome.CONVERGED)
+
+
+def test_a_lenslet_beside_the_camera_is_told(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    reconstructor = small_bench.reconstructor(reference=small_bench.reference[:, :-25])
+    outcome = reconstructor(tilted[:, :-25]).displacement.outcome
+    assert np.all(outcome[:, 8] == Outcome.OFF_CAMERA)
+    assert np.all(outcome[:, :8] == Outcome.CONVERGED)
+
+
+def test_offset_and_gain_change_nothing(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    reconstructor = small_bench.reconstructor("quadratic")
+    other = reconstructor(tilted * 0.4 + 300)
+    np.testing.assert_allclose(other.views, reconstructor(tilted).views, atol=2e-3)
+
+
+NONSENSE: dict[str, Callable[[NDArray[np.float32]], NDArray[Any]]] = {
+    "was the light on": lambda reference: np.random.default_rng(0).normal(500, 8, reference.shape),
+    "no light": np.zeros_like,
+    "not finite": lambda reference: np.where(np.arange(reference.shape[1]) == 7, np.nan, reference),
+    "grey counts": lambda reference: reference > 1,
+    "check .lattice.": lambda reference: reference[:60, :60],
+}
+
+
+@pytest.mark.parametrize("sentence", NONSENSE)
+def test_a_reference_without_meaning_is_refused(small_bench: SmallBench, sentence: str) -> None:
+    with pytest.raises(ReconstructionError, match=sentence):
+        small_bench.reconstructor(reference=NONSENSE[sentence](small_bench.reference))
+
+
+def test_a_frame_without_light_is_refused(small_bench: SmallBench) -> None:
+    noise = np.random.default_rng(0).normal(500, 8, small_bench.reference.shape)
+    with pytest.raises(ReconstructionError, match="is the light on"):
+        small_bench.reconstructor()(noise)
+
+
+def test_a_frame_of_another_size_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    with pytest.raises(ReconstructionError, match="pixels, but the reference has"):
+        small_bench.reconstructor()(tilted[:-1])
+
+
+def test_a_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    full_scale = tilted.max() / 3
+    with pytest.raises(ReconstructionError, match="saturated: shorten the exposure"):
+        small_bench.reconstructor(reference=small_bench.reference / 4, full_scale=full_scale)(
+            np.minimum(tilted, full_scale)
+        )
+
+
+def test_more_modes_than_lenslets_can_carry_are_refused(small_bench: SmallBench) -> None:
+    with pytest.raises(ReconstructionError, match="cannot tell 300 pupil modes apart"):
+        small_bench.reconstructor(pupil_modes=300)
+
+
+def test_a_frame_beyond_the_dynamic_range_is_told_as_that(small_bench: SmallBench) -> None:
+    u, v = small_bench.samples()
+    slope = 7.0 * small_bench.sensor.slope_per_px  # 5.5 px are all that a cell allows
+    frame = small_bench.frame(lambda _x, _y: (slope * u + 0 * v).astype(np.float32))
+    with pytest.raises(ReconstructionError, match="beyond the dynamic range"):
+        small_bench.reconstructor("affine")(frame)
+
+
+def test_a_lenslet_half_covered_is_no_match(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    frame = tilted + np.random.default_rng(0).normal(0, 0.02 * tilted.max(), tilted.shape).astype(np.float32)
+    rows, columns = _cell(small_bench, 3, 3)
+    frame[rows, columns.start : columns.start + 15] = 0
+    outcome = small_bench.reconstructor("quadratic")(frame).displacement.outcome
+    assert outcome[3, 3] != Outcome.CONVERGED
+    assert np.count_nonzero(outcome) == 1
+
+
+@pytest.mark.parametrize(
+    "method", ["correlation", "correlation_fft", "itk_affine", "centroids", "demons", "block_flow"]
+)
+@pytest.mark.parametrize("integrate", ["modal", "zonal"])
+def test_every_method_knows_its_noise(
+    small_bench: SmallBench, tilted: NDArray[np.float32], method: str, integrate: str
+) -> None:
+    per_electron = float(small_bench.reference.max()) / 1e4
+    reconstructor = small_bench.reconstructor(
+        method=integrate,
+        pupil_modes=None,
+        registration=RegistrationSettings(method=method, star_rows=1, star_columns=1),  # type: ignore[arg-type] # parametrised
+        noise=CameraNoise(per_electron, 8 * per_electron),
+    )
+    assert np.isfinite(reconstructor(tilted).views).any()
+
+
+def test_lenslets_count_by_the_light_they_get(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    columns = np.arange(small_bench.frame_shape[1])
+    shade = np.where(columns < small_bench.frame_shape[1] / 2, 1.0, 0.1).astype(np.float32)
+    per_electron = float(small_bench.reference.max()) / 3e3
+    reconstructor = small_bench.reconstructor(
+        "affine", reference=small_bench.reference * shade, noise=CameraNoise(per_electron, 8 * per_electron)
+    )
+    weights = reconstructor.weights_of(reconstructor.register(tilted * shade))
+    assert weights[:, :4].min() > 4 * weights[:, 5:].max()

@@ -1,0 +1,162 @@
+"""Refinement on a small bench, against wavefronts in closed form: what one pass gets wrong it takes away."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+from support.optics import FIELD, SmallBench
+
+from app.bench.config import Bench
+from app.measurement.imaging_model import BenchModel
+from reconstruction.arrays import Floats
+from reconstruction.errors import ReconstructionError
+from reconstruction.pipeline import Reconstructor
+from reconstruction.refinement import Refinement, Round
+from reconstruction.wavefront import rms, without_piston
+from simulated_devices.optics.forward_model import PointPhase
+from simulated_devices.optics.source import SourcePoints, square
+from simulated_devices.settings import Source
+
+HALF_M = FIELD.half_width_m
+
+
+class Bowl:
+    """A wavefront of third degree that grows over the field, strong enough for one pass to get it wrong."""
+
+    def __init__(self, bench: SmallBench) -> None:
+        self._half_m = bench.sensor.pupil_half_width_m[0]
+        self.samples = bench.samples()
+        views = FIELD.view_x_m
+        self.views = without_piston(
+            np.array([[self.phase(x, y, bench.pupil_x_m, bench.pupil_y_m) for x in views] for y in views])
+        )
+
+    def phase(self, x_m: float, y_m: float, u_m: Floats, v_m: Floats) -> Floats:
+        u, v, x, y = u_m / self._half_m, v_m / self._half_m, x_m / HALF_M, y_m / HALF_M
+        return np.asarray(5 * (u**2 + v**2) + 4 * u**3 - 3 * u * v**2 + 3 * x * u * v + 2 * y * u**2 + 1.5 * x * x * v)
+
+    def at_samples(self, x_m: float, y_m: float) -> NDArray[np.float32]:
+        return self.phase(x_m, y_m, *self.samples).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def bowl(small_bench: SmallBench) -> Bowl:
+    return Bowl(small_bench)
+
+
+def settings_of(bench: SmallBench) -> Bench:
+    return Bench(sensor=bench.sensor, field=FIELD, lattice=bench.lattice)
+
+
+def refined(bench: SmallBench, reconstructor: Reconstructor, frame: NDArray[Any], rounds: int = 3) -> Iterator[Round]:
+    model = BenchModel(settings_of(bench), reconstructor)
+    return Refinement(reconstructor, model).rounds(reconstructor.register(frame), rounds)
+
+
+@pytest.mark.parametrize("method", ["modal", "zonal"])
+def test_the_bias_of_one_pass_goes(small_bench: SmallBench, bowl: Bowl, method: str) -> None:
+    frame = small_bench.frame(bowl.at_samples)
+    reconstructor = small_bench.reconstructor("cubic", method, None)
+    once = rms(reconstructor(frame).views - bowl.views).mean()
+    residuals = [rms(each.wavefront.views - bowl.views).mean() for each in refined(small_bench, reconstructor, frame)]
+    assert once > 0.015
+    assert residuals[-1] < (0.2 if method == "modal" else 0.85) * once  # zonal: Southwell's own error stays
+    assert len(residuals) <= 3
+
+
+def test_the_source_is_the_benchs_own(small_bench: SmallBench, bowl: Bowl) -> None:
+    """A square, brighter to one side, blurred more than diffraction does, behind unevenly lit lenslets."""
+    points = square(Source(), object_samples=19)
+    uneven = SourcePoints(
+        position_m=points.position_m, area_m2=points.area_m2 * (1.3 + points.position_m[:, 0] / HALF_M)
+    )
+    x = np.arange(small_bench.frame_shape[1]) / small_bench.frame_shape[1]
+
+    def image(phase: PointPhase | None) -> NDArray[np.float32]:
+        sharp = small_bench.model.irradiance(uneven, phase) * np.float32(1e14)
+        return np.asarray(ndimage.gaussian_filter(sharp, 0.7) * (0.6 + 0.8 * x), np.float32)
+
+    reconstructor = small_bench.reconstructor("cubic", pupil_modes=None, reference=image(None))
+    frame = image(bowl.at_samples)
+    once = rms(reconstructor(frame).views - bowl.views).mean()
+    *_, last = refined(small_bench, reconstructor, frame)
+    assert rms(last.wavefront.views - bowl.views).mean() < 0.4 * once
+
+    model = BenchModel(settings_of(small_bench), reconstructor)
+    subimages, modelled = reconstructor.subimages, Reconstructor.against(reconstructor, model.image(None))
+    assert modelled(image(None), saturated=np.zeros(small_bench.frame_shape, np.bool_)).residual_rms.max() < 0.03
+    assert subimages.light.max() == pytest.approx(float(model.image(None).max()), rel=0.1)
+
+
+def test_a_flat_wavefront_ends_at_once(small_bench: SmallBench) -> None:
+    reconstructor = small_bench.reconstructor("quadratic", pupil_modes=None)
+    rounds = list(refined(small_bench, reconstructor, small_bench.reference, 5))
+    assert len(rounds) == 1
+    assert rounds[0].change_rad < 1e-3
+
+
+def test_a_lost_lenslet_stays_lost_and_its_neighbours_are_refined(small_bench: SmallBench, bowl: Bowl) -> None:
+    frame = small_bench.frame(bowl.at_samples)
+    x, y = small_bench.lattice.lenslet_centers_px(7, 9)[3, 4]
+    frame[int(y) - 15 : int(y) + 16, int(x) - 15 : int(x) + 16] = 0
+    reconstructor = small_bench.reconstructor("cubic", pupil_modes=None)
+    once = reconstructor(frame)
+    *_, last = refined(small_bench, reconstructor, frame)
+    assert np.isnan(last.wavefront.displacement.coefficients[3, 4]).all()
+    assert np.isfinite(last.wavefront.views).all()
+    assert rms(last.wavefront.views - bowl.views).mean() < 0.4 * rms(once.views - bowl.views).mean()
+
+
+def test_the_bias_of_the_state_before_serves_a_state_nearby(small_bench: SmallBench, bowl: Bowl) -> None:
+    reconstructor = small_bench.reconstructor("cubic", pupil_modes=None)
+    *_, last = refined(small_bench, reconstructor, small_bench.frame(bowl.at_samples))
+    later = small_bench.frame(lambda x, y: np.float32(1.05) * bowl.at_samples(x, y))
+    once = rms(reconstructor(later).views - 1.05 * bowl.views).mean()
+    corrected = reconstructor(later, bias=last.bias.displacement)
+    assert rms(corrected.views - 1.05 * bowl.views).mean() < 0.4 * once
+
+
+def test_a_model_without_light_is_told(small_bench: SmallBench) -> None:
+    class Dark:
+        sample_x_m = sample_y_m = np.linspace(-1e-3, 1e-3, 4)
+
+        def image(self, _phase: PointPhase | None) -> NDArray[np.float32]:
+            return np.zeros(small_bench.frame_shape, np.float32)
+
+    with pytest.raises(ReconstructionError, match="shows no light"):
+        Refinement(small_bench.reconstructor(), Dark())
+
+
+def test_a_turned_lattice_is_modelled() -> None:
+    turned = SmallBench(5, 6, rotation_rad=-0.03)
+    other = Bowl(turned)
+    reconstructor = turned.reconstructor("cubic", pupil_modes=None)
+    frame = turned.frame(other.at_samples)
+    once = rms(reconstructor(frame).views - other.views).mean()
+    *_, last = refined(turned, reconstructor, frame)
+    assert rms(last.wavefront.views - other.views).mean() < 0.4 * once
+
+
+def test_rounds_that_do_not_improve_end_it(small_bench: SmallBench, bowl: Bowl) -> None:
+    class Wild:
+        """A model that says something else every time, and more of it."""
+
+        sample_x_m, sample_y_m = small_bench.model.sample_x_m, small_bench.model.sample_y_m
+        asked = 0
+
+        def image(self, phase: PointPhase | None) -> NDArray[np.float32]:
+            if phase is None:
+                return small_bench.reference
+            self.asked += 1
+            strength = np.float32(0.2 * self.asked**2)
+            return small_bench.frame(lambda x, y: strength * bowl.at_samples(x, y))
+
+    reconstructor = small_bench.reconstructor("quadratic", pupil_modes=None)
+    model = Wild()
+    displacement = reconstructor.register(small_bench.frame(bowl.at_samples))
+    assert len(list(Refinement(reconstructor, model).rounds(displacement, 6))) < model.asked < 6

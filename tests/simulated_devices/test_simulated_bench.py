@@ -1,0 +1,201 @@
+"""The simulated bench: what it renders ahead, keeps in its cache and plays; and its settings."""
+
+from __future__ import annotations
+
+import errno
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import pytest
+from support.patience import HANG_S, wait_until
+from support.simulated_scene import DRIFTING, LATTICE, STILL, open_bench
+
+from simulated_devices.background import BackgroundRendering, render_missing
+from simulated_devices.bench import SimulatedBench
+from simulated_devices.playback import Playback
+from simulated_devices.rendering import ImageCache
+from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
+
+
+@pytest.fixture(scope="module")
+def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("simulated")
+
+
+@pytest.fixture
+def bench(cache_folder: Path) -> Iterator[SimulatedBench]:
+    bench = open_bench(cache_folder)
+    yield bench
+    bench.close()
+
+
+def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
+    bench = open_bench(cache_folder / "drifting", DRIFTING)
+    try:
+
+        def all_are_rendered() -> bool:
+            bench.clock.sleep(0.25)
+            bench.current_state(bench.clock.now())
+            return bench.states_rendered == 4
+
+        wait_until(all_are_rendered)
+        seen = []
+        for _ in range(12):
+            bench.clock.sleep(0.1)
+            seen.append(bench.current_state(bench.clock.now()))
+        assert set(seen) == {0, 1, 2, 3}
+        assert (abs(np.diff(seen)) == 1).all()
+        drift = bench.truth_wavefront(1) - bench.truth_wavefront(0)
+        assert 0.01 < drift.std() < bench.truth_wavefront(0).std()
+    finally:
+        bench.close()
+
+
+def test_the_background_process_ends_at_once(tmp_path: Path) -> None:
+    slow = replace(DRIFTING, object_samples=101, drifting_states=50)
+    bench = open_bench(tmp_path, replace(slow, object_samples=5))
+    process = bench._background
+    assert process is not None
+    assert process._process.poll() is None
+    start = time.monotonic()
+    bench.close()
+    bench.close()
+    assert process._process.poll() is not None
+    assert time.monotonic() - start < 1
+
+
+def test_the_background_process_comes_to_a_quiet_end(
+    bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scene = replace(bench._scene, simulation=DRIFTING)
+    process = BackgroundRendering(scene, "square", tmp_path)
+    assert process._process.wait(HANG_S) == 0
+    process.close()
+    assert capfd.readouterr().err == ""
+    cache = ImageCache(tmp_path, scene)
+    assert all(cache.load("square", state) is not None for state in range(4))
+
+
+def test_a_cache_that_cannot_be_written_keeps_nothing_and_the_bench_goes_on(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    bench = open_bench(tmp_path / "file", DRIFTING)
+    assert bench._background is not None
+    assert bench._background._process.wait(HANG_S) == 0
+    bench.clock.sleep(10.0)
+    bench.change(is_light_on=True, is_sample_in=True)
+    bench.clock.sleep(1.0)
+    exposed = bench.expose(bench.clock.now() - 1.0, bench.clock.now())
+    assert (exposed.state, bench.states_rendered) == (0, 1)
+    assert exposed.photons.any()
+    bench.close()
+    assert capfd.readouterr().err == ""
+
+
+def test_a_full_disk_leaves_nothing_half_written(
+    bench: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_some(file: BinaryIO, _: object) -> None:
+        file.write(b"\x93NUMPY")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    cache = ImageCache(tmp_path, bench._scene)
+    image = bench.render_reference("square")
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "save", write_some)
+        assert not cache.save("square", 0, image)
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert cache.save("square", 0, image)
+    np.testing.assert_array_equal(cache.load("square", 0), image)
+
+
+def test_progress_runs_over_the_reference_and_the_first_state(tmp_path: Path) -> None:
+    heard: list[float] = []
+    open_bench(tmp_path, progress=heard.append).close()
+    assert heard == sorted(heard)
+    assert 0 < heard[0] < 0.1
+    assert sum(fraction < 0.25 for fraction in heard) >= 3  # the reference
+    assert sum(0.25 < fraction < 1 for fraction in heard) >= 3  # the state
+    assert heard[-1] == 1
+    heard.clear()
+    open_bench(tmp_path, progress=heard.append).close()
+    assert heard == [1.0]
+
+
+def test_a_damaged_file_is_rendered_anew(tmp_path: Path) -> None:
+    first = open_bench(tmp_path)
+    whole = first.expose(0.0, 1.0)
+    first.change(is_light_on=True, is_sample_in=True)
+    first.clock.sleep(1.0)
+    good = first.expose(0.0, 1.0).photons
+    assert not whole.photons.any()
+    (file,) = tmp_path.glob("*/square-0.npy")
+    file.write_bytes(file.read_bytes()[:1000])
+    again = open_bench(tmp_path)
+    again.change(is_light_on=True, is_sample_in=True)
+    again.clock.sleep(1.0)
+    np.testing.assert_allclose(again.expose(0.0, 1.0).photons, good, rtol=1e-4)
+    assert file.stat().st_size > 1000
+
+
+def test_a_damaged_file_is_rendered_anew_in_the_background(tmp_path: Path) -> None:
+    bench = open_bench(tmp_path, DRIFTING)
+    bench.close()
+    scene = bench._scene
+    render_missing(scene, "stars", tmp_path)
+    cache = ImageCache(tmp_path, scene)
+    good = cache.load("stars", 2)
+    cache.path("stars", 2).write_bytes(b"\x93NUMPY damaged")
+    assert cache.load("stars", 2) is None
+    render_missing(scene, "stars", tmp_path)
+    np.testing.assert_array_equal(cache.load("stars", 2), good)
+
+
+def test_every_parameter_has_images_of_its_own(bench: SimulatedBench) -> None:
+    scene = bench._scene
+    others = [
+        replace(scene, rows=101),
+        replace(scene, simulation=replace(STILL, seed=2)),
+        replace(scene, simulation=replace(STILL, screen=replace(STILL.screen, drift_y_m_per_s=1e-6))),
+        replace(scene, lattice=replace(LATTICE, rotation_rad=1e-6)),
+        replace(scene, pixel_fill_factor=0.0),
+    ]
+    assert len({scene.fingerprint(), *(other.fingerprint() for other in others)}) == 6
+
+
+def test_a_film_is_played_back_and_forth_and_grows_without_a_jump() -> None:
+    film = Playback(states=3, duration_s=1.0, start_s=0.0)
+    assert [film.state_at(time_s + 0.5) for time_s in range(7)] == [0, 1, 2, 1, 0, 1, 2]
+    film.states = 5
+    assert [film.state_at(time_s + 0.5) for time_s in range(7, 12)] == [3, 4, 3, 2, 1]
+    assert film.state_at(8.5) == 4  # what was shown is remembered
+    later = film.state_at(1e6)
+    assert film.state_at(1e6 + 1) != later
+    still = Playback(states=1, duration_s=1.0, start_s=0.0)
+    assert [still.state_at(time_s + 0.5) for time_s in range(3)] == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: Simulation(pupil_samples=7), "pupil_samples"),
+        (lambda: Simulation(object_samples=1), "object_samples"),
+        (lambda: Screen(distance_m=math.nan), "distance_m"),
+        (lambda: Screen(pv_rad=1.0), "pv_rad"),
+        (lambda: Source(pinhole_diameter_m=-1e-6), "pinhole_diameter_m"),
+        (lambda: SimulatedCameraSettings(exposure_s=3.8), "exposure_s"),
+        (lambda: SimulatedCameraSettings(readout_speed=4), "readout_speed"),
+        (lambda: SimulatedCameraSettings(em_gain=0.5), "em_gain"),
+        (lambda: SimulatedCameraSettings(amplifier="normal", exposure_s=1.0, em_gain=4.0), "em_gain"),
+        (lambda: SimulatedLightSettings(current_a=2.0), "current_a"),
+    ],
+)
+def test_a_bad_setting_is_named(make: type[object], key: str) -> None:
+    with pytest.raises(ValueError, match=f"^{key} "):
+        make()

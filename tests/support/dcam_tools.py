@@ -1,0 +1,56 @@
+"""The stand-in of a DCAM camera, compiled once, and the driver over it."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.dcam import session
+from drivers.dcam.camera import DcamCamera
+from drivers.dcam.library import DcamLibrary, load_library
+from drivers.dcam.settings import DcamSettings
+from simulated_devices.wires.dcam.build import NoCompiler, build
+from simulated_devices.wires.dcam.stand_in import StandIn
+
+
+@cache
+def built() -> Path:
+    folder = tempfile.mkdtemp(prefix="svwfs-dcam-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return build(Path(folder))
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Where there is no compiler, one line says how to get it."""
+    try:
+        yield
+    except NoCompiler as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@contextmanager
+def dcam_stand_in(speed: float = 0.0) -> Iterator[StandIn]:
+    """Switch it on; whoever has begun a session with it has to have ended it in the end."""
+    with compiling():
+        stand_in = StandIn(built())
+    stand_in.reset(speed)
+    yield stand_in
+    assert not session._sessions
+
+
+def library(stand_in: StandIn) -> DcamLibrary:
+    return load_library(str(stand_in.library))
+
+
+def open_camera(stand_in: StandIn, **settings: Any) -> DcamCamera:
+    """Open the driver on it, with the stand-in's clock."""
+    return DcamCamera(DcamSettings(**settings), library(stand_in), stand_in.now)

@@ -1,0 +1,249 @@
+"""Devices for the tests of the window: a camera that paints soft squares, moved by a sample that is known exactly."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.acquisition.worker import Counts, Measurement
+from app.bench.config import Bench
+from drivers.interface import (
+    BadValue,
+    Camera,
+    CameraCapabilities,
+    Devices,
+    DeviceTimeout,
+    Frame,
+    LightSource,
+    Range,
+    Stage,
+)
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.wavefront import Wavefront
+
+FULL_SCALE = 65535
+SENSOR = Sensor(
+    lenslet_rows=9,
+    lenslet_columns=13,
+    lenslet_pitch_m=500e-6,
+    lenslet_focal_length_m=46.7e-3,
+    wavelength_m=462e-9,
+    pixel_pitch_m=16e-6,
+)
+LATTICE = Lattice(center_x_px=215.0, center_y_px=150.5, pitch_px=31.25)
+FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
+BENCH = Bench(
+    sensor=SENSOR, field=FIELD, lattice=LATTICE, reconstruction=ReconstructionSettings(method="modal", pupil_modes=28)
+)
+
+
+class FakeCamera(Camera):
+    """Takes frames of the light and the stage beside it; `fault` is raised by the next read."""
+
+    name = "fake camera"
+
+    def __init__(self, *, rows: int = 300, columns: int = 430, lattice: Lattice = LATTICE) -> None:
+        super().__init__()
+        self.light = FakeLight()
+        self.stage: Stage = FakeStage()
+        self.fault: Exception | None = None
+        self.period_s = 0.02
+        self._capabilities = CameraCapabilities(
+            rows=rows,
+            columns=columns,
+            pixel_pitch_m=16e-6,
+            full_scale=FULL_SCALE,
+            exposure_range_s=Range(0.01, 10),
+            em_gain_range=Range(1, 1200),
+            amplifiers=("em", "normal"),
+            readout_speeds=(3,),  # as the bench's
+        )
+        self._exposure, self._chosen, self._gain, self._running = 0.02, "em", 1.0, False
+        self._index = 0
+        self._images = [_squares((rows, columns), lattice, strength) for strength in (0.0, 1.0)]
+        self._noise = np.random.default_rng(1)
+
+    @property
+    def is_closed(self) -> bool:
+        return self.state == "closed"
+
+    def _read_capabilities(self) -> CameraCapabilities:
+        return self._capabilities
+
+    def _read_exposure(self) -> float:
+        return self._exposure
+
+    def _set_exposure(self, exposure_s: float) -> float:
+        if 0.05 < exposure_s < 0.06:
+            raise BadValue("exposures between 50 and 60 ms are broken")
+        self._exposure = round(exposure_s, 3)
+        return self._exposure
+
+    def _read_amplifier(self) -> str:
+        return self._chosen
+
+    def _set_amplifier(self, amplifier: str) -> None:
+        self._chosen = amplifier
+
+    def _read_em_gain(self) -> float:
+        return self._gain
+
+    def _set_em_gain(self, em_gain: float) -> float:
+        self._gain = em_gain
+        return em_gain
+
+    def _is_running(self) -> bool:
+        return self._running
+
+    def _start(self) -> None:
+        self._running, self._index = True, 0
+
+    def _stop(self) -> None:
+        self._running = False
+
+    def _read(self, timeout_s: float) -> Frame:
+        if self.fault is not None:
+            raise self.fault
+        if self._exposure > timeout_s:
+            time.sleep(timeout_s)
+            raise DeviceTimeout("no frame yet")
+        time.sleep(self.period_s)
+        counts = 500 + 40000 * self._images[self.stage.is_sample_in] * self.light.is_on
+        counts += self._noise.normal(0, 30, counts.shape)
+        frame = make_frame(counts.astype(np.uint16), index=self._index)
+        self._index += 1
+        return frame
+
+    def _close(self) -> None:
+        self._running = False
+
+
+class FakeLight(LightSource):
+    name = "fake light"
+
+    def __init__(self) -> None:
+        super().__init__(sleep=lambda _: None)
+        self._current, self.shines = 0.35, False
+        self._begin()
+
+    def _read_range(self) -> Range:
+        return Range(0, 1)
+
+    def _read_current(self) -> float:
+        return self._current
+
+    def _set_current(self, current_a: float) -> float:
+        self._current = current_a
+        return current_a
+
+    def _is_lit(self) -> bool:
+        return self.shines
+
+    def _switch(self, *, on: bool) -> None:
+        self.shines = on
+
+    def _close(self) -> None:
+        pass
+
+
+class FakeStage(Stage):
+    name = "fake stage"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._chosen, self._in = "square", False
+
+    def _read_masks(self) -> tuple[str, ...]:
+        return ("square", "stars")
+
+    def _read_mask(self) -> str:
+        return self._chosen
+
+    def _set_mask(self, mask: str) -> None:
+        self._chosen = mask
+
+    def _is_sample_in(self) -> bool:
+        return self._in
+
+    def _set_sample_in(self, *, sample_in: bool) -> None:
+        self._in = sample_in
+
+    def _close(self) -> None:
+        self._in = False
+
+
+def opener(camera: FakeCamera) -> Callable[[Bench, Callable[[float], None]], Devices]:
+    """Return what opens the devices around `camera`."""
+
+    def open_devices(_: Bench, progress: Callable[[float], None]) -> Devices:
+        progress(1.0)
+        devices = Devices(camera, camera.light, camera.stage)
+        for device in (camera, camera.stage, camera.light):
+            devices._closing.callback(device.close)
+        return devices
+
+    return open_devices
+
+
+def make_frame(pixels: NDArray[np.uint16], *, index: int = 0) -> Frame:
+    now_s = time.perf_counter()
+    return Frame(pixels, index, now_s, now_s, 0.02, 1.0)
+
+
+def make_measurement(
+    pixels: NDArray[np.uint16],
+    views: Floats,
+    *,
+    outcome: NDArray[np.int8] | None = None,
+    displacement_px: Floats | None = None,
+    index: int = 0,
+) -> Measurement:
+    """Make a measurement of arrays alone, as it would come from a recording."""
+    shape = views.shape[2:]
+    outcome = np.zeros(shape, np.int8) if outcome is None else outcome
+    coefficients = np.zeros((*shape, 3, 2))
+    if displacement_px is not None:
+        coefficients[:, :, 0] = displacement_px
+    coefficients[outcome != Outcome.CONVERGED] = np.nan
+    displacement = Displacement(
+        LegendreModes(3),
+        coefficients,
+        diagonal_covariance(np.zeros_like(coefficients)),
+        outcome,
+        *np.zeros((3, *shape)),
+    )
+    wavefront = Wavefront(FIELD, displacement, _NoSolution(), views)
+    return Measurement(
+        make_frame(pixels, index=index), wavefront, "", Counts(index + 1, index + 1, 0), time.perf_counter(), 0.004
+    )
+
+
+class _NoSolution:
+    def wavefront(self, field_modes: Floats) -> Floats:
+        raise NotImplementedError
+
+    def sigma(self, field_modes: Floats) -> Floats:
+        raise NotImplementedError
+
+
+def _squares(shape: tuple[int, int], lattice: Lattice, strength: float) -> Floats:
+    """Soft squares behind every lenslet, between 0 and 1, moved as by a sample of the given strength."""
+    y, x = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
+    position = lattice.from_camera_px(np.stack([x, y], axis=-1).astype(np.float64)) / lattice.pitch_px
+    cell = np.floor(position + 0.5)
+    u, v = cell[..., 0] / 7, cell[..., 1] / 7
+    inside = (position - cell) * lattice.pitch_px
+    half = FIELD.half_width_px(SENSOR)
+    moved_x = strength * (1.6 * np.sin(2.1 * u + 0.4) * np.cos(1.7 * v) + 0.6 * v * inside[..., 0] / half)
+    moved_y = strength * (1.6 * np.cos(1.5 * u) * np.sin(2.3 * v - 0.3) + 0.6 * u * inside[..., 1] / half)
+    brightness = np.ones(shape)
+    for offset in (inside[..., 0] - moved_x, inside[..., 1] - moved_y):
+        brightness *= 0.5 * (np.tanh((offset + half) / 1.2) - np.tanh((offset - half) / 1.2))
+    return brightness

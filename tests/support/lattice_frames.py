@@ -1,0 +1,97 @@
+"""Frames of a lattice in closed form: every image is a sum of Gaussians, each integrated over the pixels exactly."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Sensor
+
+Shape = Literal["square", "disc", "ring", "stars", "pinhole", "corner"]
+
+
+def sensor_with(rows: int, columns: int, pitch_px: float) -> Sensor:
+    """A sensor that is designed to have that pitch."""
+    return Sensor(
+        lenslet_rows=rows,
+        lenslet_columns=columns,
+        lenslet_pitch_m=pitch_px * 16e-6,
+        lenslet_focal_length_m=46.7e-3,
+        wavelength_m=462e-9,
+        pixel_pitch_m=16e-6,
+    )
+
+
+def image_of(shape: Shape, pitch_px: float, half_width: float, blur_px: float) -> Floats:
+    """Where the Gaussians of one lenslet's image lie about its centre, px, (N, xy); `half_width` in pitches."""
+    half_px = half_width * pitch_px
+    if shape == "pinhole":
+        return np.zeros((1, 2))
+    if shape == "stars":
+        along = np.array([-1.0, 0.0, 1.0]) * half_px
+    elif shape == "corner":  # three stars in an L
+        return np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0]]) * half_px
+    elif shape == "ring":
+        angle = np.arange(48) * np.pi / 24
+        return half_px * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    else:
+        steps = int(np.ceil(2 * half_px / (1.5 * blur_px)))  # so dense that no ripple is left
+        along = np.linspace(-half_px, half_px, steps + 1)
+    points = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    return points[np.hypot(*points.T) <= half_px * 1.0001] if shape == "disc" else points
+
+
+def draw(
+    frame: tuple[int, int],
+    *,
+    center_px: tuple[float, float],
+    pitch_px: float,
+    rotation_rad: float,
+    brightness: Floats,
+    image_px: Floats,
+    blur_px: float = 1.2,
+    beside_px: Floats | None = None,
+) -> Floats:
+    """Draw lenslets (row, column) of that brightness about the centre (x, y); the brightest pixel becomes 1.
+
+    `beside_px` (row, column, xy) moves each one's image away from the lattice.
+    """
+    light = np.zeros(frame)
+    turn = np.array([[np.cos(rotation_rad), np.sin(rotation_rad)], [-np.sin(rotation_rad), np.cos(rotation_rad)]])
+    rows, columns = brightness.shape
+    reach = int(np.abs(image_px).max() * 1.5 + 6 * blur_px) + 2
+    for (row, column), amount in np.ndenumerate(brightness):
+        middle = np.array([column - (columns - 1) / 2, row - (rows - 1) / 2]) * pitch_px
+        if beside_px is not None:
+            middle += beside_px[row, column]
+        x, y = ((middle + image_px) @ turn + center_px).T
+        near = np.rint(middle @ turn + center_px).astype(int)
+        left, top = np.maximum(near - reach, 0)
+        right, bottom = np.minimum(near + reach, frame[::-1])
+        if left < right and top < bottom:
+            along_x, along_y = _in_pixels(x, left, right, blur_px), _in_pixels(y, top, bottom, blur_px)
+            light[top:bottom, left:right] += amount * along_y.T @ along_x
+    return np.asarray(light / light.max())
+
+
+def _in_pixels(where_px: Floats, first: int, end: int, blur_px: float) -> Floats:
+    """Share of Gaussians at those places that falls on each pixel from `first` to `end`, (N, pixel)."""
+    edge = np.arange(first, end + 1) - 0.5
+    return np.asarray(np.diff(erf((edge - where_px[:, None]) / (np.sqrt(2) * blur_px)), axis=1) / 2)
+
+
+def photographed(
+    light: Floats,
+    rng: np.random.Generator,
+    *,
+    peak_e: float,
+    read_noise_e: float = 10.0,
+    background_e: Floats | float = 0,
+) -> NDArray[np.uint16]:
+    """What a camera makes of it: photon and read noise, one count an electron, an offset of 500 counts."""
+    electrons = rng.poisson(light * peak_e + background_e) + rng.normal(500, read_noise_e, light.shape)
+    return np.clip(electrons, 0, 65535).astype(np.uint16)

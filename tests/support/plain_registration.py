@@ -1,0 +1,83 @@
+"""The registration once more, in plain NumPy and SciPy, as its formulas read: what the fast one is compared with.
+
+The residual I1(x + d) det(1 + dd/dx) gain + offset det - I0 is made orthogonal to the steepest-descent images
+d(I0 T_q)/dx, d(I0 T_q)/dy, I0 and 1, all pixels of the window weighted alike, by Gauss-Newton steps from zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Lattice, Sensor
+
+_ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))  # degrees along x, along y
+_MARGIN_BLURS = 1.3
+_STEP_PX = 1e-3  # of numerical derivatives
+_STEPS = 40
+
+
+def plain_registration(
+    reference: NDArray[np.float32],
+    frame: NDArray[np.float32],
+    *,
+    sensor: Sensor,
+    lattice: Lattice,
+    field: Field,
+    field_modes: int,
+) -> Floats:
+    """Coefficients c_q, px, (lenslet_row, lenslet_column, field_mode, xy)."""
+    half_width_px = field.half_width_px(sensor)
+    blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
+    reach = int(half_width_px + _MARGIN_BLURS * blur_px)
+    y, x = (grid.ravel().astype(float) for grid in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
+    orders = _ORDERS[:field_modes]
+
+    def modes(x: Floats, y: Floats) -> Floats:
+        along_x = legendre.legvander(x / half_width_px, 3)
+        along_y = legendre.legvander(y / half_width_px, 3)
+        return np.stack([along_x[:, m] * along_y[:, n] for m, n in orders])
+
+    def by_x(function: object) -> Floats:
+        assert callable(function)
+        return np.asarray((function(x + _STEP_PX, y) - function(x - _STEP_PX, y)) / (2 * _STEP_PX))
+
+    def by_y(function: object) -> Floats:
+        assert callable(function)
+        return np.asarray((function(x, y + _STEP_PX) - function(x, y - _STEP_PX)) / (2 * _STEP_PX))
+
+    splines = [ndimage.spline_filter(image.astype(float), order=3, mode="mirror") for image in (reference, frame)]
+    mode_values, mode_by_x, mode_by_y = modes(x, y), by_x(modes), by_y(modes)
+    found = np.zeros((sensor.lenslet_rows, sensor.lenslet_columns, field_modes, 2))
+    centers = lattice.lenslet_centers_px(sensor.lenslet_rows, sensor.lenslet_columns)
+    for row, column in np.ndindex(found.shape[:2]):
+        center_x, center_y = centers[row, column]
+
+        def look(spline: Floats, x: Floats, y: Floats, cx: float = center_x, cy: float = center_y) -> Floats:
+            where = [cy + sine * x + cosine * y, cx + cosine * x - sine * y]
+            return np.asarray(ndimage.map_coordinates(spline, where, order=3, mode="mirror", prefilter=False))
+
+        def carried(x: Floats, y: Floats, look: object = look) -> Floats:
+            assert callable(look)
+            return np.asarray(look(splines[0], x, y) * modes(x, y))
+
+        light = look(splines[0], x, y)
+        descent = np.concatenate([by_x(carried), by_y(carried), [light, np.ones_like(light)]])
+        inverse = np.linalg.pinv(descent @ descent.T, rcond=1e-12, hermitian=True) @ descent
+        c, gain, offset = np.zeros((field_modes, 2)), 1.0, 0.0
+        for _ in range(_STEPS):
+            d = c.T @ mode_values
+            (xu, yu), (xv, yv) = c.T @ mode_by_x, c.T @ mode_by_y
+            stretch = (1 + xu) * (1 + yv) - xv * yu
+            residual = (gain * look(splines[1], x + d[0], y + d[1]) + offset) * stretch - light
+            step = inverse @ residual
+            c = c - step[:-2].reshape(2, field_modes).T
+            gain, offset = gain * (1 - step[-2]), offset * (1 - step[-2]) - step[-1]
+            if np.abs(step[:-2]).max() < 1e-6:
+                break
+        found[row, column] = c
+    return found

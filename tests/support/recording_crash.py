@@ -1,0 +1,137 @@
+"""Kill a recording program at random moments and check what it leaves on disk.
+
+    PYTHONPATH=tests python -m support.recording_crash --kills 20
+
+uses the bench `live_demo` at 70 frames a second. The program reports every acquired frame through a pipe, so the
+number of acquired frames is known.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from app.acquisition.devices import open_devices
+from app.acquisition.start_up import start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench, load_bench
+from app.recording.reader import Recording
+from app.recording.recover import recover
+from drivers.interface import Devices, Frame
+from support.patience import HANG_S
+
+_TOLD = struct.Struct("<qId")  # the camera's index of a frame, checksum of its pixels, time of arrival in s
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What a killed program has left."""
+
+    acquired: int  # since the recording began
+    missing: int  # of those, without a line in frames.jsonl
+    wrong: int  # with a line, but other pixels than the camera gave, or none
+    rate_hz: float
+
+
+def kill_one(bench: str, settings: tuple[str, ...], folder: Path, *, after_s: float) -> Left:
+    """Start a program that records into `folder`, kill it so long after its first line, and look."""
+    reading, writing = os.pipe()
+    program_itself = [sys.executable, "-m", "support.recording_crash"]
+    command = [*program_itself, "--record", str(folder), "--pipe", str(writing), "--bench", bench, *settings]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    program = subprocess.Popen(command, pass_fds=[writing], env=environment)  # noqa: S603 - this file
+    os.close(writing)
+    told = b""
+    try:
+        deadline_s = time.monotonic() + HANG_S
+        lines = folder / "frames.jsonl"
+        while not (lines.exists() and lines.stat().st_size):
+            assert program.poll() is None
+            assert time.monotonic() < deadline_s
+            told += os.read(reading, 1 << 14)
+        end_s = time.monotonic() + after_s
+        while (left_s := end_s - time.monotonic()) > 0:
+            time.sleep(min(left_s, 0.1))
+            told += os.read(reading, 1 << 14)
+    finally:
+        program.send_signal(signal.SIGKILL)
+        program.wait()
+        while piece := os.read(reading, 1 << 16):
+            told += piece
+        os.close(reading)
+    return look(folder, [_TOLD.unpack_from(told, at) for at in range(0, len(told) - _TOLD.size + 1, _TOLD.size)])
+
+
+def look(folder: Path, told: list[tuple[int, int, float]]) -> Left:
+    """Compare a recording with the frames that were acquired, in their order."""
+    recording = Recording(folder)
+    assert not recording.is_complete
+    lines = [recording.line(index) for index in range(len(recording))]
+    begins = max(at for at, (index, *_) in enumerate(told) if index == 0)  # the camera's last start
+    acquired = {index: (checksum, time_s) for index, checksum, time_s in told[begins:]}
+    expected = [index for index in acquired if index >= lines[0].camera_index]
+    wrong = sum(zlib.crc32(recording.pixels(line.index).data) != acquired[line.camera_index][0] for line in lines)
+    seconds = acquired[expected[-1]][1] - acquired[expected[0]][1]
+    return Left(len(expected), len(expected) - len(lines), wrong, (len(expected) - 1) / max(seconds, 1e-9))
+
+
+def record(bench: Bench, folder: Path, pipe: int) -> None:
+    """Record until killed, telling of every frame."""
+
+    def open_telling(bench: Bench, progress: Callable[[float], None]) -> Devices:
+        devices = open_devices(bench, progress)
+        read = devices.camera.read
+
+        def tell(timeout_s: float) -> Frame:
+            frame = read(timeout_s)
+            os.write(pipe, _TOLD.pack(frame.index, zlib.crc32(frame.pixels.data), frame.host_time_s))
+            return frame
+
+        devices.camera.read = tell  # type: ignore[method-assign] # so that it is told before anybody else has it
+        return devices
+
+    acquisition = Acquisition(bench, open_telling)
+    acquisition.start()
+    for step in (*start_up(acquisition, 4), acquisition.start_recording(folder)):
+        step.result()
+    time.sleep(HANG_S)
+
+
+def main() -> None:
+    """Record, as the program that is killed, or kill it so many times."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--record", type=Path)
+    parser.add_argument("--pipe", type=int)
+    parser.add_argument("--bench", default="live_demo")
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("settings", nargs="*")
+    given = parser.parse_args()
+    if given.record is not None:
+        record(load_bench(given.bench, tuple(given.settings)), given.record, given.pipe)
+        return
+    random = np.random.default_rng()
+    for kill in range(given.kills):
+        with tempfile.TemporaryDirectory() as folder:
+            left = kill_one(given.bench, tuple(given.settings), Path(folder) / "r", after_s=random.uniform(0.5, 5))
+            found = recover(Path(folder) / "r")
+            assert recover(Path(folder) / "r").was_complete
+        sys.stdout.write(f"{kill + 1:3d}: {left}; recovered {found.frames} frames\n")
+        sys.stdout.flush()
+        assert left.wrong == 0
+        assert left.missing <= 2
+
+
+if __name__ == "__main__":
+    main()

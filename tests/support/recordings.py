@@ -1,0 +1,97 @@
+"""Recordings of the small simulated bench, for tests of what is done with them afterwards.
+
+They are made in one thread, without an acquisition: on a busy computer that would pass frames over.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Collection
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument
+from app.bench.config import load_bench, write_bench
+from app.measurement.measurement import Counts, Measurement
+from app.recording.frame_array import FrameArray
+from app.recording.layout import PIXELS, STORE
+from app.recording.reader import Recording
+from app.recording.record import Record
+from app.recording.run_writer import RunWriter
+from reconstruction.runtime.threads import one_blas_thread
+from support.patience import HANG_S
+
+
+def record(
+    toml: Path, folder: Path, *settings: str, frames: int = 12, before: int = 0, passed_over: Collection[int] = ()
+) -> Recording:
+    """Record `frames` frames, from the first that is refined on if they are; return the finished recording.
+
+    So many frames `before` are measured and not recorded; of those recorded, some are `passed_over`.
+    """
+    bench = load_bench(toml, settings)
+    with (
+        one_blas_thread(),
+        open_devices(bench, lambda _: None) as devices,
+        closing(Instrument(devices, bench)) as instrument,
+        closing(RunWriter(folder, {"command": "measure", "bench": write_bench(bench)})) as writer,
+    ):
+        devices.light.set_on(True)
+        instrument.take_dark(4, progress=lambda *_: None, should_stop=lambda: False)
+        instrument.take_reference(4, progress=lambda *_: None, should_stop=lambda: False)
+        devices.stage.set_sample_in(True)
+        devices.camera.start()
+        for _ in range(before):
+            assert not instrument.measure(devices.camera.read(10)).problem
+        deadline_s = time.monotonic() + HANG_S
+        while writer.frames < frames:
+            assert time.monotonic() < deadline_s
+            frame = devices.camera.read(10)
+            if writer.frames in passed_over:
+                made = instrument.pass_over(frame)
+            else:
+                made = instrument.measure(frame)
+                assert not made.problem
+            if not bench.reconstruction.refine or made.refinement.stage == "applied":
+                measurement = Measurement(
+                    frame,
+                    made.wavefront,
+                    made.problem,
+                    Counts(),
+                    exposure_end_s=0.0,
+                    latency_s=0.0,
+                    refinement=made.refinement,
+                    calibration=made.calibration,
+                    start=made.start,
+                    registered=made.registered,
+                )
+                writer.write(Record.of(measurement, 0))
+        writer.finish("", acquired=frames, facts={})
+    return Recording(folder)
+
+
+def edit_line(recording: Recording, index: int, **changes: Any) -> None:
+    """Change what a recording says of a frame."""
+    path = recording.folder / "frames.jsonl"
+    lines = path.read_text().splitlines()
+    lines[index] = json.dumps({**json.loads(lines[index]), **changes})
+    path.write_text("".join(line + "\n" for line in lines))
+
+
+def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16]) -> None:
+    """Change what the camera has seen."""
+    frames = zarr.open_group(recording.folder / STORE, mode="r+")[PIXELS]
+    assert isinstance(frames, zarr.Array)
+    frames[index] = pixels
+
+
+def remove_coefficients(recording: Recording, index: int) -> None:
+    """Lose a result of the first calibration."""
+    FrameArray(recording.folder / STORE / "results" / "0" / "coefficients").remove(index)

@@ -1,0 +1,93 @@
+"""Recordings of noise, quickly made, for tests of how they are written and read."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.bench.config import Bench
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import LightState
+from app.measurement.routines import Average
+from app.recording.background import BackgroundRecording, RecordingState
+from app.recording.record import Record
+from app.recording.recorder import Recorder
+from app.recording.run_writer import RunWriter
+from drivers.interface import Frame
+from reconstruction.arrays import Floats
+from support.optics import FIELD, SmallBench
+from support.patience import HANG_S
+
+SHAPE = (6, 10)
+RANDOM = np.random.default_rng(7)
+FACTS = {"command": "live", "bench": "", "devices": {"camera": {"name": "none"}}}
+
+
+def make_frame(index: int, shape: tuple[int, int] = SHAPE) -> Frame:
+    pixels = RANDOM.integers(0, 65536, shape).astype(np.uint16)
+    return Frame(pixels, index, 100 + index / 70, 200 + index / 70, 0.0139, 8.0)
+
+
+def make_record(index: int, calibration: Calibration | None = None, **changes: Any) -> Record:
+    """A record of noise; with a calibration it has results."""
+    has = calibration is not None
+    record = Record(
+        frame=make_frame(index),
+        lost=0,
+        light=LightState(is_on=True, current_a=0.35),
+        problem="" if has else "no reference yet",
+        calibration=calibration,
+        bias=None,
+        bias_age_s=None,
+        start=None,
+        displacement=RANDOM.normal(size=(7, 9, 3, 2)) if has else None,
+        coefficients=RANDOM.normal(size=(15, 3)) if has else None,
+        views=RANDOM.normal(size=(3, 3, 7, 9)) if has else None,
+        valid=63 if has else None,
+    )
+    return replace(record, **changes)
+
+
+def make_chain(calibration: Calibration, count: int) -> list[Record]:
+    """Records of which each was registered from the one before."""
+    records: list[Record] = []
+    for index in range(count):
+        records.append(make_record(index, calibration, start=records[-1].displacement if records else None))
+    return records
+
+
+def write(folder: Path, records: list[Record], *, finish: bool = True) -> RunWriter:
+    writer = RunWriter(folder, FACTS)
+    for record in records:
+        writer.write(record)
+    if finish:
+        writer.finish("", acquired=len(records), facts={})
+    writer.close()
+    return writer
+
+
+def wait(recording: BackgroundRecording | Recorder, stages: set[str]) -> RecordingState:
+    deadline_s = time.monotonic() + HANG_S
+    while (state := recording.state) is None or state.stage not in stages:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    return state
+
+
+def noisy_calibration(small_bench: SmallBench) -> Calibration:
+    """A calibration with noise in its averages, so that every bit of them counts."""
+    random = np.random.default_rng(1)
+
+    def average(mean: Floats, frames: int) -> Average:
+        noise = random.normal(0, 3, (2, *mean.shape))
+        variance = 400 + mean + noise[1]
+        return Average((mean + noise[0]).astype("f4"), variance.astype("f4"), frames, 0.02, 8.0, "em")
+
+    bench = Bench(sensor=small_bench.sensor, field=FIELD)
+    light = np.asarray(small_bench.reference * 3000 / small_bench.reference.max(), np.float64)
+    dark = average(np.full(light.shape, 500.0), 9)
+    return Calibration(bench, dark, average(light + 500, 7), small_bench.lattice, 65535.0)

@@ -1,0 +1,26 @@
+"""Wavefronts in closed form, as the reconstruction would return them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reconstruction.displacement import diagonal_covariance
+from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.solve.zonal import ZonalSolution
+from reconstruction.wavefront import Wavefront
+from support.gui_bench import FIELD, SENSOR
+from support.optics import converged
+
+U, V = np.meshgrid(SENSOR.pupil_x_m, SENSOR.pupil_y_m)
+
+
+def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
+    """Defocus that grows by half from the field centre to its +x edge, plus a tilt along x."""
+    slopes = np.stack([2e6 * U + tilt_rad_per_m, 2e6 * V], axis=-1)
+    growth = np.stack([1e6 * U, 1e6 * V], axis=-1)
+    slopes = np.stack([slopes, growth, np.zeros_like(slopes)], axis=2)
+    variance = np.full(slopes.shape, 100.0**2)
+    valid = np.ones(U.shape, np.bool_)
+    displacement = converged(LegendreModes(3), slopes / SENSOR.slope_per_px, variance / SENSOR.slope_per_px**2)
+    solution = ZonalSolution(slopes, valid, SENSOR.lenslet_pitch_m, slope_covariance=diagonal_covariance(variance))
+    return Wavefront.of(FIELD, displacement, solution)

@@ -1,0 +1,106 @@
+"""Windows for the tests, and ways to look at them and to press their keys."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
+from PyQt6.QtGui import QFont, QFontDatabase, QImage
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+
+from app.acquisition.worker import Acquisition
+from app.gui.main_window import MainWindow
+from reconstruction.arrays import Floats
+from support.gui_bench import BENCH, SENSOR, FakeCamera, opener
+from support.patience import HANG_S
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+MakeWindow = Callable[..., MainWindow]
+
+
+class PatientBot(QtBot):
+    """Waits until it is so, on a slow computer too."""
+
+    def waitUntil(self, callback: Callable[[], bool | None], *, timeout: int = int(1000 * HANG_S)) -> None:  # noqa: N802 - Qt's
+        super().waitUntil(callback, timeout=timeout)
+
+
+LENSLETS = (SENSOR.lenslet_rows, SENSOR.lenslet_columns)
+
+
+def use_font(application: QApplication) -> None:
+    """Use the font that Matplotlib brings, in the size that it has anyway."""
+    files = Path(mpl.get_data_path()) / "fonts" / "ttf"
+    family = "DejaVu Sans"
+    for name in ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"):
+        number = QFontDatabase.addApplicationFont(str(files / name))
+        assert family in QFontDatabase.applicationFontFamilies(number)
+    font = QFont(application.font())
+    font.setFamily(family)
+    application.setFont(font)
+
+
+@contextmanager
+def windows(application: QApplication) -> Iterator[MakeWindow]:
+    """Make windows that are closed at the end, whatever happens; none of their widgets may survive."""
+    made: list[MainWindow] = []
+
+    def make(*cameras: FakeCamera) -> MainWindow:
+        spare = iter(cameras)
+        window = MainWindow(lambda: Acquisition(BENCH, opener(next(spare))))
+        window.resize(1000, 760)
+        window.show()
+        made.append(window)
+        return window
+
+    yield make
+    for window in made:
+        window.close()
+        window.deleteLater()
+    made.clear()
+    application.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+    gc.collect()
+    assert not application.topLevelWidgets()
+
+
+def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window._answers.are_all_there)
+
+
+def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
+    qtbot.keyClick(widget, key)  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
+
+
+def click(qtbot: QtBot, widget: QWidget, at: QPoint) -> None:
+    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # likewise
+
+
+def picture(widget: QWidget) -> NDArray[np.uint8]:
+    """What is seen of a widget, (row, column, rgb)."""
+    image = widget.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    data = image.constBits()
+    assert data is not None
+    lines = np.frombuffer(bytes(data.asarray(image.sizeInBytes())), np.uint8).reshape(image.height(), -1)
+    return lines[:, : 3 * image.width()].reshape(image.height(), image.width(), 3)
+
+
+def part(seen: NDArray[np.uint8], where: QRect) -> NDArray[np.uint8]:
+    return seen[where.top() : where.bottom() + 1, where.left() : where.right() + 1]
+
+
+def views(seed: int = 1) -> Floats:
+    return np.random.default_rng(seed).normal(0, 2, (3, 3, *LENSLETS))
+
+
+def dim_frame() -> NDArray[np.uint16]:
+    return np.full((300, 430), 1000, np.uint16)
