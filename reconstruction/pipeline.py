@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import Literal
 
 import numpy as np
 
@@ -14,10 +13,11 @@ from reconstruction.displacement import Displacement, Estimator, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.geometry import Field, Lattice, Sensor, require
-from reconstruction.modes.pupil_modes import PupilBasis, pupil_modes
-from reconstruction.registration.methods import RegistrationSettings, Warp, prepare_registration
+from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.automatic_warp import automatic_warp
 from reconstruction.solve.lenslet_weights import lenslet_weights, mean_variance
 from reconstruction.solve.modal import ModalSolver
@@ -27,19 +27,6 @@ from reconstruction.wavefront import Solution, Wavefront
 
 _SATURATED_FRACTION = 0.01  # of the frame's pixels; above it the frame as a whole is refused
 _BACKGROUND_PERCENT = 1.0  # where no dark was given, the darkest pixels that stand for the background
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReconstructionSettings:
-    """How displacements become wavefronts; without `pupil_modes`, by as many as the lattice carries, smoothly."""
-
-    method: Literal["zonal", "modal"] = "modal"
-    basis: PupilBasis = "legendre"
-    pupil_modes: int | None = None
-    refine: bool = False  # live: correct every frame by what a forward model finds beside the live view
-
-    def __post_init__(self) -> None:
-        require({"pupil_modes must be 3 ... 1000": self.pupil_modes is None or 3 <= self.pupil_modes <= 1000})
 
 
 class Reconstructor:

@@ -17,10 +17,8 @@ from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
 from drivers.manual_stage import ManualStage
-from drivers.serial_lights.coolled import CoolLEDSettings
-from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings
-from drivers.usb_lights.thorlabs_dc2200 import DC2200Settings
-from reconstruction.geometry import nominal_lattice
+from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
+from drivers.usb_lights.settings import DC2200Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock
@@ -130,7 +128,7 @@ def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Cloc
     try:
         return SimulatedBench(
             bench.sensor,
-            bench.lattice or nominal_lattice(bench.sensor, camera.rows, camera.columns),
+            bench.design_lattice(camera.rows, camera.columns),
             bench.field,
             bench.simulation,
             camera,

@@ -21,16 +21,18 @@ from app.bench.stream_settings import StreamSettings
 from app.errors import InputError
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
-from drivers.serial_lights.coolled import CoolLEDSettings
-from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings
-from drivers.usb_lights.thorlabs_dc2200 import DC2200Settings
-from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.pipeline import ReconstructionSettings
-from reconstruction.registration.methods import RegistrationSettings
+from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
+from drivers.usb_lights.settings import DC2200Settings
+from reconstruction.arrays import Counts
+from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+    from reconstruction.frame.noise import CameraNoise
+    from reconstruction.pipeline import Reconstructor
 
 T = TypeVar("T")
 Settings = TypeVar("Settings", bound="DataclassInstance")
@@ -86,6 +88,36 @@ class Bench:
     def camera_model(self) -> SimulatedCameraSettings:
         """The camera as physics, for what is computed instead of seen; for a real one, a typical EMCCD."""
         return self.camera if isinstance(self.camera, SimulatedCameraSettings) else SimulatedCameraSettings()
+
+    def design_lattice(self, rows: int, columns: int) -> Lattice:
+        """The configured lattice, or the lattice as designed in the middle of a frame of rows x columns pixels."""
+        return self.lattice or nominal_lattice(self.sensor, rows, columns)
+
+    def reconstructor(
+        self,
+        reference: Counts,
+        *,
+        lattice: Lattice,
+        dark: Counts | None = None,
+        full_scale: float = math.inf,
+        noise: CameraNoise | None = None,
+        reference_frames: float = math.inf,
+    ) -> Reconstructor:
+        """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
+        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415 - reading a bench must not load Numba
+
+        return Reconstructor(
+            reference,
+            sensor=self.sensor,
+            lattice=lattice,
+            field=self.field,
+            registration=self.registration,
+            reconstruction=self.reconstruction,
+            dark=dark,
+            full_scale=full_scale,
+            noise=noise,
+            reference_frames=reference_frames,
+        )
 
     @property
     def light_model(self) -> SimulatedLightSettings:

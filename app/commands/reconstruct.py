@@ -16,7 +16,6 @@ from app.files import read_image
 from app.measurement.imaging_model import BenchModel
 from reconstruction.errors import ReconstructionError
 from reconstruction.lattice.search import find_lattice
-from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import Refinement
 from reconstruction.wavefront import Wavefront
 
@@ -49,13 +48,9 @@ def reconstruct_files(
             )
     paths = {"frame": frame, "reference": reference, "dark": dark}
     try:
-        reconstructor = Reconstructor(
+        reconstructor = bench.reconstructor(
             reference_image,
-            sensor=bench.sensor,
             lattice=bench.lattice or find_lattice(reference_image, bench.sensor),
-            field=bench.field,
-            registration=bench.registration,
-            reconstruction=bench.reconstruction,
             dark=dark_image,
             full_scale=min(full_scale(image, bench.camera_model.bits) for image in (reference_image, frame_image)),
         )

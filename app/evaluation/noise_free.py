@@ -11,7 +11,6 @@ from app.bench.config import Bench
 from app.cache import Arrays, remembered
 from app.errors import InputError
 from reconstruction.arrays import Floats, Image
-from reconstruction.geometry import nominal_lattice
 from simulated_devices.bench import PHOTONS_PER_S_M2_A
 from simulated_devices.rendering import Renderer, Scene
 from simulated_devices.sample import Sample
@@ -33,7 +32,7 @@ class NoiseFreeFrames:
         camera = bench.camera_model
         self._scene = Scene(
             sensor=bench.sensor,
-            lattice=bench.lattice or nominal_lattice(bench.sensor, camera.rows, camera.columns),
+            lattice=bench.design_lattice(camera.rows, camera.columns),
             field=bench.field,
             simulation=bench.simulation,
             rows=camera.rows,

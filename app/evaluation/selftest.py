@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.pipeline import ReconstructionSettings, Reconstructor
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.pipeline import Reconstructor
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms, without_piston
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.source import square

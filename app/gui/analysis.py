@@ -17,10 +17,11 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] #
 from app.bench.config import Bench
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
-from reconstruction.modes.pupil_modes import PupilBasis, PupilModes, pupil_modes
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.quality.slope_fit import compare
+from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 

@@ -17,8 +17,7 @@ from app.gui import theme
 from app.gui.number_field import NumberField
 from app.gui.widgets import button, label, toggle
 from drivers.interface import Range
-from reconstruction.modes.pupil_modes import PupilBasis
-from reconstruction.registration.methods import FIELD_MODES, Method, RegistrationSettings
+from reconstruction.settings import FIELD_MODES, Method, PupilBasis, RegistrationSettings
 
 _MOST_FRAMES = 1000
 _FEWEST_PUPIL_MODES, _MOST_PUPIL_MODES = 3, 400

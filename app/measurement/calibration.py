@@ -38,13 +38,9 @@ class Calibration:
 
     def reconstructor(self) -> Reconstructor:
         """Make the reconstructor; raises `ReconstructionError` when dark, reference and settings do not allow it."""
-        return Reconstructor(
+        return self.bench.reconstructor(
             self.reference.mean,
-            sensor=self.bench.sensor,
             lattice=self.lattice,
-            field=self.bench.field,
-            registration=self.bench.registration,
-            reconstruction=self.bench.reconstruction,
             dark=None if self.dark is None else self.dark.mean,
             full_scale=self.full_scale,
             noise=self.noise(),

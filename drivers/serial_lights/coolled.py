@@ -13,7 +13,6 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 from drivers.device import Property
 from drivers.discovery import Found
@@ -22,38 +21,14 @@ from drivers.light_source import LightSource
 from drivers.range import Range
 from drivers.serial_lights import ports as serial_ports
 from drivers.serial_lights.line import Dialect, SerialLine, Wire
-from drivers.serial_lights.ports import check_address, find_port
+from drivers.serial_lights.ports import find_port
+from drivers.serial_lights.settings import CoolLEDSettings
 
 _DIALECT = Dialect("CoolLED", end=b"\r", timeout_s=0.5)
 _MODEL = r"XMODEL[:=\s]*(.*pE-(300|4000).*)"
 _STATE = r"CSS((?:[A-D][SX][NF][0-9]{3}){1,4})"
 _LAMP = r"LAM:([A-D]):([0-9]{3,4})"
 _ORDERS, _LOADINGS, _PAUSE_S = 5, 20, 0.05  # how often, and after what pause, it is looked whether it was done
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CoolLEDSettings:
-    """What a bench says of it: where it is, and what it feeds."""
-
-    driver: Literal["coolled"] = "coolled"
-    port: str = ""  # such as /dev/ttyACM0 or COM3; or else
-    serial_number: str = ""  # of its USB adapter
-    channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000
-    full_current_a: float = 1.0  # the nominal current that stands for 100 %
-    wavelength_nm: int | None = None  # to be loaded into the channel; of a pE-4000 alone
-    current_a: float | None = None  # to begin with; as it was left
-    limit_a: float | None = None  # never more, though its head allows it
-
-    def __post_init__(self) -> None:
-        check_address(self.port, self.serial_number)
-        if self.channel not in {"A", "B", "C", "D"}:
-            raise ValueError("channel must be A, B, C or D")
-        if not 0 < self.full_current_a <= 100:
-            raise ValueError("full_current_a must be positive, and at most 100")
-        if self.wavelength_nm is not None and not 300 <= self.wavelength_nm <= 1000:
-            raise ValueError("wavelength_nm must be 300 ... 1000")
-        if self.limit_a is not None and not 0 < self.limit_a <= 100:
-            raise ValueError("limit_a must be positive, and at most 100")
 
 
 def find() -> tuple[Found, ...]:

@@ -12,12 +12,6 @@ from drivers.discovery import Found
 from drivers.errors import Disconnected
 
 
-def check_address(port: str, serial_number: str) -> None:
-    """Raise `ValueError` unless a bench says, in one way, which port it is."""
-    if bool(port) == bool(serial_number):
-        raise ValueError("port must be given, or serial_number of the USB adapter, and not both")
-
-
 def find_port(serial_number: str) -> str:
     """Return the name of the port whose USB adapter has that serial number."""
     names = [port.device for port in list_ports.comports() if port.serial_number == serial_number]

@@ -11,7 +11,6 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 from drivers.device import Property
 from drivers.discovery import Found
@@ -20,32 +19,14 @@ from drivers.light_source import LightSource
 from drivers.range import Range
 from drivers.serial_lights import ports as serial_ports
 from drivers.serial_lights.line import Dialect, SerialLine, Wire
-from drivers.serial_lights.ports import check_address, find_port
+from drivers.serial_lights.ports import find_port
+from drivers.serial_lights.settings import DC4100Settings
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
 _MODEL = r".*\b(DC4100|DC4104|LEDD4)\b.*"  # all that Micro-Manager accepts
 _MILLIAMPERES = r"(\d{1,5})(?:\s*mA)?"
 _ERROR = r"(?:\S+\s+)?(-?\d{1,6})\s*:\s*(.*)"
 _MULTI_SELECTION, _CONSTANT_CURRENT = "0", "0"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DC4100Settings:
-    """What a bench says of it: where it is, and what it feeds."""
-
-    driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
-    port: str = ""  # such as /dev/ttyUSB0 or COM3; or else
-    serial_number: str = ""  # of its USB adapter
-    channel: int = 0  # 0 ... 3 are LED1 ... LED4
-    current_a: float | None = None  # to begin with; as it was left
-    limit_a: float | None = None  # never more, though its head allows it
-
-    def __post_init__(self) -> None:
-        check_address(self.port, self.serial_number)
-        if self.channel not in range(4):
-            raise ValueError("channel must be 0 ... 3, for LED1 ... LED4")
-        if self.limit_a is not None and not 0 < self.limit_a <= 10:
-            raise ValueError("limit_a must be positive, and at most 10")
 
 
 def find() -> tuple[Found, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -11,8 +10,7 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.geometry import Sensor, centered_steps
 from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, legendre_orders
 from reconstruction.modes.zernike import noll_orders, zernike, zernike_lenslet_gradients
-
-PupilBasis = Literal["legendre", "zernike"]
+from reconstruction.settings import PupilBasis
 
 _HIGHEST_DEGREE = 16  # up to it the mean gradients of both bases are exact, and the modes few enough for one frame
 

@@ -1,6 +1,7 @@
 """How freely a warp may bend when the settings leave it open: as freely as the camera's noise allows.
 
 The quadratic modes remove most of what the estimator gets wrong systematically, and add noise. Which is more follows
+from reconstruction.settings import Warp
 from the reference and the camera alone. The cubic ones are never chosen here: they pay when a wavefront is
 refined and no light strays into the neighbours' cells, which is for the user to know; where it does, they are worse.
 """
@@ -14,7 +15,7 @@ import numpy as np
 from reconstruction.displacement import Displacement
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.registration.methods import Warp
+from reconstruction.settings import Warp
 from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.whitening import whitening
 from reconstruction.wavefront import Wavefront

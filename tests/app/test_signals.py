@@ -19,7 +19,7 @@ from simulated_devices.wires.pseudo_terminal import PtyServer
 LIT = """
 import sys, time, typer
 from app import cli
-from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings, ThorlabsDC4100
+from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 
 @cli.cli.command()
 def shine(port: str) -> None:

@@ -11,8 +11,8 @@ from reconstruction.displacement import diagonal_covariance
 from reconstruction.geometry import Field
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.modes.zernike import zernike
-from reconstruction.pipeline import ReconstructionSettings, Reconstructor
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.pipeline import Reconstructor
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.whitening import no_whitening
 from reconstruction.wavefront import rms

@@ -12,8 +12,9 @@ from reconstruction.arrays import Image
 from reconstruction.displacement import Estimator
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import noise_power
-from reconstruction.registration.methods import RegistrationSettings, prepare_registration
+from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings
 
 DRAWS = 60
 NOISY_FRAMES = {  # electrons of the brightest pixel, read noise in electrons, excess noise, brightness over reference

@@ -9,8 +9,8 @@ from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import load_bench
 from reconstruction.lattice.search import find_lattice
-from reconstruction.pipeline import ReconstructionSettings, Reconstructor
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.pipeline import Reconstructor
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms
 
 FRAMES = FOREIGN_FRAMES

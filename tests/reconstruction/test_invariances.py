@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from support.optics import SmallBench, sensor_of
 
 from reconstruction.geometry import Lattice
-from reconstruction.registration.methods import FIELD_MODES
+from reconstruction.settings import FIELD_MODES
 
 METHODS = [("modal", 21), ("modal", None), ("zonal", None)]
 

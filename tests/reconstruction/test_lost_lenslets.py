@@ -13,7 +13,7 @@ from support.optics import SmallBench
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms
 
 TILT = 2000.0

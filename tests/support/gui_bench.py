@@ -25,7 +25,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
 
 FULL_SCALE = 65535

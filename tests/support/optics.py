@@ -11,9 +11,9 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
-from reconstruction.pipeline import ReconstructionSettings, Reconstructor
-from reconstruction.registration.methods import RegistrationSettings, Warp
+from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from simulated_devices.optics.forward_model import ForwardModel, PointPhase
 from simulated_devices.optics.source import square
 from simulated_devices.settings import Source

@@ -13,8 +13,8 @@ from app.evaluation.noise_free import NoiseFreeFrames
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.pipeline import ReconstructionSettings, Reconstructor
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.pipeline import Reconstructor
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
 _DRIFT_M = 5e-6  # of the screen between the frame before and the frame: 0.03 rad, of which a live frame changes less
 _BRIGHTEST = 2000.0  # counts of the reference's brightest pixel, where there is noise

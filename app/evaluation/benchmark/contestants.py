@@ -29,9 +29,8 @@ from scipy import fft
 
 from app.evaluation.benchmark.cases import Case
 from reconstruction.arrays import Floats, Image
-from reconstruction.pipeline import ReconstructionSettings
-from reconstruction.registration.methods import RegistrationSettings
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
 Register = Callable[[NDArray[Any]], Floats]
 """From a frame's counts (row, column) to coefficients c_q of 1, x / h, y / h, px, (lenslet, xy, 1 or 3)."""

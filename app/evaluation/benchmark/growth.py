@@ -12,7 +12,7 @@ from functools import partial
 from app.evaluation.benchmark.cases import Case, tiled
 from app.evaluation.benchmark.stopwatch import side_by_side
 from app.progress import Report
-from reconstruction.registration.methods import FIELD_MODES, RegistrationSettings, Warp
+from reconstruction.settings import FIELD_MODES, RegistrationSettings, Warp
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront
 

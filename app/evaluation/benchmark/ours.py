@@ -10,7 +10,7 @@ import numpy as np
 
 from app.evaluation.benchmark.cases import Case
 from reconstruction.arrays import Floats
-from reconstruction.registration.methods import RegistrationSettings, Warp
+from reconstruction.settings import RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront
 
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")

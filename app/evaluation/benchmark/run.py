@@ -21,8 +21,8 @@ from app.evaluation.benchmark.stopwatch import Times, side_by_side
 from app.host import machine_facts, versions
 from app.progress import Report, between, named
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.methods import RegistrationSettings
 from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.settings import RegistrationSettings
 from reconstruction.solve.zonal import zonal_wavefront
 from reconstruction.wavefront import Wavefront, rms
 

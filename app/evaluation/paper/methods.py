@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from reconstruction.pipeline import ReconstructionSettings
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
 Mask = Literal["square", "stars"]
 

@@ -17,8 +17,6 @@ from app.cache import Arrays, remembered
 from app.evaluation.paper.frames import Frames
 from app.evaluation.paper.methods import Method
 from reconstruction.arrays import Floats
-from reconstruction.geometry import nominal_lattice
-from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import rms
 
 
@@ -51,15 +49,8 @@ def measured(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Meas
 
 def _measure(bench: Bench, pair: Frames) -> Arrays:
     """Return the fields of `Measured`."""
-    reconstructor = Reconstructor(
-        pair.reference,
-        sensor=bench.sensor,
-        lattice=bench.lattice or nominal_lattice(bench.sensor, *pair.reference.shape),
-        field=bench.field,
-        registration=bench.registration,
-        reconstruction=bench.reconstruction,
-        dark=np.zeros_like(pair.reference),
-    )
+    lattice = bench.design_lattice(*pair.reference.shape)
+    reconstructor = bench.reconstructor(pair.reference, lattice=lattice, dark=np.zeros_like(pair.reference))
     start_s = time.perf_counter()
     wavefront = reconstructor(pair.frame)
     seconds = time.perf_counter() - start_s

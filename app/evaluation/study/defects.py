@@ -14,7 +14,7 @@ from app.evaluation.study.observations import Observation, Sweep
 from app.measurement.imaging_model import by_pixel
 from app.progress import Report
 from reconstruction.geometry import Lattice, nominal_lattice
-from reconstruction.registration.methods import Warp
+from reconstruction.settings import Warp
 
 _LATTICE_ERRORS_PX = (0.0, 0.5, 1.0, 2.0, 3.0)  # of the outermost lenslets
 _FOCAL_LENGTH_ERRORS = (-0.05, -0.02, 0.0, 0.02, 0.05)

@@ -15,9 +15,8 @@ from app.evaluation.study.observations import At, Observation, Sweep
 from app.evaluation.study.screens import with_screen
 from app.progress import Report
 from reconstruction.errors import ReconstructionError
-from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.refinement import distance_rad
-from reconstruction.registration.methods import Warp
+from reconstruction.settings import ReconstructionSettings, Warp
 from simulated_devices.optics.ray_map import truth_wavefront
 from simulated_devices.sample import make_sample
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -18,10 +19,8 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.geometry import nominal_lattice
-from reconstruction.pipeline import ReconstructionSettings, Reconstructor
 from reconstruction.refinement import Refinement
-from reconstruction.registration.methods import RegistrationSettings, Warp
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.sample import Sample
 
@@ -45,13 +44,10 @@ class Estimator:
     ) -> None:
         """Prepare for a reference (row, column) above the dark, in the unit of the frames to come."""
         self._bench = bench
-        self.reconstructor = Reconstructor(
+        method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
+        self.reconstructor = method.reconstructor(
             reference,
-            sensor=bench.sensor,
-            lattice=bench.lattice or nominal_lattice(bench.sensor, *reference.shape),
-            field=bench.field,
-            registration=RegistrationSettings(warp=warp),
-            reconstruction=reconstruction,
+            lattice=bench.design_lattice(*reference.shape),
             dark=np.zeros_like(reference),
             noise=noise,
         )

@@ -17,7 +17,7 @@ from app.progress import Report
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
 from simulated_devices.detector.emccd import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings

@@ -20,8 +20,7 @@ from app.bench.config import load_bench
 from app.measurement.routines import AutoExposure, Cancelled, RoutineError, auto_expose
 from drivers.interface import Devices, DeviceTimeout, Region
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.pipeline import ReconstructionSettings
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.camera import SimulatedCamera
 
 

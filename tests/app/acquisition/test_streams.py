@@ -34,7 +34,7 @@ from app.measurement.measurement import Counts, Measurement
 from app.measurement.routines import Average
 from app.recording.reader import Recording
 from drivers.interface import Frame
-from reconstruction.pipeline import ReconstructionSettings
+from reconstruction.settings import ReconstructionSettings
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 

@@ -19,7 +19,7 @@ from drivers import discovery
 from drivers.errors import Disconnected, Unsupported
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Camera, LightSource
-from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings
+from drivers.serial_lights.settings import DC4100Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light import SimulatedLight

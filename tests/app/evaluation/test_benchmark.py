@@ -19,7 +19,7 @@ from app.evaluation.benchmark.ours import OURS
 from app.evaluation.benchmark.output import print_benchmark, write_benchmark
 from app.evaluation.benchmark.run import Json, Plan, run_benchmark
 from app.evaluation.benchmark.stopwatch import side_by_side
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.settings import RegistrationSettings
 from reconstruction.wavefront import rms
 
 RATIOS = {"simpleitk_affine", "opencv_ecc_affine", "skimage_phase_correlation", "pyrtc_correlation"}

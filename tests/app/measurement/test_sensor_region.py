@@ -32,7 +32,7 @@ from app.measurement.sensor_region import (
 from app.recording.reader import Recording
 from drivers.dcam.settings import DcamSettings
 from drivers.interface import BadValue, CameraCapabilities, Disconnected, Region, WrongState
-from drivers.serial_lights.coolled import CoolLEDSettings
+from drivers.serial_lights.settings import CoolLEDSettings
 from reconstruction.geometry import Lattice, Sensor
 from simulated_devices.wires.dcam.stand_in import pattern
 

@@ -23,8 +23,8 @@ from app.recording.record import Record
 from app.recording.run_writer import RunWriter
 from app.results.replay.player import Player
 from drivers.interface import Frame
-from reconstruction.pipeline import ReconstructionSettings
 from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import rms
 
 FRAMES = 6

@@ -26,9 +26,9 @@ from app.results.replay import results
 from app.results.replay.run import Replay, replay
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
-from reconstruction.pipeline import ReconstructionSettings, Reconstructor
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms
 
 FRAMES = 6

@@ -22,7 +22,8 @@ from support.storm import storm_settings
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.serial_lights.line import Wire
-from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings, Status, ThorlabsDC4100
+from drivers.serial_lights.settings import DC4100Settings
+from drivers.serial_lights.thorlabs_dc4100 import Status, ThorlabsDC4100
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.pseudo_terminal import PtyServer
@@ -444,7 +445,7 @@ def test_settings_check_themselves(wrong: dict[str, Any], words: str) -> None:
 
 LEAVING = """
 import signal, sys
-from drivers.serial_lights.thorlabs_dc4100 import DC4100Settings, ThorlabsDC4100
+from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests were started with
 light = ThorlabsDC4100(DC4100Settings(port=sys.argv[1]))
 light.set_on(True)

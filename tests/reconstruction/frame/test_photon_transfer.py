@@ -14,8 +14,7 @@ from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.photon_transfer import photon_transfer
-from reconstruction.pipeline import ReconstructionSettings
-from reconstruction.registration.methods import RegistrationSettings
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.detector.emccd import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings
 

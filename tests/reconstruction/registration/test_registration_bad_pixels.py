@@ -10,8 +10,9 @@ from support.optics import FIELD, SmallBench
 from reconstruction.arrays import Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.registration.methods import Method, RegistrationSettings, prepare_registration
+from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import Method, RegistrationSettings
 
 PEAK_ELECTRONS, READ_NOISE = 3000.0, 8.0
 CENTER = (4, 1)  # the lenslet whose pixels are bad

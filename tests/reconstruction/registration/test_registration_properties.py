@@ -19,8 +19,9 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
-from reconstruction.registration.methods import RegistrationSettings, prepare_registration
+from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings
 
 ROWS, COLUMNS = 4, 5
 SWAPPED = (0, 2, 1, 5, 4, 3)  # where x and y change places: 1, x, y, P2(x), xy, P2(y) become 1, y, x, P2(y), xy, P2(x)

@@ -11,8 +11,9 @@ from support.optics import FIELD, SmallBench
 from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement, Estimator
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.registration.methods import Method, RegistrationSettings, prepare_registration
+from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import Method, RegistrationSettings
 
 SAME_PX = 1e-3
 

@@ -12,9 +12,10 @@ from reconstruction.arrays import Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.registration.methods import RegistrationSettings, prepare_registration
+from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.peers.centroids import Centroids
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
 

@@ -12,9 +12,10 @@ from reconstruction.arrays import Image
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
-from reconstruction.registration.methods import RegistrationSettings, prepare_registration
+from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.peers.correlation import Correlation, Mismatch
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings
 
 METHODS: tuple[Mismatch, ...] = ("square_difference", "fft")
 SHIFT_PX = (2.4, -1.3)

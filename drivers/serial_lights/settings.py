@@ -1,0 +1,56 @@
+"""Settings of LED light sources on a serial port."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoolLEDSettings:
+    """What a bench says of it: where it is, and what it feeds."""
+
+    driver: Literal["coolled"] = "coolled"
+    port: str = ""  # such as /dev/ttyACM0 or COM3; or else
+    serial_number: str = ""  # of its USB adapter
+    channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000
+    full_current_a: float = 1.0  # the nominal current that stands for 100 %
+    wavelength_nm: int | None = None  # to be loaded into the channel; of a pE-4000 alone
+    current_a: float | None = None  # to begin with; as it was left
+    limit_a: float | None = None  # never more, though its head allows it
+
+    def __post_init__(self) -> None:
+        check_address(self.port, self.serial_number)
+        if self.channel not in {"A", "B", "C", "D"}:
+            raise ValueError("channel must be A, B, C or D")
+        if not 0 < self.full_current_a <= 100:
+            raise ValueError("full_current_a must be positive, and at most 100")
+        if self.wavelength_nm is not None and not 300 <= self.wavelength_nm <= 1000:
+            raise ValueError("wavelength_nm must be 300 ... 1000")
+        if self.limit_a is not None and not 0 < self.limit_a <= 100:
+            raise ValueError("limit_a must be positive, and at most 100")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DC4100Settings:
+    """What a bench says of it: where it is, and what it feeds."""
+
+    driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
+    port: str = ""  # such as /dev/ttyUSB0 or COM3; or else
+    serial_number: str = ""  # of its USB adapter
+    channel: int = 0  # 0 ... 3 are LED1 ... LED4
+    current_a: float | None = None  # to begin with; as it was left
+    limit_a: float | None = None  # never more, though its head allows it
+
+    def __post_init__(self) -> None:
+        check_address(self.port, self.serial_number)
+        if self.channel not in range(4):
+            raise ValueError("channel must be 0 ... 3, for LED1 ... LED4")
+        if self.limit_a is not None and not 0 < self.limit_a <= 10:
+            raise ValueError("limit_a must be positive, and at most 10")
+
+
+def check_address(port: str, serial_number: str) -> None:
+    """Raise `ValueError` unless a bench says, in one way, which port it is."""
+    if bool(port) == bool(serial_number):
+        raise ValueError("port must be given, or serial_number of the USB adapter, and not both")

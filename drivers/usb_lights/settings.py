@@ -1,0 +1,26 @@
+"""Settings of LED light sources on USB."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DC2200Settings:
+    """What a bench says of it: which one it is, and what it feeds."""
+
+    driver: Literal["thorlabs_dc2200"] = "thorlabs_dc2200"
+    serial_number: str = ""  # needed where there is more than one
+    terminal: int = 1  # 1 has 12 pins and up to 10 A, 2 has 4 pins and up to 2 A
+    gate: Literal["internal", "ttl"] = "internal"
+    current_a: float | None = None  # to begin with; as it was left
+    limit_a: float | None = None  # never more, though its head allows it
+
+    def __post_init__(self) -> None:
+        if self.terminal not in {1, 2}:
+            raise ValueError("terminal must be 1 or 2")
+        if self.gate not in {"internal", "ttl"}:
+            raise ValueError('gate must be "internal" or "ttl"')
+        if self.limit_a is not None and not 0 < self.limit_a <= 10:
+            raise ValueError("limit_a must be positive, and at most 10")

@@ -1,0 +1,55 @@
+"""Settings of registration and reconstruction: the sections `[registration]` and `[reconstruction]` of a bench."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from reconstruction.geometry import require
+
+PupilBasis = Literal["legendre", "zernike"]
+Warp = Literal["translation", "affine", "quadratic", "cubic"]
+Method = Literal[
+    "gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine", "block_flow", "demons", "ffd"
+]
+FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegistrationSettings:
+    """How subimages are compared, how they may move, and where the stars are if the source has any."""
+
+    method: Method = "gauss_newton"
+    warp: Warp | None = None  # affine or quadratic, as the noise allows; quadratic where that is not known
+    conserve_flux: bool = True
+    threads: int = 2  # gauss_newton: that share the lenslets
+    flow: Literal["views", "warp"] = (
+        "views"  # block_flow, demons, ffd: kept as it is at the views, or fitted by the warp
+    )
+    star_rows: int = 3
+    star_columns: int = 3
+    star_spacing_m: float = 0.5e-3
+
+    def __post_init__(self) -> None:
+        require(
+            {
+                "threads must be 1 ... 64": 1 <= self.threads <= 64,
+                "star_rows must be 1 ... 99": 1 <= self.star_rows <= 99,
+                "star_columns must be 1 ... 99": 1 <= self.star_columns <= 99,
+                "star_spacing_m must be positive": 0 < self.star_spacing_m < math.inf,
+            }
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReconstructionSettings:
+    """How displacements become wavefronts; without `pupil_modes`, by as many as the lattice carries, smoothly."""
+
+    method: Literal["zonal", "modal"] = "modal"
+    basis: PupilBasis = "legendre"
+    pupil_modes: int | None = None
+    refine: bool = False  # live: correct every frame by what a forward model finds beside the live view
+
+    def __post_init__(self) -> None:
+        require({"pupil_modes must be 3 ... 1000": self.pupil_modes is None or 3 <= self.pupil_modes <= 1000})
