@@ -111,7 +111,7 @@ class Reconstructor:
             solution = ZonalSolution(slopes, valid, self.sensor.lenslet_pitch_m, weights, covariance)
         else:
             solution = self._modal(slopes, covariance, valid, weights=weights)
-        return Wavefront.of(self.field, displacement, solution)
+        return Wavefront.of(self.sensor, self.field, displacement, solution)
 
     def against(self, reference: Image) -> Estimator:
         """Prepare the same registration for another reference (row, column), counts above the dark."""

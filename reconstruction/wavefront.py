@@ -11,8 +11,9 @@ import numpy as np
 
 from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import Displacement
-from reconstruction.geometry import Field
+from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import FieldModes
+from reconstruction.solve.modal import ModalSolution
 
 
 class Solution(Protocol):
@@ -34,15 +35,21 @@ class Solution(Protocol):
 class Wavefront:
     """What one frame says about the wavefront at every position of the field."""
 
+    sensor: Sensor
     field: Field
     displacement: Displacement
     solution: Solution
     views: Floats  # of each view, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN outside the field
 
     @classmethod
-    def of(cls, field: Field, displacement: Displacement, solution: Solution) -> Self:
+    def of(cls, sensor: Sensor, field: Field, displacement: Displacement, solution: Solution) -> Self:
         """Evaluate a solution at the views of the field."""
-        return cls(field, displacement, solution, _at_views(field, displacement, solution.wavefront))
+        return cls(sensor, field, displacement, solution, _at_views(field, displacement, solution.wavefront))
+
+    @property
+    def coefficients(self) -> Floats | None:
+        """Dual-orthogonal coefficients e_pq, rad, (pupil_mode, field_mode); None for a zonal reconstruction."""
+        return self.solution.coefficients if isinstance(self.solution, ModalSolution) else None
 
     def sigma(self) -> Floats:
         """Standard deviation of each view's wavefront, rad, the shape of `views`; takes some milliseconds."""

@@ -101,9 +101,7 @@ def reconstruct(
     with progress_bar() if refine else nullcontext(lambda *_: None) as report:
         found = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, report=report)
     inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
-    dataset = result_dataset(found.wavefront, loaded, with_psf=True).assign_attrs(
-        refinement_rounds=len(found.changes_rad)
-    )
+    dataset = result_dataset(found.wavefront, with_psf=True).assign_attrs(refinement_rounds=len(found.changes_rad))
     write_results(out, dataset, bench=loaded, inputs=inputs)
     if plot is not None:
         plot_views(found.wavefront, loaded.sensor, plot)

@@ -37,7 +37,7 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
     def finish(measurement: Measurement) -> None:
         write_run(out / "run.json", "live", made[-1])
         if measurement.wavefront is not None:
-            write_results(out / "result.nc", result_dataset(measurement.wavefront, bench), bench=bench, inputs={})
+            write_results(out / "result.nc", result_dataset(measurement.wavefront), bench=bench, inputs={})
 
     with stream_sinks(bench) as sinks:
 

@@ -15,6 +15,7 @@ from app.errors import InputError, RunError
 from app.files import appearing_whole
 from app.results.view_quality import Variable, about, point_spread, structure, transfer
 from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Sensor
 from reconstruction.quality.image_quality import psf
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
@@ -24,12 +25,12 @@ _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
 
 
-def result_dataset(wavefront: Wavefront, bench: Bench, *, with_psf: bool = False) -> xr.Dataset:
+def result_dataset(wavefront: Wavefront, *, with_psf: bool = False) -> xr.Dataset:
     """All that one wavefront says, with names and units as the README lists them; `with_psf` makes it much larger."""
     displacement = wavefront.displacement
     vectors = (*_LENSLET, "field_mode", "xy")
     variables: dict[str, Variable] = {
-        **_wavefront_variables(wavefront.views, bench),
+        **_wavefront_variables(wavefront.views, wavefront.sensor),
         "wavefront_sigma": ((*_VIEW, *_LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
         "displacement": (vectors, displacement.coefficients, about("px", "coefficients of the field modes")),
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), about("px", "standard deviation")),
@@ -62,9 +63,9 @@ def result_dataset(wavefront: Wavefront, bench: Bench, *, with_psf: bool = False
         )
         chi_square = about("1", "reduced chi-square of the slopes against the fit")
         variables["slope_chi_square"] = ((), np.array(solution.chi_square), chi_square)
-    coordinates = _coordinates(bench)
-    read_outs = [transfer(wavefront, bench.sensor), structure(wavefront)]
-    for more, along in [*read_outs, point_spread(wavefront, bench.sensor)] if with_psf else read_outs:
+    coordinates = _coordinates(wavefront.sensor, wavefront.field)
+    read_outs = [transfer(wavefront), structure(wavefront)]
+    for more, along in [*read_outs, point_spread(wavefront)] if with_psf else read_outs:
         variables |= more
         coordinates |= along
     return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=coordinates)
@@ -72,7 +73,7 @@ def result_dataset(wavefront: Wavefront, bench: Bench, *, with_psf: bool = False
 
 def truth_dataset(views: Floats, bench: Bench) -> xr.Dataset:
     """The true wavefront of every view (view_row, view_column, lenslet_row, lenslet_column), rad, as results are."""
-    return xr.Dataset(_wavefront_variables(views, bench), coords=_coordinates(bench))
+    return xr.Dataset(_wavefront_variables(views, bench.sensor), coords=_coordinates(bench.sensor, bench.field))
 
 
 def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapping[str, str]) -> None:
@@ -133,8 +134,8 @@ def _require_alike(sizes: Mapping[Hashable, int], others: Mapping[Hashable, int]
         raise InputError("the settings changed between the frames: choose some that go together")
 
 
-def _wavefront_variables(views: Floats, bench: Bench) -> dict[str, Variable]:
-    strehl = psf(views, bench.sensor, angle_rad=np.zeros(1))[..., 0, 0]
+def _wavefront_variables(views: Floats, sensor: Sensor) -> dict[str, Variable]:
+    strehl = psf(views, sensor, angle_rad=np.zeros(1))[..., 0, 0]
     return {
         "wavefront": ((*_VIEW, *_LENSLET), views, about("rad", "phase at the lenslet centres, piston removed")),
         "rms": (_VIEW, rms(views), about("rad", "RMS of each view's wavefront")),
@@ -143,10 +144,10 @@ def _wavefront_variables(views: Floats, bench: Bench) -> dict[str, Variable]:
     }
 
 
-def _coordinates(bench: Bench) -> dict[str, Variable]:
+def _coordinates(sensor: Sensor, field: Field) -> dict[str, Variable]:
     return {
-        "view_x": (("view_column",), bench.field.view_x_m, about("m", "field position along the lattice's rows")),
-        "view_y": (("view_row",), bench.field.view_y_m, about("m", "field position along the lattice's columns")),
-        "pupil_x": (("lenslet_column",), bench.sensor.pupil_x_m, about("m", "lenslet centre")),
-        "pupil_y": (("lenslet_row",), bench.sensor.pupil_y_m, about("m", "lenslet centre")),
+        "view_x": (("view_column",), field.view_x_m, about("m", "field position along the lattice's rows")),
+        "view_y": (("view_row",), field.view_y_m, about("m", "field position along the lattice's columns")),
+        "pupil_x": (("lenslet_column",), sensor.pupil_x_m, about("m", "lenslet centre")),
+        "pupil_y": (("lenslet_row",), sensor.pupil_y_m, about("m", "lenslet centre")),
     }

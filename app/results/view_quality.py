@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.geometry import Sensor
 from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_angles_rad
 from reconstruction.quality.isoplanatism import StructureCurve, isoplanatism
 from reconstruction.wavefront import Wavefront
@@ -23,9 +22,9 @@ def about(units: str, long_name: str) -> dict[str, str]:
     return {"units": units, "long_name": long_name}
 
 
-def transfer(wavefront: Wavefront, sensor: Sensor) -> tuple[dict[str, Variable], dict[str, Variable]]:
+def transfer(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
     """Modulation transfer of every view: variables and coordinates."""
-    found = mtf(wavefront.views, sensor)
+    found = mtf(wavefront.views, wavefront.sensor)
     along_x, along_y = (*_VIEW, "frequency_x"), (*_VIEW, "frequency_y")
     return {
         "mtf_x": (along_x, found.along_x, about("1", "modulation transfer along x")),
@@ -83,8 +82,9 @@ def structure(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Vari
     return variables, {"separation": separation}
 
 
-def point_spread(wavefront: Wavefront, sensor: Sensor) -> tuple[dict[str, Variable], dict[str, Variable]]:
+def point_spread(wavefront: Wavefront) -> tuple[dict[str, Variable], dict[str, Variable]]:
     """Point-spread function of every view on a fixed grid of angles: variables and coordinates."""
+    sensor = wavefront.sensor
     angle_rad = psf_angles_rad(sensor, _PSF_REACH * diffraction_rad(sensor))
     values = psf(wavefront.views, sensor, angle_rad=angle_rad).astype(np.float32)
     return {

@@ -44,5 +44,5 @@ def _noise_rad2(displacement: Displacement, sensor: Sensor, field: Field) -> flo
     modes = pupil_modes(sensor, "legendre", min(_PUPIL_MODES, lattice_count))
     solver = ModalSolver(modes, whitening(displacement.covariance), is_smooth=False)
     slopes = np.zeros_like(displacement.coefficients)
-    wavefront = Wavefront.of(field, displacement, solver(slopes, covariance, everywhere))
+    wavefront = Wavefront.of(sensor, field, displacement, solver(slopes, covariance, everywhere))
     return float(np.nanmean(wavefront.sigma() ** 2))

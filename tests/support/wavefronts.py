@@ -23,4 +23,4 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
     valid = np.ones(U.shape, np.bool_)
     displacement = converged(LegendreModes(3), slopes / SENSOR.slope_per_px, variance / SENSOR.slope_per_px**2)
     solution = ZonalSolution(slopes, valid, SENSOR.lenslet_pitch_m, slope_covariance=diagonal_covariance(variance))
-    return Wavefront.of(FIELD, displacement, solution)
+    return Wavefront.of(SENSOR, FIELD, displacement, solution)

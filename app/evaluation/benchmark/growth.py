@@ -71,7 +71,7 @@ def grown(case: Case, warp: Warp, budget_s: float) -> Grown:
     times = side_by_side(
         {
             "register": partial(reconstructor.register, case.frame, start=before),
-            "zonal": partial(Wavefront.of, case.field, displacement, zonal),
+            "zonal": partial(Wavefront.of, case.sensor, case.field, displacement, zonal),
             "modal": partial(reconstructor.solve, displacement),
             "frame": lambda: reconstructor.solve(reconstructor.register(case.frame, start=before)),
         },

@@ -27,7 +27,7 @@ def results_in_pieces(frames: Iterable[tuple[Repeated, Mapping[str, Variable]]])
 
 def _stacked(piece: list[tuple[Repeated, Mapping[str, Variable]]]) -> xr.Dataset:
     datasets = [
-        result_dataset(frame.wavefront, frame.calibration.bench).assign(more)
+        result_dataset(frame.wavefront).assign(more)
         for frame, more in piece
         if frame.wavefront is not None and frame.calibration is not None
     ]

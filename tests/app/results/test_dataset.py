@@ -25,7 +25,7 @@ def dataset(small_bench: SmallBench) -> xr.Dataset:
     frame = small_bench.reference.copy()
     x, y = small_bench.lattice.lenslet_centers_px(7, 9)[2, 5]
     frame[int(y - 14) : int(y + 16), int(x - 14) : int(x + 16)] = 0
-    return result_dataset(small_bench.reconstructor()(frame), BENCH)
+    return result_dataset(small_bench.reconstructor()(frame))
 
 
 def test_the_contract_of_names_dimensions_and_units(dataset: xr.Dataset, tmp_path: Path) -> None:
@@ -114,7 +114,7 @@ def test_pieces_of_another_shape_are_refused_and_leave_nothing(dataset: xr.Datas
 
 
 def test_a_flat_wavefront_is_as_good_as_light_allows(small_bench: SmallBench) -> None:
-    flat = result_dataset(small_bench.reconstructor()(small_bench.reference), BENCH, with_psf=True)
+    flat = result_dataset(small_bench.reconstructor()(small_bench.reference), with_psf=True)
     np.testing.assert_allclose(flat["strehl"], 1, atol=1e-4)
     np.testing.assert_allclose(flat["mtf_x"], flat["mtf_limit_x"], atol=1e-3)
     triangle = 1 - flat["frequency_x"] * BENCH.sensor.wavelength_m / (9 * BENCH.sensor.lenslet_pitch_m)

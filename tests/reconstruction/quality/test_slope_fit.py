@@ -58,7 +58,7 @@ def test_zonal_is_compared_with_the_modes_that_fit_it_best() -> None:
     solution = ZonalSolution(
         displacement().coefficients * SENSOR.slope_per_px, np.ones(U.shape, np.bool_), SENSOR.lenslet_pitch_m
     )
-    wavefront = Wavefront.of(FIELD, displacement(), solution)
+    wavefront = Wavefront.of(SENSOR, FIELD, displacement(), solution)
     enough = compare(wavefront, SENSOR, pupil_modes(SENSOR, "legendre", 6))
     np.testing.assert_allclose(enough.measured, over_the_field(BOWL), atol=1e-9)
     np.testing.assert_allclose(enough.difference, 0, atol=1e-9)
@@ -74,7 +74,7 @@ def test_what_is_not_known_is_not_compared(row: int) -> None:
     measured = displacement()
     measured.outcome[~valid] = 3
     solution = ZonalSolution(measured.coefficients * SENSOR.slope_per_px, valid, SENSOR.lenslet_pitch_m)
-    found = compare(Wavefront.of(FIELD, measured, solution), SENSOR, pupil_modes(SENSOR, "zernike", 6))
+    found = compare(Wavefront.of(SENSOR, FIELD, measured, solution), SENSOR, pupil_modes(SENSOR, "zernike", 6))
     outside = (np.hypot(U, V) > SENSOR.pupil_half_width_m[1]) | ~valid
     np.testing.assert_array_equal(np.isnan(found.difference), np.broadcast_to(outside, found.difference.shape))
     np.testing.assert_allclose(found.difference[..., ~outside], 0, atol=1e-9)
