@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.optics import FIELD, SENSOR, converged
+from support.optics import FIELD, converged, sensor_of
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
@@ -40,7 +40,7 @@ class Tilting:
 def wavefront(along_x: float, along_y: float, field: Field = FIELD) -> Wavefront:
     zeros = np.zeros((ROWS, COLUMNS, 3, 2))
     displacement = converged(LegendreModes(3), zeros, zeros)
-    return Wavefront.of(SENSOR, field, displacement, Tilting(along_x, along_y))
+    return Wavefront.of(sensor_of(ROWS, COLUMNS), field, displacement, Tilting(along_x, along_y))
 
 
 def test_tilt_that_rises_over_the_field_differs_in_proportion_to_separation() -> None:
