@@ -1,4 +1,4 @@
-"""What took long to compute, kept on disk under everything it depends on."""
+"""Disk cache for results that take long to compute."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ import platformdirs
 from numpy.typing import NDArray
 
 from app.errors import RunError
-from app.files import appearing_whole
+from app.files import atomic_write
 
-_KEPT = 400  # results of one kind; of images, a third of a gigabyte
+_KEPT = 400  # results of one kind; a third of a gigabyte of images
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
 @cache
 def cache_folder() -> Path:
-    """Where what was computed is kept from one run to the next; for this run only, where nothing can be kept."""
+    """Return the user's cache folder, or a temporary one for this run if that cannot be written."""
     folder = Path(platformdirs.user_cache_dir("svwfs"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK):
             return folder
-    except OSError:  # no home, or one that cannot be written
+    except OSError:  # no home folder, or a read-only one
         pass
     temporary = tempfile.mkdtemp(prefix="svwfs-")
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
@@ -41,17 +41,17 @@ def cache_folder() -> Path:
 
 
 def remembered(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays:
-    """Return what `compute` makes, or has made before: the last 400 results of one kind are kept.
+    """Return the cached result of `compute`, computing it if necessary; the last 400 of each kind are kept.
 
-    `fingerprint`, the name of a file, stands for all that the result depends on.
+    `fingerprint` is a file name that stands for everything the result depends on.
     """
     path = cache_folder() / kind / f"{fingerprint}.npz"
     kept = _load(path)
     if kept is not None:
         return kept
     computed = compute()
-    with suppress(RunError):  # a full disk keeps nothing, and that is all
-        with appearing_whole(path) as temporary:
+    with suppress(RunError):  # a full disk only means that nothing is cached
+        with atomic_write(path) as temporary:
             np.savez(temporary, allow_pickle=False, **computed)
         _keep_newest(path.parent)
     return computed
@@ -61,8 +61,8 @@ def _load(path: Path) -> Arrays | None:
     try:
         with np.load(path, allow_pickle=False) as kept:
             result = dict(kept)
-        os.utime(path)  # used now: the last to be cleared away
-    except (OSError, ValueError, EOFError, BadZipFile):  # not there, or not whole: compute it
+        os.utime(path)  # least recently used results are removed first
+    except (OSError, ValueError, EOFError, BadZipFile):  # missing or damaged
         return None
     return result
 
@@ -75,5 +75,5 @@ def _keep_newest(folder: Path) -> None:
 def _age(path: Path) -> float:
     try:
         return -path.stat().st_mtime
-    except OSError:  # another process cleared it away
+    except OSError:  # removed by another process
         return 0.0

@@ -1,16 +1,16 @@
-"""How a command ends when it cannot go on: one sentence, and the exit status that tells scripts whose fault it was."""
+"""Errors that end a command: one sentence each, and an exit status for scripts."""
 
 
 class InputError(Exception):
-    """What was given cannot be used: a file, a setting, a frame. Exit status 2."""
+    """Unusable input: a file, a setting, a frame. Exit status 2."""
 
 
 class Interrupted(BaseException):
-    """Somebody ended it early, by Ctrl-C or another signal; the text says what there is all the same. Exit status 130.
+    """The user or the system ended the command early; the text says what was saved. Exit status 130.
 
-    No `Exception`, so that nothing takes it for a fault that could be survived.
+    Not an `Exception`, so that no handler mistakes it for a fault.
     """
 
 
 class RunError(Exception):
-    """Something failed while running: a device, the disk. Exit status 1."""
+    """Failure while running: a device, the disk. Exit status 1."""

@@ -1,4 +1,4 @@
-"""Images in, and files that appear under their name only when they are whole."""
+"""Image files and atomic writes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from app.errors import InputError, RunError
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Read a grey image (row, column) from a TIFF or NPY file; whatever is wrong with it is one sentence."""
+    """Read a grey image (row, column) from a TIFF or NPY file; `InputError` if it is not one."""
     if not path.is_file():
         raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it says of a damaged file is said below
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file raises below
     try:
         image = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else tifffile.imread(path)
     except Exception as error:
@@ -34,23 +34,23 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, with those above it, unless it is there."""
+    """Make a folder and its parents unless they exist."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunError(f"{path}: cannot be made a folder: {error.strerror or error}") from error
+        raise RunError(f"{path}: the folder cannot be made: {error.strerror or error}") from error
 
 
-def nearest(path: Path) -> Path:
-    """The path itself or, where it is not there yet, the nearest folder above it; `OSError` where none may look."""
+def nearest_existing(path: Path) -> Path:
+    """Return the path if it exists, else its nearest existing parent; `OSError` if access is denied."""
     return next(each for each in (path.absolute(), *path.absolute().parents) if each.exists())
 
 
 @contextmanager
-def appearing_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; it takes the name `path` if all goes well and vanishes otherwise."""
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Yield a temporary path that replaces `path` on success and is deleted on failure (atomic write)."""
     if not path.name or (path.exists() and not path.is_file()):
-        raise RunError(f"{path}: is no file that could be written")
+        raise RunError(f"{path}: not a file that can be written")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")
     try:
         make_folder(path.parent)
@@ -65,5 +65,5 @@ def appearing_whole(path: Path) -> Iterator[Path]:
 
 def write_image(path: Path, image: NDArray[Any]) -> None:
     """Write an image (row, column) as TIFF."""
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         tifffile.imwrite(temporary, image)

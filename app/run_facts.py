@@ -1,22 +1,27 @@
-"""What `run.json` says of any run: when, with what software and computer, and how long every stage took."""
+"""Facts stored with every run: time, software, computer, and stage times."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
+import platform
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from app.files import appearing_whole
-from app.host import machine_facts, versions
+from app.files import atomic_write
 from app.timing import STAGES, Timings
+
+_LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
+_CPU = Path("/proc/cpuinfo")
 
 
 def now() -> str:
-    """The present moment, UTC, as ISO 8601."""
+    """Current time, UTC, as ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -25,8 +30,24 @@ def software_facts() -> dict[str, Any]:
     return {"versions": versions("zarr"), "machine": machine_facts()}
 
 
+def machine_facts() -> dict[str, str | int]:
+    """The properties of this computer that determine its speed."""
+    return {"system": f"{platform.system()} {platform.machine()}", "cores": os.cpu_count() or 1, "processor": _cpu()}
+
+
+def versions(*more: str) -> dict[str, str]:
+    """Versions of Python, of the main libraries, and of the packages `more` that are installed."""
+    installed = {"python": platform.python_version()}
+    for name in (*_LIBRARIES, *more):
+        try:
+            installed[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return installed
+
+
 def timing_facts(timings: Timings) -> dict[str, dict[str, float | None]]:
-    """Of every stage count, median, 99th percentile and maximum, s; None where there is nothing to say."""
+    """Count, median, 99th percentile and maximum (s) of every stage; None if nothing was timed."""
     summaries = timings.summary()
     return {
         stage: {name: None if math.isnan(value) else value for name, value in asdict(summaries[stage]).items()}
@@ -35,6 +56,14 @@ def timing_facts(timings: Timings) -> dict[str, dict[str, float | None]]:
 
 
 def write_record(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a record as JSON; it appears whole."""
-    with appearing_whole(path) as temporary:
+    """Write a record as JSON, atomically."""
+    with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(record, indent=2) + "\n", "utf-8")
+
+
+def _cpu() -> str:
+    try:
+        lines = _CPU.read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")

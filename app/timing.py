@@ -1,7 +1,7 @@
-"""How long each stage of the live path takes, and how old its results are: always measured, at negligible cost.
+"""Stage times and result latency of the live path, always measured.
 
-A stage's last few thousand times lie in a ring of fixed size, which only the thread that runs the stage writes: an
-entry costs a microsecond and no memory. Whoever looks may see a time more or less, never a wrong one.
+Each stage keeps its last few thousand times in a ring buffer written by the thread that runs the stage: 1 us per
+entry. Readers may miss the newest entry but never see a wrong one.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ Stage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", 
 STAGES: tuple[Stage, ...] = get_args(Stage)
 MEANINGS: dict[Stage, str] = {
     "wait": "for the camera's next frame",
-    "copy": "from the frame's arrival here until it can be used",
-    "register": "how each subimage lies, from the pixels",
-    "reconstruct": "the wavefront, from the displacements",
-    "publish": "to whoever takes every result",
-    "record": "a frame onto the disk, beside the rest",
-    "draw": "in the window, painting included",
-    "to_result": "age of a frame, from the end of its exposure, when its result is there",
-    "to_screen": "the same when it has been painted",
+    "copy": "from a frame's arrival until it can be used",
+    "register": "displacements from the pixels",
+    "reconstruct": "wavefront from the displacements",
+    "publish": "to the recorder and other consumers",
+    "record": "a frame written to disk, in another thread",
+    "draw": "window redraw, painting included",
+    "to_result": "from the end of a frame's exposure to its result",
+    "to_screen": "from the end of a frame's exposure to its painting",
 }
-_KEPT = 4096  # times of a stage; a minute of the fastest camera
+_KEPT = 4096  # times per stage; a minute at the highest frame rate
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What there is to say of one stage."""
+    """Statistics of one stage."""
 
-    count: int = 0  # since the beginning
-    p50_s: float = math.nan  # of those that are remembered
-    p99_s: float = math.nan  # likewise
-    max_s: float = math.nan  # since the beginning
+    count: int = 0  # since the start
+    p50_s: float = math.nan  # of the kept times
+    p99_s: float = math.nan  # of the kept times
+    max_s: float = math.nan  # since the start
 
 
 class _Ring:
-    """The times of one stage, written by one thread."""
+    """Ring buffer of one stage's times, written by one thread."""
 
     def __init__(self, kept: int) -> None:
         self._times_s = np.zeros(kept)
@@ -68,10 +68,10 @@ _TURN_S = 0.0005
 
 
 def short_turns() -> AbstractContextManager[None]:
-    """Let Python's threads take turns every half millisecond instead of every five, while a `with` lasts.
+    """Switch Python threads every 0.5 ms instead of 5 ms inside a `with`.
 
-    A thread asks for its turn after each call of the operating system; with a busy window beside it, writing a frame,
-    ten such calls, would take up to 50 ms instead of 5. Several acquisitions may ask for it, and end in any order.
+    A thread waits for its turn after each system call: beside a busy window, writing a frame (ten calls) would take up
+    to 50 ms instead of 5. Several acquisitions may nest this in any order.
     """
     return _short_turns.wanted()
 
@@ -86,35 +86,35 @@ _short_turns = ProcessSetting(_shorten_turns)
 
 
 class Timings:
-    """The times of all stages since the beginning, of which the last `kept` of each are remembered."""
+    """Times of all stages; the last `kept` of each are stored."""
 
     def __init__(self, kept: int = _KEPT) -> None:
         self._rings = {stage: _Ring(kept) for stage in STAGES}
         self._spans: tuple[Timings, ...] = ()
 
     def begin_span(self, kept: int) -> Timings:
-        """Return times that begin now: whatever is noted here is noted there, too, until `end_span`."""
+        """Return a copy that starts empty and is updated with this one until `end_span`."""
         span = Timings(kept)
-        self._spans = (*self._spans, span)  # replaced, not changed: other threads go through it
+        self._spans = (*self._spans, span)  # replaced, not modified: other threads iterate over it
         return span
 
     def end_span(self, span: Timings) -> None:
-        """Note nothing more in a span."""
+        """Stop updating a span."""
         self._spans = tuple(each for each in self._spans if each is not span)
 
     def note(self, stage: Stage, seconds: float) -> None:
-        """Take note of how long a stage took."""
+        """Add one time of a stage."""
         self._rings[stage].note(seconds)
         for span in self._spans:
             span.note(stage, seconds)
 
     @contextmanager
     def of(self, stage: Stage) -> Iterator[None]:
-        """Take note of how long the body of a `with` takes; of one that fails, nothing."""
+        """Time the body of a `with`, unless it raises."""
         start_s = time.perf_counter()
         yield
         self.note(stage, time.perf_counter() - start_s)
 
     def summary(self) -> dict[Stage, Summary]:
-        """Say of each stage how long it takes."""
+        """Statistics of every stage."""
         return {stage: ring.summary() for stage, ring in self._rings.items()}

@@ -5,7 +5,6 @@ Each command loads what it needs when it runs, so that help comes at once.
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -31,6 +30,8 @@ def _common(
     show_version: Annotated[bool, typer.Option("--version", help="Show the version and leave.")] = False,
 ) -> None:
     if show_version:
+        from importlib.metadata import version
+
         typer.echo(f"svwfs {version('svwfs')}")
         raise typer.Exit
 

@@ -15,7 +15,7 @@ from app.bench.config import Bench, parse_bench, write_bench
 from app.bench.presets import PRESETS
 from app.commands.reconstruct import full_scale
 from app.errors import InputError
-from app.files import appearing_whole, read_image
+from app.files import atomic_write, read_image
 from app.progress import Report
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
@@ -118,7 +118,7 @@ def write_calibrated(found: Found, source: str, path: Path) -> None:
     """Write the bench with its lattice; `source` is the TOML file or preset it came from, whose comments are kept."""
     origin = Path(source) if Path(source).exists() else PRESETS[source]
     text = bench_text(origin.read_text("utf-8"), found.bench)
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, "utf-8")
 
 

@@ -11,8 +11,8 @@ from rich.console import Console
 from app.bench.config import Bench, CameraSettings, LightSettings
 from app.commands.device_check import Verdict, check_device, settings_of
 from app.commands.device_search import SEARCHES, Outcome, look
+from app.commands.prompt import ask
 from app.errors import InputError, RunError
-from app.prompt import ask
 from drivers.device import Property
 from drivers.discovery import Found
 

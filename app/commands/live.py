@@ -11,7 +11,7 @@ from app.acquisition.start_up import start_up
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
-from app.display import use_display
+from app.commands.display import use_display
 from app.files import make_folder
 from app.results.dataset import result_dataset, write_results
 from app.results.replay.player import Player

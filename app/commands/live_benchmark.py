@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from app.acquisition.streams.publisher import stream_sinks
-from app.display import use_display
+from app.commands.display import use_display
 from app.evaluation.benchmark.live.course import Course
 from app.evaluation.benchmark.live.figures import LiveFigures
 from app.evaluation.benchmark.live.plan import LivePlan, recording_folder

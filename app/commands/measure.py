@@ -14,9 +14,9 @@ from app.acquisition.start_up import FRAMES, calibrate, watch_sample
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
+from app.commands.prompt import ask
 from app.errors import InputError, Interrupted, RunError
 from app.progress import Report
-from app.prompt import ask
 from app.recording.folder import check_free
 from app.recording.layout import RUN
 from app.recording.reader import Recording

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QFileDialog, QWidget
 
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
-from app.files import appearing_whole
+from app.files import atomic_write
 from app.gui.message_strip import MessageStrip
 
 
@@ -32,7 +32,7 @@ def save_bench(window: QWidget, messages: MessageStrip, bench: Bench) -> None:
     name, _ = QFileDialog.getSaveFileName(window, "Save the bench", "bench.toml", "Bench (*.toml)")
     if name:
         try:
-            with appearing_whole(Path(name)) as temporary:
+            with atomic_write(Path(name)) as temporary:
                 temporary.write_text(write_bench(bench), "utf-8")
         except (InputError, RunError, ValueError) as error:  # the last from settings that do not go together
             messages.warn(str(error))

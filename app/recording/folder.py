@@ -7,7 +7,7 @@ from itertools import chain, count
 from pathlib import Path
 
 from app.errors import InputError
-from app.files import nearest
+from app.files import nearest_existing
 from app.recording.layout import FRAMES, RUN, STORE
 
 
@@ -47,7 +47,7 @@ def _is_made(folder: Path) -> bool:
 
 def _check_place(folder: Path) -> None:
     """Raise `InputError` when it is no folder, or cannot be made one."""
-    there = nearest(folder)
+    there = nearest_existing(folder)
     if not there.is_dir():
         raise InputError(f"{there}: is no folder")
     if not os.access(there, os.W_OK | os.X_OK):

@@ -19,7 +19,7 @@ import zarr
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
-from app.files import appearing_whole
+from app.files import atomic_write
 
 Separator: TypeAlias = Literal["/", "."]  # between the parts of a chunk's name
 
@@ -123,7 +123,7 @@ class FrameArray:
     def set_length(self, length: int) -> None:
         """Make it longer or shorter for whoever opens the store; the chunks stay."""
         self._metadata["shape"][0] = length
-        with appearing_whole(self._path / _METADATA) as temporary:
+        with atomic_write(self._path / _METADATA) as temporary:
             temporary.write_text(json.dumps(self._metadata, indent=2))
         self.length = length
 

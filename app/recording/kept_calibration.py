@@ -11,7 +11,7 @@ import numpy as np
 
 from app.bench.config import load_bench, write_bench
 from app.errors import InputError
-from app.files import appearing_whole
+from app.files import atomic_write
 from app.measurement.calibration import Calibration
 from app.measurement.routines import Average
 from reconstruction.arrays import Floats
@@ -51,7 +51,7 @@ def read_calibration(folder: Path) -> Calibration:
 
 def write_array(path: Path, values: Floats) -> None:
     """Write an array as NPY, whole or not at all."""
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         np.save(temporary, values, allow_pickle=False)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import InputError
-from app.files import nearest
+from app.files import nearest_existing
 from app.measurement.measurement import Measurement
 from app.recording.background import BackgroundRecording, RecordingState
 from app.recording.folder import check_free, new_folder
@@ -119,4 +119,4 @@ class Recorder:
             nbytes = self._recent_bytes
         if spanned_s <= 0:
             return math.inf
-        return shutil.disk_usage(nearest(folder)).free / (nbytes / spanned_s) / 60
+        return shutil.disk_usage(nearest_existing(folder)).free / (nbytes / spanned_s) / 60

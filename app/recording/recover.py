@@ -10,7 +10,7 @@ from itertools import chain, count
 from pathlib import Path
 
 from app.errors import RunError
-from app.files import appearing_whole
+from app.files import atomic_write
 from app.recording.damage import Examined, examine, frames_in_words, ranges_of
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.layout import FRAMES, PIXELS, RUN, STORE, results_of
@@ -103,9 +103,9 @@ def _put_in_place(lines: LinePlaces, frames: int, *, is_complete: bool) -> str:
     path, end = lines.path, lines.end_in_place(frames)
     if end is None:
         aside = _aside(path)
-        with appearing_whole(aside) as temporary:
+        with atomic_write(aside) as temporary:
             shutil.copyfile(path, temporary)
-        with appearing_whole(path) as temporary, temporary.open("wb") as file:
+        with atomic_write(path) as temporary, temporary.open("wb") as file:
             file.writelines(lines.in_place(frames))
         return f"{FRAMES} as it was is in {aside.name}; in the new one every line stands where it belongs"
     if is_complete:
@@ -116,7 +116,7 @@ def _put_in_place(lines: LinePlaces, frames: int, *, is_complete: bool) -> str:
         rest = file.read()
     if left_out := rest.count(b"\n"):
         aside = _aside(path)
-        with appearing_whole(aside) as temporary:
+        with atomic_write(aside) as temporary:
             temporary.write_bytes(rest)
         said = f"the lines after the last whole frame, {left_out} of them, are in {aside.name}"
     os.truncate(path, end)

@@ -12,7 +12,7 @@ import xarray as xr
 
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
-from app.files import appearing_whole
+from app.files import atomic_write
 from app.results.view_quality import Variable, about, point_spread, structure, transfer
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
@@ -86,7 +86,7 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
     `InputError` when a piece has another shape than the first: the settings have changed between them.
     """
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         for piece in pieces:
             if temporary.exists():
                 _append(temporary, piece)

@@ -12,7 +12,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from app.files import appearing_whole
+from app.files import atomic_write
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice, centered_steps
 from reconstruction.lattice.cells import cell_index
@@ -26,7 +26,7 @@ _CENTER = "#d1495b"
 
 def plot_lattice(reference: NDArray[Any], found: Survey, path: Path) -> None:
     """Draw the lattice over the reference (row, column) into an image file."""
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         lattice_figure(reference, found).savefig(temporary, dpi=150)
 
 

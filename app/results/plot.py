@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure, SubFigure
 
 from app.errors import InputError
-from app.files import appearing_whole
+from app.files import atomic_write
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
@@ -31,7 +31,7 @@ def check_plot_path(path: Path) -> None:
 
 def plot_views(wavefront: Wavefront, sensor: Sensor, path: Path) -> None:
     """Draw the views as they lie in the field, +x to the right and +y down as on the camera, into an image file."""
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         views_figure(wavefront, sensor).savefig(temporary, dpi=150)
 
 

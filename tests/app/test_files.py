@@ -1,4 +1,4 @@
-"""Images that cannot be used are named; files appear whole or not at all."""
+"""Image files and atomic writes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import pytest
 import tifffile
 
 from app.errors import InputError, RunError
-from app.files import appearing_whole, read_image, write_image
+from app.files import atomic_write, read_image, write_image
 
 IMAGE = np.arange(12, dtype=np.uint16).reshape(3, 4)
 
 
-def test_images_are_read_as_they_were_written(tmp_path: Path) -> None:
+def test_written_images_are_read_back(tmp_path: Path) -> None:
     write_image(tmp_path / "image.tif", IMAGE)
     np.save(tmp_path / "image.npy", IMAGE)
     np.testing.assert_array_equal(read_image(tmp_path / "image.tif"), IMAGE)
     np.testing.assert_array_equal(read_image(tmp_path / "image.npy"), IMAGE)
 
 
-def test_what_is_no_grey_image_is_named(tmp_path: Path) -> None:
+def test_unusable_image_error_names_file(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "colour.tif", np.zeros((8, 8, 3), np.uint8), photometric="rgb")
     tifffile.imwrite(tmp_path / "stack.tif", np.zeros((5, 8, 8), np.uint16), photometric="minisblack")
     np.save(tmp_path / "empty.npy", np.zeros((0, 4)))
@@ -40,12 +40,12 @@ def test_what_is_no_grey_image_is_named(tmp_path: Path) -> None:
         assert "\n" not in str(fault.value)
 
 
-def test_a_file_that_fails_half_way_leaves_the_old_one(tmp_path: Path) -> None:
+def test_failed_write_keeps_old_file(tmp_path: Path) -> None:
     path = tmp_path / "result.nc"
     path.write_text("old")
 
     def fail_half_way() -> None:
-        with appearing_whole(path) as temporary:
+        with atomic_write(path) as temporary:
             temporary.write_text("half")
             raise KeyboardInterrupt
 
@@ -55,7 +55,7 @@ def test_a_file_that_fails_half_way_leaves_the_old_one(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_unwritable_folder_raises_run_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(RunError, match="cannot be made a folder"):
+    with pytest.raises(RunError, match="folder cannot be made"):
         write_image(tmp_path / "file" / "image.tif", IMAGE)

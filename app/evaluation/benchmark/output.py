@@ -12,12 +12,12 @@ from rich.console import Console
 
 from app.evaluation.benchmark.ours import OURS
 from app.evaluation.benchmark.run import Json
-from app.files import appearing_whole
+from app.files import atomic_write
 
 
 def write_benchmark(result: Json, path: Path) -> None:
     """Write everything that was measured."""
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(result, indent=2) + "\n")
 
 

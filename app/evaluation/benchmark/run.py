@@ -18,8 +18,8 @@ from app.evaluation.benchmark.ours import OURS, OURS_ONE_THREAD, coefficients_of
 from app.evaluation.benchmark.residuals import residual_rad
 from app.evaluation.benchmark.southwell import bare_southwell
 from app.evaluation.benchmark.stopwatch import Times, side_by_side
-from app.host import machine_facts, versions
 from app.progress import Report, between, named
+from app.run_facts import machine_facts, versions
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import RegistrationSettings

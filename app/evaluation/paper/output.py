@@ -16,7 +16,7 @@ from rich.console import Console
 
 from app.errors import InputError
 from app.evaluation.paper.tables import Table
-from app.files import appearing_whole
+from app.files import atomic_write
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import without_piston
 
@@ -29,14 +29,14 @@ def write_table(table: Table, out: Path) -> None:
     ours = {name: entry.summary() for name, entry in table.entries.items()}
     if not ours:
         raise InputError("; ".join(f"{name}: {problem}" for name, problem in table.problems.items()))
-    with appearing_whole(out / f"{table.name}.json") as path:
+    with atomic_write(out / f"{table.name}.json") as path:
         path.write_text(json.dumps({"paper": paper, "ours": ours, "problems": table.problems}, indent=2) + "\n")
-    with appearing_whole(out / f"{table.name}.csv") as path, path.open("w", newline="") as file:
+    with atomic_write(out / f"{table.name}.csv") as path, path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["method", *(f"paper_{number}" for number in _NUMBERS), *next(iter(ours.values()))])
         for name, summary in ours.items():
             writer.writerow([name, *(paper.get(name, {}).get(number, "") for number in _NUMBERS), *summary.values()])
-    with appearing_whole(out / f"{table.name}.png") as path:
+    with atomic_write(out / f"{table.name}.png") as path:
         table_figure(table).savefig(path, dpi=110)
 
 

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from app.evaluation.study.figure import study_figure
 from app.evaluation.study.observations import At, Outcome, Point
-from app.files import appearing_whole
+from app.files import atomic_write
 
 
 def write_study(outcomes: Sequence[Outcome], seeds: int, out: Path) -> None:
@@ -35,13 +35,13 @@ def write_study(outcomes: Sequence[Outcome], seeds: int, out: Path) -> None:
             for outcome in outcomes
         },
     }
-    with appearing_whole(out / "study.json") as path:
+    with atomic_write(out / "study.json") as path:
         path.write_text(json.dumps(tree, indent=1, allow_nan=False) + "\n")
-    with appearing_whole(out / "study.csv") as path, path.open("w", newline="") as file:
+    with atomic_write(out / "study.csv") as path, path.open("w", newline="") as file:
         writer = csv.DictWriter(file, ["sweep", "curve", "at", *Point.__dataclass_fields__])
         writer.writeheader()
         writer.writerows(_rows(outcomes))
-    with appearing_whole(out / "estimator.png") as path:
+    with atomic_write(out / "estimator.png") as path:
         study_figure(outcomes).savefig(path, dpi=100)
 
 

@@ -14,7 +14,7 @@ from app.cache import cache_folder
 from app.evaluation.noise_free import NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import Estimators
 from app.evaluation.study.observations import Observation, Sweep
-from app.files import appearing_whole
+from app.files import atomic_write
 from app.progress import Report
 from simulated_devices.optics.source import source_points
 from simulated_devices.settings import Mask, Source
@@ -56,7 +56,7 @@ def _checkerboard() -> Path:
     """The image of a checkerboard; it has one place, so that its frames are remembered."""
     path = cache_folder() / "study" / "checkerboard.npy"
     row, column = np.indices((_CELLS, _CELLS))
-    with appearing_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         np.save(temporary, ((row + column) % 2).astype(np.float32))
     return path
 

@@ -16,7 +16,7 @@ from rich import box
 from rich.console import Console
 
 from app.evaluation.study.trials import Summary, TrialOutcome
-from app.files import appearing_whole
+from app.files import atomic_write
 
 _PANEL_INCHES = 3.0
 _ROW_INCHES = 0.26
@@ -39,15 +39,15 @@ def write_trials(outcome: TrialOutcome, seeds: int, out: Path) -> None:
             for case in outcome.cases
         },
     }
-    with appearing_whole(out / f"{name}.json") as path:
+    with atomic_write(out / f"{name}.json") as path:
         path.write_text(json.dumps(tree, indent=1, allow_nan=False) + "\n")
-    with appearing_whole(out / f"{name}.csv") as path, path.open("w", newline="") as file:
+    with atomic_write(out / f"{name}.csv") as path, path.open("w", newline="") as file:
         writer = csv.DictWriter(file, ["case", "name", *outcome.quantities, "as_asked", "refusal"])
         writer.writeheader()
         for trial in outcome.trials:
             row = {"case": trial.case, "name": trial.name, "as_asked": trial.holds, "refusal": trial.refusal}
             writer.writerow(row | _known(dict(trial.figures)))
-    with appearing_whole(out / f"{name}.png") as path:
+    with atomic_write(out / f"{name}.png") as path:
         trial_figure(outcome).savefig(path, dpi=100)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import tifffile
 from numpy.typing import NDArray
 
-from app.files import appearing_whole
+from app.files import atomic_write
 
 
 def write_stack(
@@ -33,7 +33,7 @@ def write_stack(
     shape = (len(labels), *first.shape)
     film: dict[str, Any] = {} if interval_s is None else {"finterval": interval_s}
     tags = tifffile.imagej_metadata_tag({"Info": information, "Labels": list(labels)}, "<")
-    with appearing_whole(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True, byteorder="<") as writer:
+    with atomic_write(path) as temporary, tifffile.TiffWriter(temporary, bigtiff=True, byteorder="<") as writer:
         writer.write(
             chain([first], remaining),
             shape=shape,

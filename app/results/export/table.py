@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from app.errors import InputError, RunError
-from app.files import appearing_whole
+from app.files import atomic_write
 from app.recording.repeat import Repeated
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
@@ -31,7 +31,7 @@ def write_table(path: Path, frames: Iterable[Repeated]) -> None:
     else:
         raise RunError(f"{path}: there is nothing to write: no frame has a wavefront")
     names = [name for name, _ in _values(frame.wavefront)]
-    with appearing_whole(path) as temporary, temporary.open("w", newline="", encoding="ascii") as file:
+    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="ascii") as file:
         writer = csv.writer(file)
         writer.writerow(["frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets", *names])
         writer.writerows(_row(each, names) for each in chain(before, remaining))

@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.backends.backend_pdf import PdfPages
 
 from app.errors import InputError
-from app.files import appearing_whole
+from app.files import atomic_write
 from app.progress import Report
 from app.recording.reader import Recording
 from app.results.replay.change import change_of
@@ -50,7 +50,7 @@ def report_pages(
 
 def write_pages(out: Path, pages: list[Page]) -> None:
     """Write pages as PDF, or below one another as PNG; the file appears whole."""
-    with appearing_whole(out) as temporary:
+    with atomic_write(out) as temporary:
         if out.suffix.lower() == ".png":
             all_pages(pages).savefig(temporary, dpi=_PNG_DPI)
             return

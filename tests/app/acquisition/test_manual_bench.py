@@ -115,7 +115,7 @@ def test_measure_ends_where_nobody_answers(
 ) -> None:
     monkeypatch.setattr("sys.stdin", Person(camera, presses))
     monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
-    with pytest.raises(InputError, match="nobody said that it was done"):
+    with pytest.raises(InputError, match="terminal was closed before"):
         measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
     assert not camera.light.shines
     assert camera.state in {"closed", "stopped"}  # stopped, where it never came to be opened

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from app.evaluation.benchmark.live.figures import LiveFigures, Verdict
-from app.host import machine_facts, versions
+from app.run_facts import machine_facts, versions
 from app.timing import Summary
 
 _COLUMNS = 80  # that the table needs

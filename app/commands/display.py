@@ -1,4 +1,4 @@
-"""Whether there is a display for a window."""
+"""Detection of a display for windows."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ _PLATFORM = "QT_QPA_PLATFORM"
 
 
 def use_display() -> bool:
-    """Return whether a window can be seen; where not, have Qt, which is not loaded here, draw windows unseen."""
-    is_there = _has_display()
-    if not is_there:
+    """Return whether windows can be seen; if not, make Qt, which is not loaded yet, draw offscreen."""
+    has_display = _has_display()
+    if not has_display:
         os.environ[_PLATFORM] = "offscreen"
-    return is_there
+    return has_display
 
 
 def _has_display() -> bool:

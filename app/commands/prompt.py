@@ -1,4 +1,4 @@
-"""What only a person at the bench can do, asked for on the terminal."""
+"""Requests on the terminal for what only a person at the bench can do."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from app.errors import InputError
 
 
 def ask(request: str) -> None:
-    """Have it done, and wait for Enter; an `InputError` where nobody can answer."""
+    """Print a request and wait for Enter; `InputError` if no terminal is attached."""
     if not sys.stdin.isatty():
         raise InputError(f"nobody is there to {request}: this bench is worked by hand, so run it in a terminal")
     sys.stderr.write(f"{request}, then press Enter\n")
     if not sys.stdin.readline():
-        raise InputError(f"nobody said that it was done: {request}")
+        raise InputError(f"the terminal was closed before this was done: {request}")
