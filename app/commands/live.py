@@ -30,7 +30,7 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
     """
     if not use_display():
         seconds = seconds or _UNATTENDED_S
-    from app.gui.live import run_live
+    from app.gui.application import run_window
 
     made: list[Acquisition] = []  # another one after each reconnection
 
@@ -50,9 +50,9 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
 
         begin = start_up if player is None else player.begin
         if seconds is None:
-            return run_live(make, begin=begin)
+            return run_window(make, begin=begin)
         make_folder(out)
-        status = run_live(
+        status = run_window(
             make,
             offscreen_s=seconds,
             screenshot=out / "window.png",

@@ -55,9 +55,9 @@ def live_benchmark(plan: LivePlan, report: Report) -> LiveFigures:
 
 
 def _run_in_window(course: Course) -> None:
-    from app.gui.live import run_live
+    from app.gui.application import run_window
 
-    run_live(lambda: course.acquisition, begin=lambda _: course.begin(), until=course.look)
+    run_window(lambda: course.acquisition, begin=lambda _: course.begin(), until=course.look)
 
 
 def _run(course: Course) -> None:

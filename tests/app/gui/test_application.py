@@ -17,14 +17,14 @@ from support.patience import HANG_S
 
 from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
-from app.gui.live import run_live
+from app.gui.application import run_window
 from drivers.interface import Disconnected
 
 pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
 
 
 @contextmanager
-def once_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
+def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
     """Have something done from the event loop as soon as the camera's light is on."""
     timer = QTimer()
 
@@ -42,7 +42,7 @@ def once_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
 def test_unattended_run_leaves_a_picture_and_a_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    status = run_live(
+    status = run_window(
         lambda: Acquisition(BENCH, opener(camera)),
         offscreen_s=0.3,
         screenshot=tmp_path / "window.png",
@@ -61,7 +61,7 @@ def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplic
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
     with pytest.raises(RunError, match=r"^no camera was found"):
-        run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.3)
+        run_window(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.3)
     assert qapp is QApplication.instance()
 
 
@@ -73,8 +73,8 @@ def test_signal_closes_the_window_and_turns_the_light_off(
     assert qapp is QApplication.instance()
     camera = FakeCamera()
     before = signal.getsignal(number)
-    with once_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
-        run_live(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
+    with when_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
+        run_window(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=offscreen_s)
     assert camera.is_closed
     assert not camera.light.shines
     assert signal.getsignal(number) == before
@@ -83,8 +83,8 @@ def test_signal_closes_the_window_and_turns_the_light_off(
 def test_unattended_run_whose_window_is_closed_is_no_success(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    with once_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
-        run_live(
+    with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
+        run_window(
             lambda: Acquisition(BENCH, opener(camera)),
             offscreen_s=HANG_S,
             screenshot=tmp_path / "window.png",

@@ -1,4 +1,4 @@
-"""`svwfs live`: the application around the window."""
+"""The Qt application: runs the window until its user, a signal or an unattended run closes it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 from app.signals import ended_by
 
-_GIVE_UP_S = 120.0  # how long an unattended run waits for its first wavefront
+_FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
 
-def run_live(
+def run_window(
     make_acquisition: Callable[[], Acquisition],
     *,
     offscreen_s: float | None = None,
@@ -30,13 +30,31 @@ def run_live(
     until: Callable[[], bool] | None = None,
     begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
 ) -> int:
-    """Show the window until it is closed, and return the exit status; each acquisition has to `begin` first.
+    """Run the window until it closes, and return the exit status.
 
-    With `offscreen_s` it closes by itself, so long after its first wavefront: a picture of it is saved to
-    `screenshot`, and the last measurement that has a wavefront is given to `on_finish`. With `until`, which is asked
-    ten times a second, it closes when that is true. `RunError` is raised when that does not come about: no wavefront
-    comes, the devices fail, somebody closes the window before; `InputError` when the bench cannot be; and what `until`
-    raises. Ctrl-C and its like close the window as its user would; then `Interrupted` is raised.
+    Parameters
+    ----------
+    make_acquisition
+        Makes the acquisition, again at each reconnection.
+    offscreen_s
+        Close this long after the first wavefront: an unattended run.
+    screenshot
+        Image file that an unattended run saves.
+    on_finish
+        Receives the last measurement with a wavefront of an unattended run.
+    until
+        Polled at 10 Hz; the window closes when it returns True. Its errors are raised here.
+    begin
+        First commands of each acquisition.
+
+    Raises
+    ------
+    RunError
+        The run did not finish: no wavefront, a device failed, or the window was closed early.
+    InputError
+        The bench is invalid.
+    Interrupted
+        A signal such as Ctrl-C closed the window.
     """
     qInstallMessageHandler(_pass_on)
     application = QApplication.instance()
@@ -46,15 +64,15 @@ def run_live(
     apply_theme(application)
     window = MainWindow(make_acquisition, begin=begin)
     if offscreen_s is not None:
-        until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).look
+        until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).is_done
     watch = None if until is None else _Watch(window, until)
     signals: list[int] = []
 
     def end(number: int, _frame: object) -> None:
         signals.append(number)
-        QTimer.singleShot(0, window.close)  # in the event loop, even when that has not begun
+        QTimer.singleShot(0, window.close)  # works before the event loop starts, too
 
-    with ended_by(end):  # the window's timer lets Python notice
+    with ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
             window.connect_devices()
@@ -62,8 +80,8 @@ def run_live(
         finally:
             window.close()
     if window.is_stuck:
-        raise RunError("a device does not answer: the light may still be on, switch it off by hand")
-    if window.failure:  # of the closing, too, when there is no window left to tell it
+        raise RunError("a device does not answer, so the light may still be on: switch it off by hand")
+    if window.failure:  # may have come while closing
         raise window.error
     if signals:
         raise Interrupted("interrupted: the light is off")
@@ -73,42 +91,42 @@ def run_live(
 
 
 def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -> None:
-    """Let Qt speak on standard error, but not of what an unseen window cannot do and need not."""
+    """Print Qt's messages, except one that the offscreen platform emits for every window."""
     if text and "propagateSizeHints" not in text:
         sys.stderr.write(f"{text}\n")
 
 
 class _Watch:
-    """Closes a window when what it was opened for is done, or cannot be."""
+    """Closes the window when its run is done or has failed."""
 
     def __init__(self, window: MainWindow, is_done: Callable[[], bool]) -> None:
         self._window, self._is_done = window, is_done
         self._error: Exception | None = RunError("the window was closed before the run had finished")
         self._timer = QTimer(window)
         self._timer.setInterval(100)
-        self._timer.timeout.connect(self._look)
+        self._timer.timeout.connect(self._poll)
         self._timer.start()
 
     def check(self) -> None:
-        """Raise why the run did not finish, unless it did."""
+        """Raise the reason if the run did not finish."""
         if self._error is not None:
             raise self._error
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         try:
             if self._window.failure:
-                raise self._window.error  # noqa: TRY301 - there is one way out
+                raise self._window.error  # noqa: TRY301 - one way out
             if not self._is_done():
                 return
             self._error = None
-        except Exception as error:  # noqa: BLE001 - none may meet Qt, which would abort the program
+        except Exception as error:  # noqa: BLE001 - an error in a Qt slot would abort the program
             self._error = error
         self._timer.stop()
         self._window.close()
 
 
 class _UnattendedRun:
-    """A run that nobody watches."""
+    """Waits for the end of an unattended run and saves its results."""
 
     def __init__(
         self,
@@ -119,7 +137,7 @@ class _UnattendedRun:
     ) -> None:
         self._window, self._duration_s = window, duration_s
         self._screenshot, self._on_finish = screenshot, on_finish
-        self._deadline_s = time.monotonic() + _GIVE_UP_S
+        self._deadline_s = time.monotonic() + _FIRST_WAVEFRONT_S
         self._last: Measurement | None = None
         window.measurement_shown.connect(self._note)
 
@@ -129,12 +147,12 @@ class _UnattendedRun:
                 self._deadline_s = time.monotonic() + self._duration_s
             self._last = measurement
 
-    def look(self) -> bool:
-        """Say whether its time is over; then leave the picture and the last measurement, or raise why there is none."""
+    def is_done(self) -> bool:
+        """Return whether the time is over, and save the results then."""
         if time.monotonic() < self._deadline_s:
             return False
         if self._last is None:
-            raise RunError(f"no wavefront within {_GIVE_UP_S:g} s: {self._window.messages.text.text()}")
+            raise RunError(f"no wavefront within {_FIRST_WAVEFRONT_S:g} s: {self._window.messages.text.text()}")
         self._window.update_text()
         if self._screenshot is not None and not self._window.save_screenshot(self._screenshot):
             raise RunError(f"{self._screenshot}: cannot be written")
