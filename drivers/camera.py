@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 from drivers.device import Device, Property
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
@@ -188,6 +188,20 @@ class Camera(Device):
         if self.is_running:
             with self._talking():
                 self._stop()
+
+    @contextmanager
+    def paused(self) -> Iterator[Self]:
+        """Stop a running camera for a `with` block and restart it afterwards, also when the block fails.
+
+        A camera that is lost or closed by then stays so; one that was stopped is not started.
+        """
+        was_running = self.is_running
+        self.stop()
+        try:
+            yield self
+        finally:
+            if was_running and self.state == "stopped":
+                self.start()
 
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest frame not yet read, waiting at most `timeout_s`, else raise `DeviceTimeout`.

@@ -215,9 +215,7 @@ class Instrument:
         """
         camera, before = self.devices.camera, SensorArea.of(self.devices.camera)
         whole = camera.capabilities.sensor
-        was_running = camera.is_running
-        camera.stop()
-        try:
+        with camera.paused():
             taken = set_area(camera, area)
             try:
                 bench = moved(self._bench, before, taken, whole)
@@ -225,9 +223,6 @@ class Instrument:
             except BadValue:
                 set_area(camera, before)
                 raise
-        finally:
-            if was_running and camera.state == "stopped":
-                camera.start()
         if taken != before:
             self._bench, self._lattice = bench, lattice
             self._prepare()
@@ -285,19 +280,16 @@ class Instrument:
             self._problem = self._doubt_of_reference(now)
             return
         dark = self._dark if _fits(self._dark_taken, now) else None
-        was_running = camera.is_running
-        camera.stop()
         try:
-            calibration = Calibration.of(bench, dark, self._reference, camera.capabilities.full_scale)
-            self._lattice = calibration.lattice
-            self._reconstructor = calibration.reconstructor()
-            self._calibration = calibration
-            if bench.reconstruction.refine:
-                self._refinement = LiveRefinement(bench, self._reconstructor)
+            with camera.paused():
+                calibration = Calibration.of(bench, dark, self._reference, camera.capabilities.full_scale)
+                self._lattice = calibration.lattice
+                self._reconstructor = calibration.reconstructor()
+                self._calibration = calibration
+                if bench.reconstruction.refine:
+                    self._refinement = LiveRefinement(bench, self._reconstructor)
         except ReconstructionError as error:
             self._problem = str(error)
-        if was_running:
-            camera.start()
 
     def _doubt_of_dark(self, now: Circumstances) -> str:
         """Why the dark does not go with the frames of now; empty when it does."""

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench
-from drivers.interface import BadValue, Camera
 from reconstruction.geometry import Lattice
 
 
@@ -29,13 +26,13 @@ def set_exposure(instrument: Instrument, exposure_s: float) -> None:
 
 def set_amplifier(instrument: Instrument, amplifier: str) -> None:
     """Choose the camera's amplifier, stopping it for the change."""
-    with _stopped(instrument.devices.camera) as camera:
+    with instrument.devices.camera.paused() as camera:
         camera.set_amplifier(amplifier)
 
 
 def set_readout_speed(instrument: Instrument, readout_speed: int) -> None:
     """Choose the camera's readout speed, stopping it for the change."""
-    with _stopped(instrument.devices.camera) as camera:
+    with instrument.devices.camera.paused() as camera:
         camera.set_readout_speed(readout_speed)
 
 
@@ -77,18 +74,3 @@ def change_setting(section: str, key: str, instrument: Instrument, value: Any) -
         return replace(bench, **changed)
 
     instrument.change_settings(change)
-
-
-@contextmanager
-def _stopped(camera: Camera) -> Iterator[Camera]:
-    """Stop a running camera for a while; it goes on also when what is asked for is refused."""
-    was_running = camera.is_running
-    camera.stop()
-    try:
-        yield camera
-    except BadValue:
-        if was_running:
-            camera.start()
-        raise
-    if was_running:
-        camera.start()

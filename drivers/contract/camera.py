@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
@@ -95,6 +95,19 @@ def check_starts_anew(camera: Camera) -> None:
         camera.stop()
         require(not camera.is_running, "it runs after it was stopped")
         require_raises(WrongState, "read after stop", lambda: camera.read(0.0))
+
+
+def check_pauses(camera: Camera) -> None:
+    """It pauses for a change and then goes on, also when the change is refused; stopped, it stays so."""
+    with camera.paused():
+        require(not camera.is_running, "a pause started it")
+    require(not camera.is_running, "the end of a pause started it though it was stopped")
+    with _running(camera):
+        for exposure_s in (camera.exposure_s, _NAN):
+            with suppress(BadValue), camera.paused():
+                require(not camera.is_running, "it runs in a pause")
+                camera.set_exposure(exposure_s)
+            require(_next(camera).index == 0, "the first frame after a pause is not number 0")
 
 
 def check_exposures(camera: Camera) -> None:
@@ -265,6 +278,7 @@ CAMERA_CHECKS: tuple[Callable[[Camera], None], ...] = (
     check_frames,
     check_timeout,
     check_starts_anew,
+    check_pauses,
     check_exposures,
     check_exposure_while_running,
     check_gain,

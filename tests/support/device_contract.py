@@ -89,6 +89,12 @@ class CameraContract:
     def test_closes_for_good(self, camera: Camera) -> None:
         camera_contract.check_closes_for_good(camera)
 
+    def test_closed_in_a_pause_it_stays_closed(self, camera: Camera) -> None:
+        camera.start()
+        with camera.paused():
+            camera.close()
+        _expect_state(camera, "closed")
+
     def test_opens_anew(self, camera: Camera, reopen: Callable[[], Camera]) -> None:
         camera_contract.check_opens_anew(camera, reopen)
 
@@ -116,6 +122,17 @@ class CameraFaultContract(CameraContract):
             assert elapsed_s() - pulled_s() < AT_ONCE_S
         _expect_state(camera, "lost")
         camera.close()
+
+    def test_unplugged_in_a_pause_it_is_lost(self, camera: Camera, faults: CameraFaults) -> None:
+        def lose() -> None:
+            with camera.paused():
+                faults.unplug()
+                _repeat(lambda: camera.exposure_s)
+
+        camera.start()
+        with pytest.raises(Disconnected):
+            lose()
+        _expect_state(camera, "lost")
 
     def test_unplugged_in_the_middle_of_a_command(self, camera: Camera, faults: CameraFaults) -> None:
         allowed = camera.capabilities.exposure_range_s

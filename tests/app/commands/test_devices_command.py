@@ -102,7 +102,7 @@ def test_a_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
     device_report.check_and_print("dcam:S/N 1")
     told = capsys.readouterr().out
     assert "Simulated C9100-23B" in told
-    assert "dcam:S/N 1 passes all 14 checks" in told
+    assert "dcam:S/N 1 passes all 15 checks" in told
     assert "FAILED" not in told
 
 
@@ -147,7 +147,7 @@ def test_a_camera_that_breaks_its_word_fails(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SimulatedCamera, "_set_em_gain", lambda self, em_gain: em_gain)  # says so, and does nothing
-    with pytest.raises(RunError, match="dcam:S/N 1 fails 1 of 14 checks"):
+    with pytest.raises(RunError, match="dcam:S/N 1 fails 1 of 15 checks"):
         device_report.check_and_print("dcam:S/N 1")
     assert "  FAILED The gain stays in its range, and a refused one leaves the one before" in capsys.readouterr().out
 
