@@ -1,22 +1,23 @@
-"""What is being done, and how much of it: what long work tells whoever waits for it."""
+"""Progress callbacks of long work."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
+Progress = Callable[[str, float], None]
+"""Receives the present step in words and the share that is done, 0 ... 1."""
 
 
-def part(report: Report, index: int, count: int) -> Report:
-    """Return the report of one part of several."""
-    return between(report, index / count, (index + 1) / count)
+def part(progress: Progress, index: int, count: int) -> Progress:
+    """Return the callback for one of `count` equal parts of the work."""
+    return between(progress, index / count, (index + 1) / count)
 
 
-def named(report: Report, name: str) -> Report:
-    """Return the report of work that says first what it belongs to."""
-    return lambda text, fraction: report(f"{name}: {text}", fraction)
+def named(progress: Progress, name: str) -> Progress:
+    """Return a callback that puts a name before each step."""
+    return lambda text, fraction: progress(f"{name}: {text}", fraction)
 
 
-def between(report: Report, first: float, last: float) -> Report:
-    """Return the report of work that is the share from `first` to `last` of the whole."""
-    return lambda text, fraction: report(text, first + (last - first) * fraction)
+def between(progress: Progress, first: float, last: float) -> Progress:
+    """Return the callback for the share of the work from `first` to `last`."""
+    return lambda text, fraction: progress(text, first + (last - first) * fraction)

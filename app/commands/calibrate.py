@@ -16,7 +16,7 @@ from app.bench.presets import PRESETS
 from app.commands.reconstruct import full_scale
 from app.errors import InputError
 from app.files import atomic_write, read_image
-from app.progress import Report
+from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey, survey
@@ -35,7 +35,7 @@ class Found:
     survey: Survey
 
 
-def calibrate(reference: Path, *, dark: Path | None, bench: Bench, report: Report = lambda *_: None) -> Found:
+def calibrate(reference: Path, *, dark: Path | None, bench: Bench, report: Progress = lambda *_: None) -> Found:
     """Find the lattice in a reference from image files; whatever is wrong with them is an `InputError` that says so."""
     image = read_image(reference)
     dark_image = None if dark is None else read_image(dark)

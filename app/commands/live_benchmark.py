@@ -9,13 +9,13 @@ from app.commands.display import use_display
 from app.evaluation.benchmark.live.course import Course
 from app.evaluation.benchmark.live.figures import LiveFigures
 from app.evaluation.benchmark.live.plan import LivePlan, recording_folder
-from app.progress import Report, between, named
+from app.progress import Progress, between, named
 
 _LOOK_S = 0.1
 _WARM_UP_S = 3.0  # of the run without a window: nothing of it is about memory
 
 
-def live_benchmark(plan: LivePlan, report: Report) -> LiveFigures:
+def live_benchmark(plan: LivePlan, report: Progress) -> LiveFigures:
     """Measure; where there is no display the window is drawn unseen.
 
     Whatever ends it, Ctrl-C too, the light goes off and the recording is removed.

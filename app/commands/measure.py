@@ -16,7 +16,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.commands.prompt import ask
 from app.errors import InputError, Interrupted, RunError
-from app.progress import Report
+from app.progress import Progress
 from app.recording.folder import check_free
 from app.recording.layout import RUN
 from app.recording.reader import Recording
@@ -27,7 +27,7 @@ _POLL_S = 0.05
 
 
 def measure(
-    bench: Bench, frames: int, out: Path, report: Report, *, average: int = FRAMES, auto_expose: bool = False
+    bench: Bench, frames: int, out: Path, report: Progress, *, average: int = FRAMES, auto_expose: bool = False
 ) -> Measured:
     """Record `frames` frames into the folder `out`, and write beside them the results, the dark and the reference.
 
@@ -73,7 +73,7 @@ def measure(
     return measured
 
 
-def _calibrate(acquisition: Acquisition, bench: Bench, average: int, report: Report, *, auto_expose: bool) -> None:
+def _calibrate(acquisition: Acquisition, bench: Bench, average: int, report: Progress, *, auto_expose: bool) -> None:
     """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample.
 
     A reference that no frame could be reconstructed with is told at once, before the sample is moved.
@@ -96,7 +96,7 @@ def _problem(instrument: Instrument) -> str:
     return "" if instrument.calibration is not None else instrument.status().warning
 
 
-def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, report: Report) -> None:
+def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, report: Progress) -> None:
     """Record from the first frame with the sample on, or from the first that is refined."""
 
     def begin() -> Future[None]:
@@ -114,7 +114,7 @@ def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, repo
         time.sleep(_POLL_S)
 
 
-def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, report: Report) -> None:
+def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, report: Progress) -> None:
     for step in steps:
         while not step.done():
             report(acquisition.activity.text, acquisition.activity.progress)

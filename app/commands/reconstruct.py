@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.files import read_image
 from app.measurement.imaging_model import BenchModel
+from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.lattice.search import find_lattice
 from reconstruction.refinement import Refinement
@@ -28,11 +28,8 @@ class Reconstructed:
     changes_rad: tuple[float, ...]  # mean over the views of the RMS by which each round of refinement changed it
 
 
-Report = Callable[[str, float], None]  # what is being done, and how much of it, 0 ... 1
-
-
 def reconstruct_files(
-    frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, report: Report
+    frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, report: Progress
 ) -> Reconstructed:
     """Reconstruct one frame from image files and refine it in at most `refine` rounds.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from app.bench.config import Bench
 from app.files import write_image
-from app.progress import Report
+from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.repeat import Repeated, repeated
 from app.results.dataset import write_pieces
@@ -48,7 +48,7 @@ class Measured:
         self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
 
 
-def write_measured(recording: Recording, bench: Bench, report: Report) -> Measured:
+def write_measured(recording: Recording, bench: Bench, report: Progress) -> Measured:
     """Write `results.nc`, `dark.tif` and `reference.tif` into a recording's folder, and say what came out.
 
     Every frame is reconstructed, also those that were passed over live. Without any there is no `results.nc`.
@@ -73,7 +73,7 @@ def _write_calibration(recording: Recording) -> None:
                 write_image(recording.folder / f"{name}.tif", average.mean)
 
 
-def _counted(recording: Recording, measured: Measured, report: Report) -> Iterator[Repeated]:
+def _counted(recording: Recording, measured: Measured, report: Progress) -> Iterator[Repeated]:
     """Every frame, counted as it comes."""
     for made in repeated(recording):
         measured.take(made)

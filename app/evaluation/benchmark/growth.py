@@ -11,7 +11,7 @@ from functools import partial
 
 from app.evaluation.benchmark.cases import Case, tiled
 from app.evaluation.benchmark.stopwatch import side_by_side
-from app.progress import Report
+from app.progress import Progress
 from reconstruction.settings import FIELD_MODES, RegistrationSettings, Warp
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront
@@ -39,7 +39,7 @@ class Grown:
         return asdict(self)
 
 
-def growth(case: Case, sizes: Sequence[int], budget_s: float, report: Report) -> list[Grown]:
+def growth(case: Case, sizes: Sequence[int], budget_s: float, report: Progress) -> list[Grown]:
     """Quadratic warps on lattices of several sizes; affine and cubic ones on that of the case itself."""
     own = case.sensor.lenslet_rows
     wanted: list[tuple[int, Warp]] = [(size, "quadratic") for size in sizes]

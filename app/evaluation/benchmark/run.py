@@ -18,7 +18,7 @@ from app.evaluation.benchmark.ours import OURS, OURS_ONE_THREAD, coefficients_of
 from app.evaluation.benchmark.residuals import residual_rad
 from app.evaluation.benchmark.southwell import bare_southwell
 from app.evaluation.benchmark.stopwatch import Times, side_by_side
-from app.progress import Report, between, named
+from app.progress import Progress, between, named
 from app.run_facts import machine_facts, versions
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.runtime.threads import one_blas_thread
@@ -47,13 +47,13 @@ class Plan:
     peers: tuple[str, ...] = (*_RATIOS, *_OWN_ROWS)
 
 
-def run_benchmark(plan: Plan, report: Report) -> Json:
+def run_benchmark(plan: Plan, report: Progress) -> Json:
     """Run everything, BLAS in one thread as in the live path."""
     with one_blas_thread():
         return _run(plan, report)
 
 
-def _run(plan: Plan, report: Report) -> Json:
+def _run(plan: Plan, report: Progress) -> Json:
     report("rendering", 0.0)
     clean = noise_free(plan.bench)
     grainy = noisy(clean, np.random.default_rng(1))
@@ -94,7 +94,7 @@ def _run(plan: Plan, report: Report) -> Json:
 
 
 def _race(
-    clean: Case, grainy: Case, plan: Plan, report: Report
+    clean: Case, grainy: Case, plan: Plan, report: Progress
 ) -> tuple[dict[str, Times], dict[str, dict[str, float]], dict[str, str]]:
     """Times on the noisy frame, residuals on both, and who could not take part."""
     missing: dict[str, str] = {}
@@ -186,6 +186,6 @@ def _forward(case: Case, budget_s: float, missing: dict[str, str]) -> Json:
     return found
 
 
-def _part(report: Report, first: float, last: float) -> Report:
+def _part(report: Progress, first: float, last: float) -> Progress:
     """The report of work that is the share from `first` to `last` of the whole."""
     return named(between(report, first, last), "timing")

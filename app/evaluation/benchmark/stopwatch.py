@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from app.progress import Report
+from app.progress import Progress
 
 _TURN_S = 0.02  # what is quicker is called again and again for so long, before the next one's turn
 _LEAST_CALLS = 3
@@ -33,7 +33,7 @@ class Times:
 
 
 def side_by_side(
-    contestants: Mapping[str, Callable[[], Any]], budget_s: float, report: Report | None = None
+    contestants: Mapping[str, Callable[[], Any]], budget_s: float, report: Progress | None = None
 ) -> dict[str, Times]:
     """Call all contestants in turn until each has had `budget_s` and three calls; the first call of each is not timed.
 

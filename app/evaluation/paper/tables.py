@@ -14,7 +14,7 @@ from app.evaluation.noise_free import seeded
 from app.evaluation.paper.frames import Frames, exposed_frames, noise_free_frames, resized
 from app.evaluation.paper.methods import METHODS, PAPER_TABLE_1, PAPER_TABLE_2, Mask, Method
 from app.evaluation.paper.residuals import Measured, measured
-from app.progress import Report, part
+from app.progress import Progress, part
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 
@@ -76,7 +76,7 @@ class Table:
         self.last[name] = truth, result.views
 
 
-def table1(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
+def table1(bench: Bench, seeds: int, *, peers: bool, report: Progress) -> Table:
     """The paper's simulation: every method on noise-free frames of the same screens, against the truth."""
     table = Table("table1", "Simulation: residual RMS (rad) against the truth", PAPER_TABLE_1, "truth", _inside(bench))
     methods = _methods(peers=peers)
@@ -88,7 +88,7 @@ def table1(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
     return table
 
 
-def table2(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
+def table2(bench: Bench, seeds: int, *, peers: bool, report: Progress) -> Table:
     """The paper's experiment, through the whole instrument: noisy frames, both exposures, the stars as the truth.
 
     Every method is run twice: on windows at their true sub-pixel centres, and (`_resized`) as in the paper on frames
@@ -111,7 +111,7 @@ def table2(bench: Bench, seeds: int, *, peers: bool, report: Report) -> Table:
     return table
 
 
-def sources(bench: Bench, seeds: int, *, report: Report) -> Table:
+def sources(bench: Bench, seeds: int, *, report: Progress) -> Table:
     """The robustness study of the paper's supplement: the same screens behind sources of other shapes."""
     table = Table("sources", "Other sources: residual RMS (rad) against the truth", {}, "truth", _inside(bench))
     kinds = ("affine_zonal", "affine_modal", "quadratic_zonal", "quadratic_modal")
@@ -149,7 +149,7 @@ def _run(
     frames: Mapping[str, Frames],
     truth: Floats,
     methods: Mapping[str, Method],
-    report: Report,
+    report: Progress,
 ) -> None:
     for done, (name, method) in enumerate(methods.items()):
         report(name, done / len(methods))

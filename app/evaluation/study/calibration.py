@@ -21,7 +21,7 @@ from app.evaluation.study.noise import camera
 from app.evaluation.study.trials import Trial, TrialStudy
 from app.files import read_image
 from app.measurement.imaging_model import by_pixel
-from app.progress import Report
+from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice, Sensor
@@ -59,7 +59,7 @@ class _Frame:
     seed: int
 
 
-def _run(bench: Bench, seeds: int, report: Report) -> Iterator[Trial]:
+def _run(bench: Bench, seeds: int, report: Progress) -> Iterator[Trial]:
     for done, seed in enumerate(range(seeds)):
         frames = [*_foreign(seed), *_as_it_is(bench, seed), *_random(bench, seed)]
         for index, frame in enumerate(frames):

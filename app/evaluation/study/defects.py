@@ -12,7 +12,7 @@ from app.evaluation.noise_free import NoiseFreeFrame, NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import Estimators, observed
 from app.evaluation.study.observations import Observation, Sweep
 from app.measurement.imaging_model import by_pixel
-from app.progress import Report
+from app.progress import Progress
 from reconstruction.geometry import Lattice, nominal_lattice
 from reconstruction.settings import Warp
 
@@ -60,10 +60,12 @@ def _collimator(bench: Bench, error: float) -> Bench:
     return replace(bench, field=replace(bench.field, collimator_focal_length_m=focal_length_m))
 
 
-def _over(values: tuple[float, ...], kinds: dict[str, _Wrong]) -> Callable[[Bench, int, Report], Iterator[Observation]]:
+def _over(
+    values: tuple[float, ...], kinds: dict[str, _Wrong]
+) -> Callable[[Bench, int, Progress], Iterator[Observation]]:
     """Tell the estimators of a bench that is wrong in one way by each value; its frames are those of the right one."""
 
-    def run(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
+    def run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
         mask = bench.simulation.source.mask
         reference = NoiseFreeFrames(bench).reference(mask)
         frames = _frames(bench, seeds)
@@ -77,7 +79,7 @@ def _over(values: tuple[float, ...], kinds: dict[str, _Wrong]) -> Callable[[Benc
     return run
 
 
-def _dead(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
+def _dead(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
     mask = bench.simulation.source.mask
     reference = NoiseFreeFrames(bench).reference(mask)
     shape = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns

@@ -13,7 +13,7 @@ from app.evaluation.noise_free import NoiseFreeFrame, NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import AUTOMATIC, REFINED, ROUNDS, Estimator, observed
 from app.evaluation.study.observations import At, Observation, Sweep
 from app.evaluation.study.screens import with_screen
-from app.progress import Report
+from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.refinement import distance_rad
 from reconstruction.settings import ReconstructionSettings, Warp
@@ -35,7 +35,7 @@ _FILM_S = sorted({age_s * back for age_s in _AGES_S for back in range(ROUNDS + 1
 _STEP_M = 10e-6  # over which the wavefront's change is measured
 
 
-def _run(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
+def _run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
     mask = bench.simulation.source.mask
     reference = NoiseFreeFrames(bench).reference(mask)
     films = []

@@ -20,7 +20,7 @@ from app.evaluation.study.trials import Trial, TrialStudy
 from app.measurement.routines import RoutineError, auto_expose
 from app.measurement.routines.auto_exposure import FILL, TOLERANCE
 from app.measurement.routines.exposure_search import MOST_FRAMES
-from app.progress import Report
+from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from simulated_devices.exposure_bench import PITCH_PX, Scene, exposure_bench, spots, squares
@@ -56,7 +56,7 @@ _CAMERAS = (
 )
 
 
-def _run(_bench: Bench, seeds: int, report: Report) -> Iterator[Trial]:
+def _run(_bench: Bench, seeds: int, report: Progress) -> Iterator[Trial]:
     cells = list(itertools.product(_CAMERAS, _CURRENTS_A))
     for done, (camera, current_a) in enumerate(cells):
         report(f"{camera.name}, {current_a:g} A", done / len(cells))

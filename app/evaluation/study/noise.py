@@ -13,7 +13,7 @@ from app.bench.config import Bench
 from app.evaluation.noise_free import NoiseFreeFrame, NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import Estimator, Estimators, mean_rms, observed
 from app.evaluation.study.observations import Observation, Sweep
-from app.progress import Report
+from app.progress import Progress
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
@@ -75,7 +75,7 @@ def camera(bench: Bench, speed: int, em_gain: float) -> EmCamera:
     )
 
 
-def _photons(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
+def _photons(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
     em_camera = camera(bench, _SLOW, 1.0)
     for done, (seed, reference, frame) in enumerate(_screens(bench, seeds)):
         for index, peak_e in enumerate(_PEAKS_E):
@@ -112,7 +112,7 @@ def _share_of_noise(
     yield replace(total, curve="quadratic, modal 45: its error bar", rms_rad=predicted_rad)
 
 
-def _em_gain(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
+def _em_gain(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
     settings = [(f"37 e- read noise, {peak_e:g} e-", _FAST, gain, peak_e) for peak_e in _DIM_PEAKS_E for gain in _GAINS]
     settings += [(f"8 e- read noise, {peak_e:g} e-", _SLOW, 1.0, peak_e) for peak_e in _DIM_PEAKS_E]
     for done, (seed, reference, frame) in enumerate(_screens(bench, seeds)):

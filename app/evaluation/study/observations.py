@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from app.bench.config import Bench
-from app.progress import Report
+from app.progress import Progress
 
 At = float | str  # what is varied: a number on the sweep's axis, or a name
 
@@ -46,7 +46,7 @@ class Sweep:
     name: str
     title: str
     axis: str  # what is varied, with its unit
-    run: Callable[[Bench, int, Report], Iterator[Observation]]
+    run: Callable[[Bench, int, Progress], Iterator[Observation]]
     axis_per_si: float = 1.0  # what `axis` says, for a number that is varied
     is_logarithmic: bool = False  # the axis of what is varied
     left_out: tuple[str, ...] = ()  # of the figure: curves that have one of these in their names

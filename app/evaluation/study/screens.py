@@ -10,7 +10,7 @@ from app.bench.config import Bench
 from app.evaluation.noise_free import NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import Estimators
 from app.evaluation.study.observations import Observation, Sweep
-from app.progress import Report
+from app.progress import Progress
 
 _RMS_RAD = (0.5, 1.0, 2.0, 4.2, 6.0, 8.0, 10.0, 12.0, 15.0)
 _CORRELATION_LENGTHS_M = (1.0e-3, 1.25e-3, 1.6e-3, 2.0e-3, 2.5e-3, 3.0e-3, 4.0e-3)
@@ -34,11 +34,11 @@ def with_screen(bench: Bench, **changes: Any) -> Bench:
 
 def _over(
     values: Iterable[float], change: Callable[[Bench, float], Bench], first_seed: int | None = None
-) -> Callable[[Bench, int, Report], Iterator[Observation]]:
+) -> Callable[[Bench, int, Progress], Iterator[Observation]]:
     """Observe noise-free frames of the bench that `change` makes for each value; the reference is always the same."""
     values = tuple(values)
 
-    def run(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
+    def run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
         mask = bench.simulation.source.mask
         estimators = Estimators(bench, NoiseFreeFrames(bench).reference(mask))
         for done, screen in enumerate(seeded(bench, seeds, first_seed)):

@@ -15,7 +15,7 @@ from app.evaluation.noise_free import NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import Estimators
 from app.evaluation.study.observations import Observation, Sweep
 from app.files import atomic_write
-from app.progress import Report
+from app.progress import Progress
 from simulated_devices.optics.source import source_points
 from simulated_devices.settings import Mask, Source
 
@@ -23,7 +23,7 @@ _MASKS: tuple[Mask, ...] = ("square", "circle", "octagon", "ellipse", "peaks")
 _CELLS = 6  # of the checkerboard, along a side
 
 
-def _run(bench: Bench, seeds: int, report: Report) -> Iterator[Observation]:
+def _run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
     source = bench.simulation.source
     sources: dict[str, Source] = {mask: replace(source, mask=mask) for mask in _MASKS}
     sources["checkerboard"] = replace(source, file=str(_checkerboard()), mask="image")

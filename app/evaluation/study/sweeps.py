@@ -19,7 +19,7 @@ from app.evaluation.study.sources import SOURCE
 from app.evaluation.study.trial_output import print_trials, write_trials
 from app.evaluation.study.trials import TrialOutcome, TrialStudy
 from app.files import make_folder
-from app.progress import Report, named, part
+from app.progress import Progress, named, part
 
 SWEEPS: dict[str, Sweep] = {
     sweep.name: sweep
@@ -38,7 +38,7 @@ def chosen_sweeps(names: Sequence[str]) -> list[Sweep | TrialStudy]:
 
 
 def run_study(
-    bench: Bench, studies: Sequence[Sweep | TrialStudy], seeds: int, out: Path, report: Report
+    bench: Bench, studies: Sequence[Sweep | TrialStudy], seeds: int, out: Path, report: Progress
 ) -> list[Outcome | TrialOutcome]:
     """Run sweeps and trials; write what they show into the folder `out` after each.
 

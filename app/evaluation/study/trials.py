@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.bench.config import Bench
-from app.progress import Report
+from app.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +34,7 @@ class TrialStudy:
 
     name: str
     title: str
-    run: Callable[[Bench, int, Report], Iterator[Trial]]
+    run: Callable[[Bench, int, Progress], Iterator[Trial]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from app.bench.config import write_bench
 from app.errors import InputError, RunError
-from app.progress import Report
+from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.repeat import repeated
 from app.recording.selection import chosen_frames
@@ -30,7 +30,7 @@ Format = Literal["tiff", "csv", "netcdf", "psf"]
 _LOOKED_AT = 50  # frames, spread evenly, that tell how far the light of all of them reaches
 
 
-def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, report: Report) -> int:
+def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, report: Progress) -> int:
     """Write frames of a recording, or what its own bench makes of them, to a file; return how many were meant.
 
     A file that is there is left as it is unless it may be overwritten.
@@ -44,7 +44,7 @@ def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite
     return len(chosen)
 
 
-def _write_tiff(recording: Recording, chosen: range, out: Path, report: Report) -> None:
+def _write_tiff(recording: Recording, chosen: range, out: Path, report: Progress) -> None:
     lines = [recording.line(index) for index in chosen]
     time_s = np.array([line.camera_time_s for line in lines])
     bench = first_bench(recording, chosen)
@@ -62,17 +62,17 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, report: Report) 
     )
 
 
-def _write_csv(recording: Recording, chosen: range, out: Path, report: Report) -> None:
+def _write_csv(recording: Recording, chosen: range, out: Path, report: Progress) -> None:
     write_table(out, _reported(repeated(recording, chosen), len(chosen), report, "reconstructing frames"))
 
 
-def _write_netcdf(recording: Recording, chosen: range, out: Path, report: Report) -> None:
+def _write_netcdf(recording: Recording, chosen: range, out: Path, report: Progress) -> None:
     frames = _reported(repeated(recording, chosen), len(chosen), report, "reconstructing frames")
     bench, inputs = first_bench(recording, chosen), {"recording": recording.folder.name}
     write_pieces(out, results_in_pieces((frame, {}) for frame in frames), bench=bench, inputs=inputs)
 
 
-def _write_psf(recording: Recording, chosen: range, out: Path, report: Report) -> None:
+def _write_psf(recording: Recording, chosen: range, out: Path, report: Progress) -> None:
     bench = first_bench(recording, chosen)
     some = chosen[:: max(1, len(chosen) // _LOOKED_AT)]
     reach_rad = psf_reach(_views(recording, some, report, "looking how far the light reaches"), bench.sensor)
@@ -83,14 +83,14 @@ def _write_psf(recording: Recording, chosen: range, out: Path, report: Report) -
     write_psf_grid(out, grid, bench.field, about)
 
 
-def _views(recording: Recording, chosen: range, report: Report, text: str) -> Iterator[Floats]:
+def _views(recording: Recording, chosen: range, report: Progress, text: str) -> Iterator[Floats]:
     """The wavefronts of those frames that have one."""
     for frame in _reported(repeated(recording, chosen), len(chosen), report, text):
         if frame.wavefront is not None:
             yield frame.wavefront.views
 
 
-def _reported(items: Iterable[T], count: int, report: Report, text: str) -> Iterator[T]:
+def _reported(items: Iterable[T], count: int, report: Progress, text: str) -> Iterator[T]:
     """Tell how many have passed."""
     for done, item in enumerate(items, 1):
         yield item

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.bench.config import Bench
 from app.errors import InputError, RunError
-from app.progress import Report
+from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.repeat import Change, Repeated, repeated
 from app.recording.selection import chosen_frames
@@ -48,7 +48,7 @@ def replay(
     frames: str | None,
     out: Path | None,
     verify: bool,
-    report: Report,
+    report: Progress,
 ) -> Replay:
     """Reconstruct recorded frames once more and write the results to `out`, if it is given.
 
@@ -78,7 +78,7 @@ def replay(
 
 
 def _frames(
-    recording: Recording, chosen: range, change: Change | None, made: Replay, report: Report
+    recording: Recording, chosen: range, change: Change | None, made: Replay, report: Progress
 ) -> Iterator[tuple[Repeated, Mapping[str, Variable]]]:
     """Make frame after frame, as recorded or both ways, and pass on what is to be written of each."""
     originals = repeated(recording, chosen)

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 
 from app.errors import InputError
 from app.files import atomic_write
-from app.progress import Report
+from app.progress import Progress
 from app.recording.reader import Recording
 from app.results.replay.change import change_of
 from app.results.report.certainty import draw_certainty
@@ -30,7 +30,7 @@ def report_pages(
     settings: tuple[str, ...],
     frames: str | None,
     overwrite: bool,
-    report: Report,
+    report: Progress,
 ) -> tuple[Summary, Residual | None]:
     """Write the report of a recording as PDF, page after page, or as one PNG; with its facts return what is left.
 

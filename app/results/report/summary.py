@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.progress import Report
+from app.progress import Progress
 from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording
 from app.recording.repeat import Change, Repeated, repeated
@@ -70,7 +70,7 @@ class Summary:
         return whole if count == len(self.lines) else f"{count} of {whole}"
 
 
-def summarise(recording: Recording, frames: str | None, report: Report, *, change: Change | None = None) -> Summary:
+def summarise(recording: Recording, frames: str | None, report: Progress, *, change: Change | None = None) -> Summary:
     """Look through some frames of a recording, all without `frames`; of more than 200, so many are made again.
 
     With a `change` of their calibrations, something else is made of them.

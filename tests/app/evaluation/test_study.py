@@ -24,7 +24,7 @@ from app.evaluation.study import sweeps
 from app.evaluation.study.estimators import mean_rms
 from app.evaluation.study.noise import camera
 from app.evaluation.study.observations import Observation, Outcome, Sweep
-from app.progress import Report, named, part
+from app.progress import Progress, named, part
 
 
 def study(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -74,7 +74,7 @@ def test_an_unknown_sweep_is_refused_before_anything_is_computed(
     assert not (tmp_path / "new").exists()
 
 
-def _one(_bench: Bench, seeds: int, _report: Report) -> Iterator[Observation]:
+def _one(_bench: Bench, seeds: int, _report: Progress) -> Iterator[Observation]:
     yield from (Observation(curve="affine", at="here", rms_rad=0.1 * seed, lost=seed) for seed in range(seeds))
 
 

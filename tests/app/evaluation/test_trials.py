@@ -16,7 +16,7 @@ from support.command_line import run
 from app.bench.config import Bench, load_bench
 from app.evaluation.study import calibration, exposure, sweeps
 from app.evaluation.study.trials import Trial, TrialOutcome, TrialStudy
-from app.progress import Report
+from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey, survey
@@ -27,7 +27,7 @@ def trial(case: str, **figures: float) -> Trial:
     return Trial(case=case, name="", figures=figures, asked=dict.fromkeys(figures, 2.0), **refused)
 
 
-def made(_bench: Bench, seeds: int, _report: Report) -> Iterator[Trial]:
+def made(_bench: Bench, seeds: int, _report: Progress) -> Iterator[Trial]:
     yield from (trial("one", a=float(value), b=0.5) for value in range(1, seeds + 1))
     yield trial("other", a=math.nan, b=math.nan)
 

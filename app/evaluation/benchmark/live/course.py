@@ -21,7 +21,7 @@ from app.errors import InputError, RunError
 from app.evaluation.benchmark.live.memory import resident_mb
 from app.evaluation.benchmark.live.tally import FrameCounts, Tally
 from app.measurement.measurement import Measurement
-from app.progress import Report
+from app.progress import Progress
 from app.timing import Timings
 
 _GIVE_UP_S = 600.0  # how long a bench may take to be rendered, and everything to be compiled
@@ -56,7 +56,7 @@ class Course:
     def __init__(
         self,
         bench: Bench,
-        report: Report,
+        report: Progress,
         *,
         warm_up_s: float,
         seconds: float,

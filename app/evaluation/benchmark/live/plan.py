@@ -11,7 +11,7 @@ from pathlib import Path
 
 from app.bench.config import Bench
 from app.errors import InputError
-from app.progress import Report
+from app.progress import Progress
 from app.recording.recorder import RECENT_S
 from app.signals import ended_by
 
@@ -60,7 +60,7 @@ class LivePlan:
 
 
 @contextmanager
-def recording_folder(plan: LivePlan, report: Report) -> Iterator[Path | None]:
+def recording_folder(plan: LivePlan, report: Progress) -> Iterator[Path | None]:
     """Give a folder for the recording, which is removed at the end however that comes; None when there is to be none.
 
     `InputError` when there is no such folder to make it in, or no room.
