@@ -1,7 +1,7 @@
-"""What a search for devices finds.
+"""Discovery of connected devices.
 
-Every driver's module, or one beside it, offers `find() -> tuple[Found, ...]`: it opens nothing that would change
-anything, switches nothing on, and raises `Unsupported` with what is missing where it cannot even look.
+Each driver offers `discover() -> tuple[DiscoveredDevice, ...]`. It changes nothing, switches nothing on, and raises
+`Unsupported`, naming what is missing, if it cannot search.
 """
 
 from __future__ import annotations
@@ -10,21 +10,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-DeviceKind = Literal["camera", "light"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
-    """A device that is connected, and how a bench names it."""
+class DiscoveredDevice:
+    """A connected device and the bench settings that select it."""
 
-    kind: DeviceKind
-    driver: str  # as a bench names it
-    description: str  # maker, model and serial number, as far as it tells without being opened
-    settings: Mapping[str, str | int] = field(default_factory=dict)  # keys of the bench's section that lead to this one
-    is_certain: bool = True  # a serial port does not say what hangs on it
-    missing: str = ""  # what it takes to use it, when it is seen but cannot be opened as it is: a permission, a cable
+    kind: Literal["camera", "light"]
+    driver: str  # name in a bench
+    description: str  # maker, model and serial number, as far as known without opening it
+    settings: Mapping[str, str | int] = field(default_factory=dict)  # keys of the bench's section
+    is_certain: bool = True  # False for a serial port that could belong to another device
+    missing: str = ""  # what prevents its use, such as a permission or a cable
 
     @property
     def name(self) -> str:
-        """What `svwfs devices --check` calls it."""
+        """Argument for `svwfs devices --check`."""
         return ":".join([self.driver, *map(str, self.settings.values())])

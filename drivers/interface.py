@@ -1,14 +1,17 @@
-"""What every camera, light and stage offers, whoever made it: all that the rest of the program sees of a device.
+"""The device interface: all that the rest of the program sees of a camera, light or stage.
 
-Units are SI (s, A, m). A setter returns the value that the device really took, which may be rounded. Only one
-thread calls a device. Every fault that a device can have leaves it as one of the `DeviceError` family.
+Units are SI (s, A, m). A setter returns the value in force, which the device may have rounded. One thread calls a
+device. Every fault of a device is raised as a `DeviceError`.
 """
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Self
+
 from drivers.camera import Camera, CameraCapabilities, CameraState
 from drivers.device import Device, Property
-from drivers.devices import Devices
 from drivers.errors import (
     BadValue,
     Busy,
@@ -45,3 +48,23 @@ __all__ = [
     "Unsupported",
     "WrongState",
 ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Devices:
+    """The open devices of one bench; `close` turns the light off first."""
+
+    camera: Camera
+    light: LightSource
+    stage: Stage
+    _closing: ExitStack = field(default_factory=ExitStack)
+
+    def close(self) -> None:
+        """Close all of them, each even if another fails."""
+        self._closing.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,37 +1,37 @@
-"""What moves the sample and the mask."""
+"""Stages: they move the sample in and out of the beam and change the mask in front of the light."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 
 from drivers.device import Device, Property
-from drivers.errors import BadValue
+from drivers.errors import BadValue, WrongState
 
 
 class Stage(Device):
-    """What moves the sample in and out of the beam and changes the mask in front of the light."""
+    """A holder of the sample and of the masks."""
 
     def __init__(self) -> None:
         super().__init__("stage")
 
     def properties(self) -> dict[str, Property]:
-        """How it stands."""
+        """Mask and sample position."""
         return {"name": self.name, "mask": self.mask, "is_sample_in": self.is_sample_in}
 
     @property
     def masks(self) -> tuple[str, ...]:
-        """The masks that can be put in, for example ("square", "stars")."""
+        """The available masks, for example ("square", "stars")."""
         with self._talking():
             return self._read_masks()
 
     @property
     def mask(self) -> str:
-        """The mask that is in."""
+        """The mask in use."""
         with self._talking():
             return self._read_mask()
 
     def set_mask(self, mask: str) -> None:
-        """Put another mask in."""
+        """Change the mask."""
         masks = self.masks
         if mask not in masks:
             raise BadValue(f"there is no mask {mask!r}; there are {', '.join(masks)}")
@@ -40,7 +40,7 @@ class Stage(Device):
 
     @property
     def is_sample_in(self) -> bool:
-        """Whether the sample is in the beam."""
+        """True if the sample is in the beam."""
         with self._talking():
             return self._is_sample_in()
 
@@ -50,7 +50,7 @@ class Stage(Device):
             self._set_sample_in(sample_in=sample_in)
 
     def note_sample(self, sample_in: bool) -> None:
-        """Take note that the sample is to be, or by hand was, moved; where there is a motor, it moves it."""
+        """Move the sample, or without a motor record that a person has moved it."""
         self.set_sample_in(sample_in)
 
     @abstractmethod
@@ -70,7 +70,7 @@ class Stage(Device):
 
 
 class OneMaskStage(Stage):
-    """A stage with one mask, which stays in."""
+    """A stage with one fixed mask."""
 
     def __init__(self, mask: str) -> None:
         super().__init__()
@@ -83,4 +83,31 @@ class OneMaskStage(Stage):
         return self._mask
 
     def _set_mask(self, mask: str) -> None:
-        """There is no other."""
+        """Nothing to do."""
+
+
+class ManualStage(OneMaskStage):
+    """A stage without a motor: a person moves the sample and says so. The sample starts out of the beam."""
+
+    _is_in = False
+
+    @property
+    def name(self) -> str:
+        """Constant text."""
+        return "a person's hands"
+
+    def note_sample(self, sample_in: bool) -> None:
+        """Record that a person has moved the sample."""
+        with self._talking():
+            self._is_in = sample_in
+
+    def _is_sample_in(self) -> bool:
+        return self._is_in
+
+    def _set_sample_in(self, *, sample_in: bool) -> None:
+        if sample_in != self._is_in:
+            request = "put the sample into the beam" if sample_in else "take the sample out of the beam"
+            raise WrongState(f"{request}, and then say so: nothing here can move it")
+
+    def _close(self) -> None:
+        """Nothing to do."""

@@ -16,8 +16,8 @@ from app.recording.selection import chosen_frames
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
-from drivers.manual_stage import ManualStage
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
+from drivers.stage import ManualStage
 from drivers.usb_lights.settings import DC2200Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera

@@ -18,7 +18,7 @@ from drivers.contract import camera as camera_contract
 from drivers.contract import light as light_contract
 from drivers.contract.device import ContractBroken, describe
 from drivers.device import Device, Property
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 from drivers.errors import DeviceError, Disconnected
 from drivers.light_source import LightSource
 
@@ -52,7 +52,7 @@ def check_device(
         raise RunError(str(error)) from error
 
 
-def settings_of(found: Found) -> CameraSettings | LightSettings:
+def settings_of(found: DiscoveredDevice) -> CameraSettings | LightSettings:
     """Return the settings that lead to the device that was found, and leave the rest as it is."""
     kind: Any = CameraSettings if found.kind == "camera" else LightSettings
     settings: CameraSettings | LightSettings = cattrs.structure(dict(found.settings), drivers_of(kind)[found.driver])

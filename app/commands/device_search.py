@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import import_module
 
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 from drivers.errors import DeviceError
 
 
@@ -15,7 +15,7 @@ class Search:
 
     what: str
     driver: str  # as a bench names it
-    module: str  # whose `find` looks; loaded when it is asked
+    module: str  # whose `discover` looks; loaded when it is asked
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,13 +23,13 @@ class Outcome:
     """What came of a search."""
 
     search: Search
-    found: tuple[Found, ...] = ()
+    found: tuple[DiscoveredDevice, ...] = ()
     missing: str = ""  # why it could not be looked for
 
 
 SEARCHES = (
-    Search("Hamamatsu cameras, over the DCAM-API", "dcam", "drivers.dcam.search"),
-    Search("GigE Vision and USB3 Vision cameras, over Aravis", "genicam", "drivers.genicam.search"),
+    Search("Hamamatsu cameras, over the DCAM-API", "dcam", "drivers.dcam.session"),
+    Search("GigE Vision and USB3 Vision cameras, over Aravis", "genicam", "drivers.genicam.discovery"),
     Search("Thorlabs DC2200 LED drivers, on USB", "thorlabs_dc2200", "drivers.usb_lights.thorlabs_dc2200"),
     Search(
         "Thorlabs DC4100 and DC4104 LED drivers, on serial ports",
@@ -43,6 +43,6 @@ SEARCHES = (
 def look(search: Search) -> Outcome:
     """Look for the devices of one kind."""
     try:
-        return Outcome(search, import_module(search.module).find())
+        return Outcome(search, import_module(search.module).discover())
     except DeviceError as error:
         return Outcome(search, missing=str(error))

@@ -14,7 +14,7 @@ from app.commands.device_search import SEARCHES, Outcome, look
 from app.commands.prompt import ask
 from app.errors import InputError, RunError
 from drivers.device import Property
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 
 
 def print_devices() -> None:
@@ -81,7 +81,7 @@ def _named(bench: Bench, name: str) -> CameraSettings | LightSettings:
     raise InputError(f"{name}: with --bench, --check takes camera or light")
 
 
-def _found(name: str) -> Found:
+def _found(name: str) -> DiscoveredDevice:
     """Look for the device of that name."""
     outcomes = [look(search) for search in SEARCHES if search.driver == name.split(":", 1)[0]]
     if not outcomes:

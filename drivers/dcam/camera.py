@@ -16,13 +16,13 @@ from drivers.dcam import session
 from drivers.dcam.capabilities import AMPLIFIERS, TRIGGERS, has_em_gain, read_capabilities
 from drivers.dcam.capture import Capture
 from drivers.dcam.library import DcamLibrary, load_library
+from drivers.dcam.pixel_warnings import pixel_warnings
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.dcam.region import read_region, set_region
-from drivers.dcam.search import STRINGS, Listed, choose, string
+from drivers.dcam.session import ListedCamera
 from drivers.dcam.settings import DcamSettings
 from drivers.dcam.structures import DeviceOpen, sized
-from drivers.dcam.trust import reasons_for_mistrust
 from drivers.device import Property
 from drivers.errors import DeviceError, Disconnected, Unsupported, WrongState
 from drivers.frame import Frame, Region
@@ -46,7 +46,7 @@ class DcamCamera(Camera):
         with ExitStack() as undo:
             cameras = session.begin(self._library)
             undo.callback(self._leave, session.end, self._library)
-            found = choose(self._library, cameras, settings.device)
+            found = session.choose(self._library, cameras, settings.device)
             self._name = found.name
             self._handle = _opened(self._library, found)
             undo.callback(self._leave, self._library.call, "dcamdev_close", self._handle)
@@ -64,14 +64,14 @@ class DcamCamera(Camera):
         common = super().properties()
         with self._talking():
             strings: dict[str, Property] = {
-                name: string(self._library, self._handle, number) for name, number in STRINGS.items()
+                name: session.string(self._library, self._handle, number) for name, number in session.STRINGS.items()
             }
             return common | strings | self._values.readable() | {"warnings": "; ".join(self.warnings())}
 
     def warnings(self) -> tuple[str, ...]:
         """Sentences about settings and states in which the pixels are not what a photon count should be."""
         with self._talking():
-            return reasons_for_mistrust(self._values, has_em_gain=has_em_gain(self._values))
+            return pixel_warnings(self._values, has_em_gain=has_em_gain(self._values))
 
     def _set_up(self, settings: DcamSettings) -> None:
         if self._values.get_or(Id.IMAGE_PIXELTYPE, ids.PIXELTYPE_MONO16) != ids.PIXELTYPE_MONO16:
@@ -265,7 +265,7 @@ class DcamCamera(Camera):
         )
 
 
-def _opened(library: DcamLibrary, found: Listed) -> int:
+def _opened(library: DcamLibrary, found: ListedCamera) -> int:
     asked = sized(DeviceOpen, index=found.index)
     library.call("dcamdev_open", byref(asked))
     handle: int = asked.hdcam

@@ -1,13 +1,27 @@
-"""The one session that a process may have with the DCAM-API: the first user begins it, the last one ends it."""
+"""The process's session with the DCAM-API and the cameras listed in it."""
 
 from __future__ import annotations
 
 import threading
-from ctypes import byref
+from ctypes import byref, c_char_p, cast, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.library import DcamLibrary
-from drivers.dcam.structures import Init, sized
+from drivers.dcam.library import DcamLibrary, load_library
+from drivers.dcam.structures import DeviceString, Init, sized
+from drivers.discovery import DiscoveredDevice
+from drivers.errors import BadValue, Disconnected
+
+STRINGS = {
+    "bus": 0x04000101,
+    "serial number": 0x04000102,
+    "vendor": 0x04000103,
+    "model": 0x04000104,
+    "camera version": 0x04000105,
+    "driver version": 0x04000106,
+    "module version": 0x04000107,
+    "DCAM-API version": 0x04000108,
+}
+_TEXT_BYTES = 256
 
 
 @dataclass(slots=True)
@@ -20,23 +34,83 @@ _sessions: dict[DcamLibrary, _Session] = {}
 _lock = threading.Lock()
 
 
+@dataclass(frozen=True, slots=True)
+class ListedCamera:
+    """A camera in the session, not yet opened."""
+
+    index: int
+    vendor: str
+    model: str
+    serial_number: str
+
+    @property
+    def name(self) -> str:
+        """Maker, model and serial number."""
+        return f"{self.vendor} {self.model}, serial {self.serial_number}"
+
+
 def begin(library: DcamLibrary) -> int:
-    """Join or begin the session; return how many cameras it has. Cameras are looked for only when it begins."""
+    """Join the session, or begin it, which searches for cameras; return their number."""
     with _lock:
         session = _sessions.get(library)
         if session is None:
-            found = sized(Init)
-            library.call("dcamapi_init", byref(found))
-            session = _sessions[library] = _Session(found.iDeviceCount)
+            answer = sized(Init)
+            library.call("dcamapi_init", byref(answer))
+            session = _sessions[library] = _Session(answer.iDeviceCount)
         session.users += 1
         return session.cameras
 
 
 def end(library: DcamLibrary) -> None:
-    """Leave the session. It ends with its last user: what another program has held can then be opened again."""
+    """Leave the session; the last user ends it, so that the next one searches for cameras again."""
     with _lock:
         session = _sessions[library]
         session.users -= 1
         if not session.users:
             del _sessions[library]
             library.call("dcamapi_uninit")
+
+
+def discover(library: DcamLibrary | None = None) -> tuple[DiscoveredDevice, ...]:
+    """Return the connected cameras; raise `Unsupported` if Hamamatsu's library is missing."""
+    library = library or load_library()
+    try:
+        count = begin(library)
+    except Disconnected:  # the DCAM-API's error for no camera
+        return ()
+    try:
+        cameras = [_listed(library, index) for index in range(count)]
+    finally:
+        end(library)
+    return tuple(
+        DiscoveredDevice(
+            kind="camera", driver="dcam", description=camera.name, settings={"device": camera.serial_number}
+        )
+        for camera in cameras
+    )
+
+
+def choose(library: DcamLibrary, count: int, wanted: str) -> ListedCamera:
+    """Return the camera of this serial number or index, "" for the only one of `count`; needs a session."""
+    cameras = [_listed(library, index) for index in range(count)]
+    chosen = [camera for camera in cameras if wanted in {"", camera.serial_number, str(camera.index)}]
+    if len(chosen) == 1:
+        return chosen[0]
+    names = "; ".join(camera.name for camera in cameras)
+    if chosen:
+        raise BadValue(f"there are {len(chosen)} Hamamatsu cameras; say which by its serial number: {names}")
+    raise Disconnected(f"there is no Hamamatsu camera {wanted}; there are {names}")
+
+
+def string(library: DcamLibrary, camera: int, identifier: int) -> str:
+    """Return one of the `STRINGS` of a camera, given by its handle if open, else by its index."""
+    text = create_string_buffer(_TEXT_BYTES)
+    request = sized(DeviceString, iString=identifier, textbytes=_TEXT_BYTES)
+    request.text = cast(text, c_char_p)
+    library.call("dcamdev_getstring", camera, byref(request))
+    return text.value.decode(errors="replace").strip()
+
+
+def _listed(library: DcamLibrary, index: int) -> ListedCamera:
+    vendor, model, serial = (string(library, index, STRINGS[name]) for name in ("vendor", "model", "serial number"))
+    return ListedCamera(index, vendor, model, serial.removeprefix("S/N:").strip())

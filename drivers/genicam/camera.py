@@ -19,9 +19,9 @@ from drivers.device import Property
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 from drivers.frame import Frame, Region
 from drivers.genicam.connection import GenicamConnection
+from drivers.genicam.discovery import choose
 from drivers.genicam.frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
-from drivers.genicam.search import choose
 from drivers.genicam.settings import GenicamSettings
 from drivers.range import Range
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.device import Property
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Unsupported
 from drivers.light_source import LightSource
 from drivers.range import Range
@@ -31,9 +31,9 @@ _LAMP = r"LAM:([A-D]):([0-9]{3,4})"
 _ORDERS, _LOADINGS, _PAUSE_S = 5, 20, 0.05  # how often, and after what pause, it is looked whether it was done
 
 
-def find() -> tuple[Found, ...]:
+def discover() -> tuple[DiscoveredDevice, ...]:
     """Return the serial ports where one may be; nothing is sent to it."""
-    return serial_ports.find("coolled", "CoolLED pE-300 or pE-4000", ("coolled", "pe-300", "pe-4000"))
+    return serial_ports.discover("coolled", "CoolLED pE-300 or pE-4000", ("coolled", "pe-300", "pe-4000"))
 
 
 @dataclass(frozen=True, slots=True)

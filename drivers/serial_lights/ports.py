@@ -8,7 +8,7 @@ import sys
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 from drivers.errors import Disconnected
 
 
@@ -34,7 +34,7 @@ def no_permission(port: str) -> str:
     )
 
 
-def find(driver: str, device: str, words: tuple[str, ...]) -> tuple[Found, ...]:
+def discover(driver: str, device: str, words: tuple[str, ...]) -> tuple[DiscoveredDevice, ...]:
     """Return the ports on USB where a device of that kind may be, certain where its adapter has one of those words.
 
     Nothing is opened: a serial port cannot be asked what hangs on it without speaking to whatever that is.
@@ -46,7 +46,7 @@ def find(driver: str, device: str, words: tuple[str, ...]) -> tuple[Found, ...]:
         is_certain = any(word in _describe(port).lower() for word in words)
         is_allowed = sys.platform == "win32" or os.access(port.device, os.R_OK | os.W_OK)
         found.append(
-            Found(
+            DiscoveredDevice(
                 kind="light",
                 driver=driver,
                 description=f"{device} on {_describe(port)}",

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.device import Property
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, WrongState
 from drivers.light_source import LightSource
 from drivers.range import Range
@@ -29,9 +29,9 @@ _ERROR = r"(?:\S+\s+)?(-?\d{1,6})\s*:\s*(.*)"
 _MULTI_SELECTION, _CONSTANT_CURRENT = "0", "0"
 
 
-def find() -> tuple[Found, ...]:
+def discover() -> tuple[DiscoveredDevice, ...]:
     """Return the serial ports where one may be; nothing is sent to it."""
-    return serial_ports.find("thorlabs_dc4100", "DC4100 or DC4104", ("dc4100", "dc4104", "thorlabs"))
+    return serial_ports.discover("thorlabs_dc4100", "DC4100 or DC4104", ("dc4100", "dc4104", "thorlabs"))
 
 
 @dataclass(frozen=True, slots=True)

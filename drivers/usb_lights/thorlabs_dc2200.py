@@ -15,13 +15,13 @@ from collections.abc import Callable
 from usb.backend import IBackend
 
 from drivers.device import Property
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
 from drivers.light_source import LightSource
 from drivers.range import Range
 from drivers.usb_lights import usbtmc
 from drivers.usb_lights.settings import DC2200Settings
-from drivers.usb_lights.usbtmc import Instrument, Usbtmc
+from drivers.usb_lights.usbtmc import UsbInstrument, Usbtmc
 
 _VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one where a firmware update is allowed
 _STEP_A = 1e-4  # currents are sent with so many digits
@@ -33,22 +33,22 @@ _TRIPS = {
 }
 
 
-def find(backend: IBackend | None = None) -> tuple[Found, ...]:
+def discover(backend: IBackend | None = None) -> tuple[DiscoveredDevice, ...]:
     """Return those that are connected, without a word to them; raise `Unsupported` where libusb is missing."""
     return tuple(
-        Found(
+        DiscoveredDevice(
             kind="light",
             driver="thorlabs_dc2200",
             description=f"Thorlabs DC2200 {instrument.serial_number}".rstrip(),
             settings={"serial_number": instrument.serial_number} if instrument.serial_number else {},
-            missing=instrument.trouble,
+            missing=instrument.problem,
         )
         for instrument in _instruments(backend)
     )
 
 
-def _instruments(backend: IBackend | None) -> list[Instrument]:
-    return usbtmc.find(_VENDOR_ID, _PRODUCT_IDS, backend)
+def _instruments(backend: IBackend | None) -> list[UsbInstrument]:
+    return usbtmc.instruments(_VENDOR_ID, _PRODUCT_IDS, backend)
 
 
 class ThorlabsDC2200(LightSource):
@@ -196,12 +196,12 @@ class ThorlabsDC2200(LightSource):
         raise DeviceError(f"the errors of {self._what} have no end, the first is {oldest}")
 
 
-def _choose(found: list[Instrument], serial_number: str) -> Instrument:
+def _choose(found: list[UsbInstrument], serial_number: str) -> UsbInstrument:
     """Return the one that is meant."""
-    if len(found) == 1 and found[0].trouble:
-        raise DeviceError(found[0].trouble)
+    if len(found) == 1 and found[0].problem:
+        raise DeviceError(found[0].problem)
     those = [one for one in found if serial_number in {"", one.serial_number}]
-    numbers = ", ".join(one.serial_number or one.trouble for one in found)
+    numbers = ", ".join(one.serial_number or one.problem for one in found)
     if not those:
         wanted = f" {serial_number}" if serial_number else ""
         raise Disconnected(f"there is no DC2200{wanted} on USB; found: {numbers or 'none'}")

@@ -38,15 +38,15 @@ UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="1313", TAG+="uaccess"'  # of Tho
 
 
 @dataclass(frozen=True, slots=True)
-class Instrument:
-    """An instrument on the bus, as `find` saw it."""
+class UsbInstrument:
+    """An instrument on the bus, as listed."""
 
     serial_number: str
     device: usb.core.Device
-    trouble: str = ""  # why it could not even be asked who it is
+    problem: str = ""  # why it could not even be asked who it is
 
 
-def find(vendor_id: int, product_ids: Collection[int], backend: IBackend | None = None) -> list[Instrument]:
+def instruments(vendor_id: int, product_ids: Collection[int], backend: IBackend | None = None) -> list[UsbInstrument]:
     """Return the instruments of that maker and those kinds; they are asked nothing but who they are."""
     try:
         with _faults("the USB bus"):
@@ -59,14 +59,14 @@ def find(vendor_id: int, product_ids: Collection[int], backend: IBackend | None 
         ) from error
 
 
-def _identify(device: usb.core.Device) -> Instrument:
+def _identify(device: usb.core.Device) -> UsbInstrument:
     """A device that may not be opened keeps its serial number to itself."""
     try:
         with _faults(f"the USB device {device.idVendor:04x}:{device.idProduct:04x}"):
             usb.util.get_string(device, device.iSerialNumber, 0x0409)  # in English; this one tells why it fails
-            return Instrument(device.serial_number or "", device)
+            return UsbInstrument(device.serial_number or "", device)
     except DeviceError as error:
-        return Instrument("", device, str(error))
+        return UsbInstrument("", device, str(error))
 
 
 class Usbtmc:
@@ -74,7 +74,7 @@ class Usbtmc:
 
     def __init__(
         self,
-        instrument: Instrument,
+        instrument: UsbInstrument,
         *,
         what: str,
         timeout_s: float = 3.0,

@@ -16,7 +16,7 @@ from app.acquisition.worker import Acquisition
 from app.commands.measure import measure
 from app.errors import InputError, RunError
 from drivers.interface import Stage, WrongState
-from drivers.manual_stage import ManualStage
+from drivers.stage import ManualStage
 
 
 @pytest.fixture

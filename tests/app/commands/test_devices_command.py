@@ -26,8 +26,10 @@ from simulated_devices.light import SimulatedLight
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.pseudo_terminal import PtyServer
 
-A_CAMERA = discovery.Found(kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"})
-A_LIGHT = discovery.Found(
+A_CAMERA = discovery.DiscoveredDevice(
+    kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"}
+)
+A_LIGHT = discovery.DiscoveredDevice(
     kind="light",
     driver="coolled",
     description="CoolLED",
@@ -42,10 +44,10 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
     """A bench whose devices are found under the names of real ones."""
     bench = open_bench(tmp_path, replace(STILL, object_samples=3), CAMERA)
 
-    def find(search: Search) -> Any:
+    def discover(search: Search) -> Any:
         return {"dcam": (A_CAMERA,), "coolled": (A_LIGHT,)}.get(search.driver, ())
 
-    monkeypatch.setattr("app.commands.device_search.import_module", lambda module: _Module(module, find))
+    monkeypatch.setattr("app.commands.device_search.import_module", lambda module: _Module(module, discover))
     monkeypatch.setattr("app.commands.device_check.open_camera", lambda settings: SimulatedCamera(bench))
     monkeypatch.setattr(
         "app.commands.device_check.open_light", lambda settings: SimulatedLight(bench, limit_a=settings.limit_a)
@@ -54,8 +56,8 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
 
 
 class _Module:
-    def __init__(self, module: str, find: Callable[[Search], Any]) -> None:
-        self.find = lambda: find(next(search for search in SEARCHES if search.module == module))
+    def __init__(self, module: str, discover: Callable[[Search], Any]) -> None:
+        self.discover = lambda: discover(next(search for search in SEARCHES if search.module == module))
 
 
 def test_lists_what_is_found_with_the_lines_of_a_bench(
@@ -75,7 +77,7 @@ def test_says_why_it_could_not_look(monkeypatch: pytest.MonkeyPatch, capsys: pyt
         raise Unsupported("the library is missing: install it")
 
     monkeypatch.setattr(
-        "app.commands.device_search.import_module", lambda _: type("Module", (), {"find": staticmethod(fail)})
+        "app.commands.device_search.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
     )
     device_report.print_devices()
     assert capsys.readouterr().out.count("  not looked for: the library is missing: install it\n") == len(SEARCHES)

@@ -21,7 +21,7 @@ from app.bench.config import load_bench, parse_bench
 from app.commands.measure import measure
 from app.errors import Interrupted
 from app.recording.reader import Recording
-from drivers.manual_stage import ManualStage
+from drivers.stage import ManualStage
 from simulated_devices.settings import exposure_range_s
 
 TEXT = (DOCS / "experiment.md").read_text("utf-8")

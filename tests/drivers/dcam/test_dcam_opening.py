@@ -9,7 +9,7 @@ from support.dcam_tools import dcam_stand_in, library, open_camera
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
-from drivers.dcam.search import find
+from drivers.dcam.session import discover
 from drivers.interface import (
     BadValue,
     Busy,
@@ -46,7 +46,7 @@ def read_patiently(camera: DcamCamera) -> Frame:
 def test_cameras_are_found_without_opening_them(stand_in: StandIn) -> None:
     stand_in.attach(2)
     stand_in.hold()
-    found = find(library(stand_in))
+    found = discover(library(stand_in))
     assert [(camera.description, camera.name) for camera in found] == [
         ("Hamamatsu C9100-23B, serial 000123", "dcam:000123"),
         ("Hamamatsu C9100-23B, serial 000456", "dcam:000456"),
@@ -54,12 +54,12 @@ def test_cameras_are_found_without_opening_them(stand_in: StandIn) -> None:
     assert {(camera.kind, camera.driver) for camera in found} == {("camera", "dcam")}
     assert not stand_in.calls("dcamdev_open")
     stand_in.attach(0)
-    assert find(library(stand_in)) == ()
+    assert discover(library(stand_in)) == ()
 
 
 def test_cameras_are_found_while_one_of_them_is_open(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.start()
-    assert [found.settings for found in find(library(stand_in))] == [{"device": "000123"}]
+    assert [found.settings for found in discover(library(stand_in))] == [{"device": "000123"}]
     assert camera.read(1.0).index == 0
 
 

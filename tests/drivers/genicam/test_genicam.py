@@ -25,8 +25,8 @@ from drivers.camera import Camera
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 from drivers.frame import Frame, Region
 from drivers.genicam.camera import GenicamCamera
+from drivers.genicam.discovery import discover
 from drivers.genicam.library import load_aravis
-from drivers.genicam.search import find
 from drivers.genicam.settings import GenicamSettings
 
 NOTICED_S = 2.0  # within which a camera that is gone must be noticed
@@ -448,7 +448,7 @@ def test_a_setting_that_the_camera_refuses_is_told(asked: GenicamSettings, sente
 
 @pytest.mark.usefixtures("peer")
 def test_it_is_found_by_every_name_it_has() -> None:
-    (found,) = find()
+    (found,) = discover()
     assert found.name == f"genicam:Aravis-Fake-{SERIAL}"
     assert found.description == f"Aravis Fake {SERIAL}"
     for device in ("", SERIAL, f"Aravis-Fake-{SERIAL}", "127.0.0.1"):
@@ -463,7 +463,7 @@ def test_one_that_is_off_is_not_found(peer: Peer) -> None:
     peer.kill()
     with pytest.raises(Disconnected, match="does not answer"):
         GenicamCamera(TELLING)  # known from before
-    assert find() == ()
+    assert discover() == ()
     with pytest.raises(Disconnected, match=f"no GenICam camera {SERIAL}: none answers"):
         GenicamCamera(TELLING)
 

@@ -16,9 +16,9 @@ from support.patience import HANG_S, wait_until
 
 from drivers.errors import Disconnected, Unsupported
 from drivers.genicam.calls import PatientCalls
+from drivers.genicam.discovery import discover
 from drivers.genicam.frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
 from drivers.genicam.library import load_aravis
-from drivers.genicam.search import find
 from drivers.genicam.settings import GenicamSettings
 
 
@@ -125,7 +125,7 @@ def test_without_the_library_one_sentence_says_what_to_install(monkeypatch: pyte
     monkeypatch.setattr(ctypes.util, "find_library", lambda _: None)
     load_aravis.cache_clear()
     with pytest.raises(Unsupported, match=r"sudo apt-get install libaravis-0\.8-0$"):
-        find()
+        discover()
 
 
 @pytest.mark.parametrize(

@@ -42,15 +42,15 @@ def test_without_any_port(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     with pytest.raises(Disconnected, match="none is connected"):
         find_port("A1")
-    assert thorlabs_dc4100.find() == ()
+    assert thorlabs_dc4100.discover() == ()
 
 
 def test_what_may_hang_on_them() -> None:
-    found = {one.settings["port"]: one for one in thorlabs_dc4100.find()}
+    found = {one.settings["port"]: one for one in thorlabs_dc4100.discover()}
     assert set(found) == {"/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"}  # what is built in is passed over
     assert [one.is_certain for one in found.values()] == [False, True, False]
     assert "dialout" in found["/dev/ttyUSB0"].missing
     assert not found["/dev/ttyUSB1"].missing
     assert found["/dev/ttyUSB1"].name == "thorlabs_dc4100:/dev/ttyUSB1"
     assert "Thorlabs, DC4104 Controller, USB 0403:6001, serial number B2" in found["/dev/ttyUSB1"].description
-    assert [one.is_certain for one in coolled.find()] == [False, False, True]
+    assert [one.is_certain for one in coolled.discover()] == [False, False, True]

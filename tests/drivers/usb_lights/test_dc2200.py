@@ -16,7 +16,7 @@ from support.usb_stand_in import Bus, Plug
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.usb_lights.settings import DC2200Settings
-from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, find
+from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, discover
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.dc2200 import DC2200Wire, header
 from simulated_devices.wires.usbtmc import UsbFault, UsbFaultKind
@@ -292,7 +292,7 @@ def test_unplugged_while_it_is_opened(device: DC2200Wire, clock: ManualClock) ->
 def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
     other = DC2200Wire("M00990000")
     bus = Bus(Plug(device, "M00331234"), Plug(other, "M00990000"), clock=clock)
-    assert [(one.description, one.settings) for one in find(bus)] == [
+    assert [(one.description, one.settings) for one in discover(bus)] == [
         ("Thorlabs DC2200 M00331234", {"serial_number": "M00331234"}),
         ("Thorlabs DC2200 M00990000", {"serial_number": "M00990000"}),
     ]
@@ -310,7 +310,7 @@ def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
 def test_one_that_may_not_be_used(device: DC2200Wire, clock: ManualClock) -> None:
     plug = Plug(device, "M1")
     plug.is_allowed = False
-    (found,) = find(Bus(plug, clock=clock))
+    (found,) = discover(Bus(plug, clock=clock))
     assert found.name == "thorlabs_dc2200"
     assert "udevadm control --reload" in found.missing
     with pytest.raises(DeviceError, match=r"you may not use the USB device 1313:80c8: .*70-svwfs.rules"):

@@ -44,7 +44,7 @@ def wire() -> Echo:
 
 
 def connect(wire: UsbtmcWire, clock: ManualClock) -> Usbtmc:
-    (instrument,) = usbtmc.find(0x1313, {0x80C8}, Bus(Plug(wire, "M1"), clock=clock))
+    (instrument,) = usbtmc.instruments(0x1313, {0x80C8}, Bus(Plug(wire, "M1"), clock=clock))
     return Usbtmc(instrument, what="the echo", sleep=clock.sleep)
 
 
@@ -148,29 +148,29 @@ def test_what_keeps_an_instrument_from_being_used(wire: Echo, clock: ManualClock
     plug = Plug(wire, "M1")
     bus = Bus(plug, clock=clock)
     plug.is_taken = True
-    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    (instrument,) = usbtmc.instruments(0x1313, {0x80C8}, bus)
     with pytest.raises(Busy, match="another program holds the echo"):
         Usbtmc(instrument, what="the echo")
     plug.is_taken, plug.is_allowed = False, False
-    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
-    assert "1313:80c8" in instrument.trouble
-    assert "70-svwfs.rules" in instrument.trouble
-    assert 'ATTR{idVendor}=="1313"' in instrument.trouble
+    (instrument,) = usbtmc.instruments(0x1313, {0x80C8}, bus)
+    assert "1313:80c8" in instrument.problem
+    assert "70-svwfs.rules" in instrument.problem
+    assert 'ATTR{idVendor}=="1313"' in instrument.problem
     with pytest.raises(DeviceError, match="you may not use the echo"):
         Usbtmc(instrument, what="the echo")
     plug.is_allowed, plug.has_driver = True, False
-    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    (instrument,) = usbtmc.instruments(0x1313, {0x80C8}, bus)
     with pytest.raises(Unsupported, match="Zadig"):
         Usbtmc(instrument, what="the echo")
     plug.has_driver, plug.is_configured = True, False
-    (instrument,) = usbtmc.find(0x1313, {0x80C8}, bus)
+    (instrument,) = usbtmc.instruments(0x1313, {0x80C8}, bus)
     assert instrument.serial_number == "M1"
     Usbtmc(instrument, what="the echo", sleep=clock.sleep).close()
     assert plug.is_configured
 
 
 def test_an_instrument_in_its_update_mode(wire: Echo, clock: ManualClock) -> None:
-    (instrument,) = usbtmc.find(0x1313, {0x80C0}, Bus(Plug(wire, "M1", product_id=0x80C0), clock=clock))
+    (instrument,) = usbtmc.instruments(0x1313, {0x80C0}, Bus(Plug(wire, "M1", product_id=0x80C0), clock=clock))
     with pytest.raises(Unsupported, match="firmware update mode"):
         Usbtmc(instrument, what="the echo")
 
@@ -179,12 +179,12 @@ def test_without_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
     for backend in (usb.backend.libusb1, usb.backend.openusb, usb.backend.libusb0):
         monkeypatch.setattr(backend, "get_backend", lambda: None)
     with pytest.raises(Unsupported, match=r"apt install libusb-1\.0-0"):
-        usbtmc.find(0x1313, {0x80C8})
+        usbtmc.instruments(0x1313, {0x80C8})
 
 
 def test_looking_for_instruments_says_nothing_to_them(wire: Echo, clock: ManualClock) -> None:
-    assert usbtmc.find(0x1313, {0x80C8}, Bus(clock=clock)) == []
-    assert usbtmc.find(0x1313, {0x1111}, Bus(Plug(wire, "M1"), clock=clock)) == []
-    usbtmc.find(0x1313, {0x80C8}, Bus(Plug(wire, "M1"), clock=clock))
+    assert usbtmc.instruments(0x1313, {0x80C8}, Bus(clock=clock)) == []
+    assert usbtmc.instruments(0x1313, {0x1111}, Bus(Plug(wire, "M1"), clock=clock)) == []
+    usbtmc.instruments(0x1313, {0x80C8}, Bus(Plug(wire, "M1"), clock=clock))
     assert not wire.requests
     assert not wire.transfers

@@ -22,7 +22,7 @@ _FILTERS = {
 }
 
 
-def reasons_for_mistrust(values: Properties, *, has_em_gain: bool) -> tuple[str, ...]:
+def pixel_warnings(values: Properties, *, has_em_gain: bool) -> tuple[str, ...]:
     """Ask the camera for everything that a person should know before trusting its pixels; nothing is the rule."""
     found = [
         sentence

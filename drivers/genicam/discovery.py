@@ -1,40 +1,40 @@
-"""Which GenICam cameras are connected."""
+"""Discovery of the connected GenICam cameras."""
 
 from __future__ import annotations
 
 from ipaddress import ip_address
 
-from drivers.discovery import Found
+from drivers.discovery import DiscoveredDevice
 from drivers.errors import BadValue, Disconnected
 from drivers.genicam.calls import PatientCalls
 from drivers.genicam.library import Aravis, load_aravis
 
-_SEARCH_S = 2.0  # cameras in the network have one second to answer
+_DISCOVERY_S = 2.0  # cameras in the network have one second to answer
 
 
-def find() -> tuple[Found, ...]:
-    """Return the cameras that answer within about a second; raise `Unsupported` where the library is missing."""
+def discover() -> tuple[DiscoveredDevice, ...]:
+    """Return the cameras that answer within about a second; raise `Unsupported` if the library is missing."""
     aravis = load_aravis()
-    _search(aravis)
-    found = []
+    _update_list(aravis)
+    cameras = []
     for i in range(aravis.call("arv_get_n_devices")):
         details = (aravis.call(f"arv_get_device_{detail}", i) for detail in ("vendor", "model", "serial_nbr"))
         description = " ".join(filter(None, details))
-        device = aravis.call("arv_get_device_id", i)
-        found.append(Found(kind="camera", driver="genicam", description=description, settings={"device": device}))
-    return tuple(found)
+        settings = {"device": aravis.call("arv_get_device_id", i)}
+        cameras.append(DiscoveredDevice(kind="camera", driver="genicam", description=description, settings=settings))
+    return tuple(cameras)
 
 
 def choose(wanted: str) -> str:
-    """Return by what Aravis opens the camera of this name, serial number or address; "" asks for the only one."""
-    if _is_address(wanted):  # perhaps in another network, where a search does not reach
+    """Return Aravis's identifier of the camera with this name, serial number or address; "" takes the only one."""
+    if _is_address(wanted):  # perhaps in another network, beyond the reach of a discovery
         return wanted
     aravis = load_aravis()
-    known = _names(aravis) if wanted else {}  # from searches until now: opening anew need not wait for another
+    known = _identifiers(aravis) if wanted else {}  # from earlier discoveries: reopening need not wait for another
     if wanted in known:
         return known[wanted]
-    _search(aravis)
-    known = _names(aravis)
+    _update_list(aravis)
+    known = _identifiers(aravis)
     devices = sorted(set(known.values()))
     if wanted in known:
         return known[wanted]
@@ -48,17 +48,16 @@ def choose(wanted: str) -> str:
     )
 
 
-def _search(aravis: Aravis) -> None:
-    """Ask who is there."""
-    calls = PatientCalls("genicam search")
+def _update_list(aravis: Aravis) -> None:
+    calls = PatientCalls("genicam discovery")
     try:
-        calls.make(lambda: aravis.call("arv_update_device_list"), _SEARCH_S)
+        calls.make(lambda: aravis.call("arv_update_device_list"), _DISCOVERY_S)
     finally:
         calls.end()
 
 
-def _names(aravis: Aravis) -> dict[str, str]:
-    """By what each camera is opened, by that and by its serial number."""
+def _identifiers(aravis: Aravis) -> dict[str, str]:
+    """Identifiers of the listed cameras, by identifier and by serial number."""
     indices = range(aravis.call("arv_get_n_devices"))
     devices = [aravis.call("arv_get_device_id", i) for i in indices]
     serial_numbers = [aravis.call("arv_get_device_serial_nbr", i) for i in indices]
