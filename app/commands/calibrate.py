@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench, parse_bench, write_bench
 from app.bench.presets import PRESETS
-from app.commands.reconstruct import full_scale
 from app.errors import InputError
 from app.files import atomic_write, read_image
+from app.measurement.bench_reconstructor import full_scale_of
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
@@ -40,7 +40,7 @@ def calibrate(reference: Path, *, dark: Path | None, bench: Bench, report: Progr
     image = read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     try:
-        most = full_scale(image, bench.camera_model.bits)
+        most = full_scale_of(image, bench.camera_model.bits)
         found = survey(image, bench.sensor, dark=dark_image, full_scale=most, report=report)
         return Found(image, bench, dataclasses.replace(bench, lattice=_rounded(found.lattice)), found)
     except ReconstructionError as error:

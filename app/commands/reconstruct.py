@@ -6,17 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.errors import InputError
 from app.files import read_image
-from app.measurement.imaging_model import BenchModel
+from app.measurement.bench_reconstructor import BenchReconstructor, full_scale_of
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError
-from reconstruction.lattice.search import find_lattice
-from reconstruction.refinement import Refinement
 from reconstruction.wavefront import Wavefront
 
 
@@ -45,30 +42,19 @@ def reconstruct_files(
             )
     paths = {"frame": frame, "reference": reference, "dark": dark}
     try:
-        reconstructor = bench.reconstructor(
-            reference_image,
-            lattice=bench.lattice or find_lattice(reference_image, bench.sensor),
-            dark=dark_image,
-            full_scale=min(full_scale(image, bench.camera_model.bits) for image in (reference_image, frame_image)),
-        )
-        displacement = reconstructor.register(frame_image)
-        wavefront = reconstructor.solve(displacement)
+        most = min(full_scale_of(image, bench.camera_model.bits) for image in (reference_image, frame_image))
+        reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image, full_scale=most)
+        wavefront = reconstructor(frame_image)
         changes_rad = []
         if refine:
             report("modelling the bench", 0.0)
-            refinement = Refinement(reconstructor, BenchModel(bench, reconstructor))
-            for done, step in enumerate(refinement.rounds(displacement, refine), 1):
+            for done, step in enumerate(reconstructor.rounds(frame_image, refine), 1):
                 wavefront = step.wavefront
                 changes_rad.append(step.change_rad)
                 report("refining", done / refine)
         return Reconstructed(wavefront, tuple(changes_rad))
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
-
-
-def full_scale(image: NDArray[Any], bits: int) -> float:
-    """The count at which a camera of so many bits saturates, or at which the file's integers do."""
-    return min(2.0**bits, np.iinfo(image.dtype).max + 1.0 if image.dtype.kind in "ui" else np.inf) - 1
 
 
 def _size(image: NDArray[Any]) -> str:

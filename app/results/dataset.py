@@ -81,6 +81,18 @@ def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapp
     write_pieces(path, [dataset], bench=bench, inputs=inputs)
 
 
+def open_results(path: Path | str) -> xr.Dataset:
+    """Open a file of results; arrays are read when they are used. `InputError` if it holds none."""
+    try:
+        dataset = xr.open_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be opened as results: {error}") from error
+    if "wavefront" not in dataset:
+        dataset.close()
+        raise InputError(f"{path}: holds no results: there is no variable wavefront in it")
+    return dataset
+
+
 def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inputs: Mapping[str, str]) -> None:
     """Write results of many frames, as `write_results` does, piece by piece along `frame`: one is in memory at a time.
 

@@ -1,0 +1,137 @@
+"""A live bench for scripts and notebooks: an acquisition that is started, iterated over, and closed."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from app.acquisition.devices import open_devices
+from app.acquisition.start_up import FRAMES, start_up
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench
+from app.errors import RunError
+from app.measurement.measurement import Measurement
+
+_WAIT_S = 0.1  # between two checks whether the acquisition still runs
+
+
+class LiveBench:
+    """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements.
+
+    Entering opens the devices, turns the light on, takes a dark and a reference, moves the sample in and starts the
+    camera. On a bench without motors nobody knows where the sample is: take the reference yourself. Leaving stops the
+    camera, turns the light off and closes the devices, also after an error or Ctrl-C.
+
+    Parameters
+    ----------
+    bench
+        The bench.
+    average
+        Number of frames averaged in the first dark and the first reference.
+    """
+
+    def __init__(self, bench: Bench, *, average: int = FRAMES) -> None:
+        self._average = average
+        self._arrived = threading.Condition()
+        self._newest: Measurement | None = None
+        self._acquisition = Acquisition(bench, open_devices, (self._take,))
+
+    def __enter__(self) -> Self:
+        self._acquisition.start()
+        try:
+            for step in start_up(self._acquisition, self._average):
+                self._result(step)
+        except BaseException:
+            self._acquisition.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._acquisition.close()
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Yield the newest measurement whenever there is one; frames that come in between are skipped.
+
+        `measurement.counts` counts them; `record` keeps every frame. Raises the error that ended the acquisition.
+        """
+        while True:
+            with self._arrived:
+                while self._newest is None and self._acquisition.is_alive:
+                    self._arrived.wait(_WAIT_S)
+                measurement, self._newest = self._newest, None
+            if measurement is None:
+                self._raise_failure()
+                return
+            yield measurement
+
+    @property
+    def bench(self) -> Bench:
+        """The bench with the lattice, exposure, gain and current now in force."""
+        status = self._acquisition.status
+        return self._acquisition.bench if status is None else status.bench_in_force
+
+    @property
+    def warning(self) -> str:
+        """Why wavefronts are missing or doubtful, such as a stale reference; empty when they are good."""
+        status = self._acquisition.status
+        return "" if status is None else status.warning
+
+    def take_dark(self, frames: int = FRAMES) -> None:
+        """Average `frames` frames with the light off and use the mean as dark from now on."""
+        self._result(self._acquisition.take_dark(frames))
+
+    def take_reference(self, frames: int = FRAMES) -> None:
+        """Average `frames` frames without the sample and use the mean as reference from now on."""
+        self._result(self._acquisition.take_reference(frames))
+
+    def auto_expose(self) -> float:
+        """Set exposure and light current so that the brightest lenslets fill 70 % of full scale; return the exposure.
+
+        The dark and the reference are stale afterwards: take them again.
+        """
+        self._result(self._acquisition.auto_expose())
+        return float(self._acquisition.submit(lambda instrument: instrument.devices.camera.exposure_s).result())
+
+    def record(self, folder: Path | str, frames: int) -> Path:
+        """Record the next `frames` frames into a new folder, wait for the last one, and return the folder.
+
+        Raises
+        ------
+        InputError
+            If the folder holds a recording already.
+        RunError
+            If the recording ended early; the frames so far are kept.
+        """
+        folder = Path(folder)
+        self._result(self._acquisition.start_recording(folder, command="python", frames=frames))
+        while (state := self._acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
+            with self._arrived:
+                self._arrived.wait(_WAIT_S)
+            if not self._acquisition.is_alive:
+                self._raise_failure()
+        if state is not None and state.problem:
+            raise RunError(state.problem)
+        return folder
+
+    def _take(self, measurement: Measurement) -> None:
+        with self._arrived:
+            self._newest = measurement
+            self._arrived.notify_all()
+
+    def _result(self, step: Future[Any]) -> None:
+        """Wait for a command; the error that ended the acquisition goes before the command's own."""
+        try:
+            step.result()
+        except Exception:
+            self._raise_failure()
+            raise
+
+    def _raise_failure(self) -> None:
+        if self._acquisition.error is not None:
+            raise self._acquisition.error

@@ -1,0 +1,96 @@
+"""A recording for scripts and notebooks: its frames as a lazy array, and its results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from xarray.backends import BackendArray
+from xarray.core import indexing
+
+from app.bench.config import Bench
+from app.errors import InputError
+from app.recording.reader import Recording
+from app.recording.repeat import repeated
+from app.results.replay.results import results_in_pieces
+
+
+class OpenedRecording:
+    """A recording on disk; frames are read when they are used.
+
+    Parameters
+    ----------
+    folder
+        Folder of the recording.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no recording.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self._recording = Recording(folder)
+
+    def __len__(self) -> int:
+        return len(self._recording)
+
+    @property
+    def bench(self) -> Bench:
+        """The bench at the beginning of the recording."""
+        return self._recording.bench
+
+    @property
+    def frames(self) -> xr.DataArray:
+        """Frames in counts, (frame, row, column), with the coordinates `frame_index` and `time` (s).
+
+        A frame is read from disk when its values are used: `recording.frames[10].values`.
+        """
+        lines = [self._recording.line(index) for index in range(len(self))]
+        pixels = indexing.LazilyIndexedArray(_Pixels(self._recording))
+        return xr.DataArray(
+            xr.Variable(("frame", "row", "column"), pixels, {"units": "counts"}),
+            coords={
+                "frame_index": ("frame", [line.camera_index for line in lines], {"long_name": "the camera's count"}),
+                "time": ("frame", [line.camera_time_s for line in lines], {"units": "s", "long_name": "exposure end"}),
+            },
+        )
+
+    def results(self) -> xr.Dataset:
+        """Results of all frames that can be reconstructed, along `frame`; `recording_index` says which these are.
+
+        Taken from `results.nc` where `svwfs measure` or `svwfs replay` wrote it, else reconstructed now.
+        """
+        path = self._recording.folder / "results.nc"
+        if path.exists():
+            return xr.load_dataset(path, engine="h5netcdf")
+        pieces = list(results_in_pieces((made, {}) for made in repeated(self._recording)))
+        if not pieces:
+            raise InputError(f"{self._recording.folder}: no frame can be reconstructed")
+        return xr.concat(pieces, "frame", join="exact", coords="minimal", compat="override")
+
+
+class _Pixels(BackendArray):
+    """The pixels of a recording as an array that xarray reads frame by frame."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self.shape = (len(recording), *recording.frame_shape)
+        self.dtype = np.dtype(np.uint16)
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> NDArray[Any]:
+        return np.asarray(
+            indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._read)
+        )
+
+    def _read(self, key: tuple[int | slice, ...]) -> NDArray[np.uint16]:
+        frame, *within = key
+        if not isinstance(frame, slice):
+            return self._recording.pixels(int(frame))[tuple(within)]
+        chosen = range(*frame.indices(self.shape[0]))
+        if not chosen:
+            return np.empty((0, *np.empty(self.shape[1:])[tuple(within)].shape), np.uint16)
+        return np.stack([self._recording.pixels(index)[tuple(within)] for index in chosen])

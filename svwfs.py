@@ -1,0 +1,484 @@
+"""Python interface of svwfs: wavefronts at every position of the field, from frames that are arrays.
+
+>>> import svwfs
+>>> bench = svwfs.load_bench("paper_simulation", "registration.warp=quadratic")
+>>> bench.sensor.lenslet_rows
+15
+
+Arrays are NumPy arrays with `[row, column]`, row = y; vectors have (x, y) as their last axis; units are SI, wavefronts
+are in rad without piston. Importing this module loads nothing but this file; each function loads what it needs.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray as xr
+
+    from app.acquisition.session import LiveBench
+    from app.bench.config import Bench
+    from app.errors import InputError, Interrupted, RunError
+    from app.evaluation.simulated_frames import SimulatedFrames
+    from app.measurement.bench_reconstructor import BenchReconstructor
+    from app.measurement.measurement import Measurement
+    from app.results.opened_recording import OpenedRecording
+    from drivers.errors import DeviceError, DeviceTimeout, Disconnected
+    from reconstruction.arrays import Counts
+    from reconstruction.displacement import Displacement, Outcome
+    from reconstruction.errors import ReconstructionError
+    from reconstruction.geometry import Lattice
+    from reconstruction.wavefront import Wavefront
+
+_TYPES = {
+    "Bench": "app.bench.config",
+    "BenchReconstructor": "app.measurement.bench_reconstructor",
+    "DeviceError": "drivers.errors",
+    "DeviceTimeout": "drivers.errors",
+    "Disconnected": "drivers.errors",
+    "Displacement": "reconstruction.displacement",
+    "InputError": "app.errors",
+    "Interrupted": "app.errors",
+    "Lattice": "reconstruction.geometry",
+    "LiveBench": "app.acquisition.session",
+    "Measurement": "app.measurement.measurement",
+    "OpenedRecording": "app.results.opened_recording",
+    "Outcome": "reconstruction.displacement",
+    "ReconstructionError": "reconstruction.errors",
+    "RunError": "app.errors",
+    "SimulatedFrames": "app.evaluation.simulated_frames",
+    "Wavefront": "reconstruction.wavefront",
+}
+
+__all__ = [
+    "Bench",
+    "BenchReconstructor",
+    "DeviceError",
+    "DeviceTimeout",
+    "Disconnected",
+    "Displacement",
+    "InputError",
+    "Interrupted",
+    "Lattice",
+    "LiveBench",
+    "Measurement",
+    "OpenedRecording",
+    "Outcome",
+    "ReconstructionError",
+    "RunError",
+    "SimulatedFrames",
+    "Wavefront",
+    "find_lattice",
+    "live",
+    "load_bench",
+    "open_recording",
+    "open_result",
+    "psf",
+    "reconstructor",
+    "refine",
+    "save_result",
+    "simulate",
+    "to_dataset",
+]
+
+
+def load_bench(source: str | Path, *overrides: str) -> Bench:
+    """Read a bench from a TOML file or a preset.
+
+    Parameters
+    ----------
+    source
+        Path of a TOML file, or one of the presets `live_demo`, `paper_simulation` and `paper_experiment`.
+    *overrides
+        Single settings as "section.key=value".
+
+    Returns
+    -------
+    Bench
+        The configuration, with the sections of the file as attributes; it cannot be changed.
+
+    Raises
+    ------
+    InputError
+        If the file or a setting cannot be used; the message names the key.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> svwfs.load_bench("live_demo", "camera.exposure_s=0.05").camera.exposure_s
+    0.05
+    """
+    from app.bench.config import load_bench as load
+
+    return load(source, overrides)
+
+
+def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> SimulatedFrames:
+    """Simulate the images that the camera of a bench takes, with the true wavefronts.
+
+    Parameters
+    ----------
+    bench
+        The bench; its `[simulation]`, `[camera]` and `[light]` describe source, screen and detector.
+    frames
+        Number of frames with the sample. A drifting sample moves by one of its states from frame to frame.
+    noise_free
+        Return mean photons instead of counts.
+
+    Returns
+    -------
+    SimulatedFrames
+        `.reference` and `.dark` (row, column), `.frames` (frame, row, column), and `.truth` in rad (view_row,
+        view_column, lenslet_row, lenslet_column), with a leading frame axis if the sample moves.
+
+    Raises
+    ------
+    InputError
+        If the bench cannot be rendered, or not so many frames.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench, frames=2)
+    >>> images.frames.shape, images.truth.shape
+    ((2, 240, 256), (3, 3, 7, 7))
+    """
+    from app.evaluation.simulated_frames import simulated_frames
+
+    return simulated_frames(bench, frames, noise_free=noise_free)
+
+
+def find_lattice(reference: Counts, bench: Bench) -> Lattice:
+    """Find the lenslets on a reference.
+
+    Parameters
+    ----------
+    reference
+        Frame without the sample, (row, column), counts.
+    bench
+        The bench; its `[sensor]` gives the number of lenslets and the designed pitch.
+
+    Returns
+    -------
+    Lattice
+        Centre and pitch in px, rotation in rad.
+
+    Raises
+    ------
+    ReconstructionError
+        If the frame shows no such lattice; the message says why.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> round(svwfs.find_lattice(images.reference, bench).pitch_px, 2)
+    31.25
+    """
+    from reconstruction.lattice.search import find_lattice as find
+
+    return find(reference, bench.sensor)
+
+
+def reconstructor(bench: Bench, reference: Counts, *, dark: Counts | None = None) -> BenchReconstructor:
+    """Prepare the reconstruction of frames against a reference.
+
+    Parameters
+    ----------
+    bench
+        The bench. Without a `[lattice]`, the lattice is found in the reference.
+    reference
+        Frame without the sample, (row, column), counts.
+    dark
+        Frame without light, (row, column), counts. Without one, the darkest percent of each image is the background.
+
+    Returns
+    -------
+    BenchReconstructor
+        Call it with a frame (row, column) to get its `Wavefront`: `.views` in rad (view_row, view_column, lenslet_row,
+        lenslet_column), `.at(x_m, y_m)`, `.sigma()`, `.coefficients`, `.displacement`.
+
+    Raises
+    ------
+    ReconstructionError
+        If reference, dark and bench do not go together; the message says why.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    >>> wavefront = reconstruct(images.frames[0])
+    >>> bool(abs(wavefront.views - images.truth).mean() < 0.1)  # rad
+    True
+    """
+    from app.measurement.bench_reconstructor import BenchReconstructor
+
+    return BenchReconstructor(bench, reference, dark=dark)
+
+
+def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:
+    """Reconstruct a frame and remove the estimator's bias with the forward model of the bench.
+
+    Parameters
+    ----------
+    reconstructor
+        What `svwfs.reconstructor` returned; it keeps the model for the next frame.
+    frame
+        Frame with the sample, (row, column), counts.
+    rounds
+        Rounds of refinement at most, about half a second each; it ends early when a round no longer improves.
+
+    Returns
+    -------
+    Wavefront
+        The refined wavefront.
+
+    Raises
+    ------
+    ReconstructionError
+        If the frame cannot be reconstructed; the message says why.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    >>> wavefront = svwfs.refine(reconstruct, images.frames[0])
+    >>> bool(abs(wavefront.views - images.truth).mean() < 0.05)  # rad
+    True
+    """
+    wavefront = reconstructor(frame)
+    for step in reconstructor.rounds(frame, rounds):
+        wavefront = step.wavefront
+    return wavefront
+
+
+def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
+    """Point-spread function at one position of the field.
+
+    Parameters
+    ----------
+    wavefront
+        A reconstructed wavefront.
+    x_m, y_m
+        Field position, m.
+
+    Returns
+    -------
+    xarray.DataArray
+        Intensity (angle_y, angle_x) over the peak of the unaberrated pupil, so 1 is diffraction-limited and the value
+        at angle 0 is the Strehl ratio; the coordinates are field angles in rad.
+
+    Raises
+    ------
+    ValueError
+        If the position lies outside the field.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    >>> image = svwfs.psf(wavefront, x_m=0.0, y_m=0.5e-3)
+    >>> image.dims
+    ('angle_y', 'angle_x')
+    """
+    import xarray as xr
+
+    from reconstruction.quality.image_quality import psf as point_spread
+    from reconstruction.quality.image_quality import psf_angles_rad, psf_reach_rad
+
+    phase, sensor = wavefront.at(x_m, y_m), wavefront.sensor
+    angle_rad = psf_angles_rad(sensor, psf_reach_rad(phase, sensor))
+    values = point_spread(phase, sensor, angle_rad=angle_rad)
+    angles = {name: (name, angle_rad, {"units": "rad"}) for name in ("angle_y", "angle_x")}
+    return xr.DataArray(values, dims=("angle_y", "angle_x"), coords=angles, name="psf")
+
+
+def to_dataset(wavefront: Wavefront) -> xr.Dataset:
+    """Turn a wavefront into the dataset that `svwfs reconstruct` writes.
+
+    Parameters
+    ----------
+    wavefront
+        A reconstructed wavefront.
+
+    Returns
+    -------
+    xarray.Dataset
+        `wavefront(view_row, view_column, lenslet_row, lenslet_column)` in rad with `wavefront_sigma`, displacements in
+        px, coefficients in rad, image quality; every variable has its unit.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    >>> svwfs.to_dataset(wavefront)["wavefront"].attrs["units"]
+    'rad'
+    """
+    from app.results.dataset import result_dataset
+
+    return result_dataset(wavefront)
+
+
+def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
+    """Write a wavefront to a NetCDF file, as `svwfs reconstruct` does, with the bench as an attribute.
+
+    Parameters
+    ----------
+    path
+        The file; it appears under its name only when it is complete.
+    wavefront
+        A reconstructed wavefront.
+    bench
+        The bench it was reconstructed with.
+
+    Raises
+    ------
+    RunError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    >>> svwfs.save_result("result.nc", wavefront, bench)
+    """
+    from pathlib import Path
+
+    from app.results.dataset import result_dataset, write_results
+
+    write_results(Path(path), result_dataset(wavefront), bench=bench, inputs={})
+
+
+def open_result(path: str | Path) -> xr.Dataset:
+    """Open results that `svwfs reconstruct`, `measure`, `replay` or `save_result` wrote.
+
+    Parameters
+    ----------
+    path
+        NetCDF file.
+
+    Returns
+    -------
+    xarray.Dataset
+        The results; arrays are read when they are used. Close it, or use it in a `with` block.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds no results.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    >>> svwfs.save_result("result.nc", wavefront, bench)
+    >>> with svwfs.open_result("result.nc") as result:
+    ...     result["rms"].dims
+    ('view_row', 'view_column')
+    """
+    from app.results.dataset import open_results
+
+    return open_results(path)
+
+
+def open_recording(path: str | Path) -> OpenedRecording:
+    """Open a recording.
+
+    Parameters
+    ----------
+    path
+        Folder of the recording.
+
+    Returns
+    -------
+    OpenedRecording
+        `.frames` is a lazy array (frame, row, column) in counts with the coordinates `frame_index` and `time`;
+        `.results()` is the dataset of all frames; `.bench` is the bench.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no recording.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> with svwfs.live(svwfs.load_bench("small_demo")) as bench:
+    ...     folder = bench.record("recording", frames=3)
+    >>> recording = svwfs.open_recording(folder)
+    >>> recording.frames.sizes["frame"], recording.results().sizes["frame"]
+    (3, 3)
+    """
+    from app.results.opened_recording import OpenedRecording
+
+    return OpenedRecording(path)
+
+
+def live(bench: Bench, *, average: int = 20) -> LiveBench:
+    """Open the devices of a bench for a `with` block; iterate over it for measurements.
+
+    Entering turns the light on, takes a dark and a reference, moves the sample in and starts the camera. Leaving stops
+    the camera, turns the light off and closes the devices, also after an error. On a bench without motors, take the
+    sample out, call `take_reference()`, and put it in again.
+
+    Parameters
+    ----------
+    bench
+        The bench, simulated or real.
+    average
+        Number of frames averaged in the first dark and the first reference.
+
+    Returns
+    -------
+    LiveBench
+        Iterating yields the newest `Measurement`: `.wavefront`, or None with the reason in `.problem`; `.frame`;
+        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `record(folder, frames)`.
+
+    Raises
+    ------
+    DeviceError
+        If a device is missing or fails.
+    InputError
+        If the bench cannot be used.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> with svwfs.live(svwfs.load_bench("small_demo")) as bench:
+    ...     for measurement in bench:
+    ...         break
+    >>> measurement.wavefront.views.shape
+    (3, 3, 7, 7)
+    """
+    from app.acquisition.session import LiveBench
+
+    return LiveBench(bench, average=average)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("importlib.metadata").version("svwfs")
+    if name in _TYPES:
+        return getattr(import_module(_TYPES[name]), name)
+    raise AttributeError(f"module 'svwfs' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
