@@ -1,4 +1,4 @@
-"""Type aliases for the arrays that the packages exchange."""
+"""Array type aliases shared by the packages."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 Counts = NDArray[np.integer[Any]] | NDArray[np.floating[Any]]
-"""A camera frame as read from the camera or from a file, (row, column)."""
+"""Camera frame as read from a camera or a file, (row, column)."""
 Mask = NDArray[np.bool_]

@@ -65,7 +65,7 @@ def diagonal_covariance(variance: Floats) -> Floats:
     return np.asarray(variance[..., None, None] * np.eye(modes * axes).reshape(modes, axes, modes, axes))
 
 
-class Estimator(Protocol):
+class RegistrationMethod(Protocol):
     """A method of registration, prepared for one reference."""
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:

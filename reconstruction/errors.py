@@ -1,12 +1,12 @@
-"""The one error of the package."""
+"""The package's exception."""
 
 from __future__ import annotations
 
 
 class ReconstructionError(ValueError):
-    """A frame or a reference from which nothing can be measured; the text says what would be right.
+    """A frame, reference, dark or setting from which nothing can be measured; the text says what to do.
 
-    `image` says which of them is at fault: "frame", "reference" or "dark"; empty when it is a setting.
+    `image` names the image at fault ("frame", "reference" or "dark"); empty for a setting.
     """
 
     def __init__(self, text: str, *, image: str = "") -> None:

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image, Mask
-from reconstruction.displacement import Displacement, Estimator, Outcome
+from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
@@ -113,7 +113,7 @@ class Reconstructor:
             solution = self._modal(slopes, covariance, valid, weights=weights)
         return Wavefront.of(self.sensor, self.field, displacement, solution)
 
-    def against(self, reference: Image) -> Estimator:
+    def against(self, reference: Image) -> RegistrationMethod:
         """Prepare the same registration for another reference (row, column), counts above the dark."""
         return prepare_registration(self._cut(reference), self.registration, self.field)
 
@@ -121,7 +121,7 @@ class Reconstructor:
         """Prepare the registration, with the warp that the noise allows if none is set; register the reference."""
 
         @cache
-        def prepare(warp: Warp) -> tuple[Estimator, Displacement]:
+        def prepare(warp: Warp) -> tuple[RegistrationMethod, Displacement]:
             estimator = prepare_registration(self.subimages, replace(registration, warp=warp), self.field)
             return estimator, estimator(light, saturated=np.zeros(light.shape, np.bool_))
 

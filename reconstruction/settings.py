@@ -1,4 +1,4 @@
-"""Settings of registration and reconstruction: the sections `[registration]` and `[reconstruction]` of a bench."""
+"""Settings of registration and reconstruction: `[registration]` and `[reconstruction]` of a bench."""
 
 from __future__ import annotations
 
@@ -18,15 +18,13 @@ FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegistrationSettings:
-    """How subimages are compared, how they may move, and where the stars are if the source has any."""
+    """Method and warp of the registration, and the star positions of a pinhole source."""
 
     method: Method = "gauss_newton"
-    warp: Warp | None = None  # affine or quadratic, as the noise allows; quadratic where that is not known
+    warp: Warp | None = None  # omitted: affine or quadratic, chosen by the noise; quadratic if that is unknown
     conserve_flux: bool = True
-    threads: int = 2  # gauss_newton: that share the lenslets
-    flow: Literal["views", "warp"] = (
-        "views"  # block_flow, demons, ffd: kept as it is at the views, or fitted by the warp
-    )
+    threads: int = 2  # of gauss_newton
+    flow: Literal["views", "warp"] = "views"  # block_flow, demons, ffd: sampled at the views, or fitted by the warp
     star_rows: int = 3
     star_columns: int = 3
     star_spacing_m: float = 0.5e-3
@@ -44,12 +42,12 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReconstructionSettings:
-    """How displacements become wavefronts; without `pupil_modes`, by as many as the lattice carries, smoothly."""
+    """From displacements to wavefronts; without `pupil_modes`, as many as the lattice carries, with a smooth prior."""
 
     method: Literal["zonal", "modal"] = "modal"
     basis: PupilBasis = "legendre"
     pupil_modes: int | None = None
-    refine: bool = False  # live: correct every frame by what a forward model finds beside the live view
+    refine: bool = False  # live: correct frames by the bias that a forward model finds in the background
 
     def __post_init__(self) -> None:
         require({"pupil_modes must be 3 ... 1000": self.pupil_modes is None or 3 <= self.pupil_modes <= 1000})

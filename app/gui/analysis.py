@@ -20,7 +20,7 @@ from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
-from reconstruction.quality.slope_fit import compare
+from reconstruction.quality.slope_fit import slope_fit
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
@@ -127,7 +127,7 @@ def _map(question: Question) -> Analysis:
         return Analysis(question)
     settings, solution = question.bench.reconstruction, wavefront.solution
     count = len(solution.coefficients) if isinstance(solution, ModalSolution) else settings.pupil_modes
-    compared = compare(wavefront, sensor, _modes(sensor, settings.basis, count))
+    compared = slope_fit(wavefront, sensor, _modes(sensor, settings.basis, count))
     maps = {
         Quantity.MEASURED: compared.measured,
         Quantity.FITTED: compared.fitted,

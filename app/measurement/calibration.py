@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 from app.bench.config import Bench
 from app.measurement.routines import Average
-from reconstruction.frame.noise import CameraNoise
-from reconstruction.frame.photon_transfer import photon_transfer
+from reconstruction.frame.noise import CameraNoise, photon_transfer
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.pipeline import Reconstructor

@@ -9,10 +9,10 @@ import numpy as np
 
 from app.bench.config import Bench
 from reconstruction.arrays import Floats, Image
-from reconstruction.frame.source_estimate import brightness, mean_subimage
 from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import PointPhase
+from reconstruction.registration.source_brightness import mean_subimage, point_brightness
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.source import SourcePoints
 
@@ -61,7 +61,7 @@ class BenchModel:
         y_m, x_m = np.meshgrid(along_m, along_m, indexing="ij")
         position_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)
         images = one_lenslet.point_irradiances(position_m)
-        self.source = SourcePoints(position_m=position_m, area_m2=brightness(images, subimage))
+        self.source = SourcePoints(position_m=position_m, area_m2=point_brightness(images, subimage))
         self._light = by_pixel(light, lattice, rows, columns)  # counts, (row, column)
         self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m
 

@@ -1,4 +1,4 @@
-"""Pixels of the camera that show no light, or always too much: finding them, and looking past them."""
+"""Dead and hot camera pixels: detection, and replacement by their neighbours."""
 
 from __future__ import annotations
 
@@ -10,25 +10,35 @@ from scipy import ndimage
 
 from reconstruction.arrays import Floats, Image, Mask
 
-# Diffraction makes images smooth: the neighbours of the brightest pixel of a star show 0.6 of it, or less by noise.
-_DEAD = 0.3  # of the faintest neighbour; a pixel below it may be dead
-_HOT = 3.0  # of the brightest neighbour; a pixel above it may be hot
-_LIT = 0.2  # of the frame's brightest light; a dead pixel shows only among neighbours above it
-_BRIGHT = 2.0  # likewise, of a hot pixel; single electrons behind a large gain stand out of the darkness by less
-_SIGNIFICANT = 8.0  # standard deviations of how neighbouring pixels differ from the mean of theirs
-_HOT_IN_DARK = 0.05  # of the frame's brightest light; less does no harm
-_OUTSTANDING = 4.0  # times what the dark's own brightest pixels, of single electrons, show
-_PEAK_PERCENT = 99.9  # of the pixels, below which the brightest of an image is; so no hot pixel is taken for it
+# Diffraction smooths images: the neighbours of a star's brightest pixel have about 0.6 of its light.
+_DEAD = 0.3  # a dead pixel has less than this fraction of its faintest neighbour ...
+_LIT = 0.2  # ... which has more than this fraction of the frame's peak
+_HOT = 3.0  # a hot pixel exceeds its brightest neighbour by this factor ...
+_BRIGHT = 2.0  # ... and the frame's peak by this one; single electrons at a large gain do not
+_SIGNIFICANT = 8.0  # standard deviations of the difference between a pixel and its neighbours' mean
+_HOT_IN_DARK = 0.05  # excess in the dark over the frame's peak; less is harmless
+_OUTSTANDING = 4.0  # excess in the dark over its brightest ordinary pixels, which are single electrons
+_PEAK_PERCENT = 99.9  # percentile taken for the peak, so that a hot pixel does not count
 _BACKGROUND_PERCENT = 1.0
 
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.bool_)
-_FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the ring about the neighbours
+_FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16 pixels around the neighbours
 
 
 def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None) -> Mask:
-    """Find dead and hot pixels (row, column) in the frame without the sample and, if there is one, the dark; counts.
+    """Find dead and hot pixels.
 
-    It is cautious: a pixel is bad when no image that the lenslets can make, and no noise, would look like that.
+    Conservative: a pixel is bad only if neither a diffraction-limited image nor noise can explain it.
+
+    Parameters
+    ----------
+    reference : (row, column)
+        Frame without the sample, counts.
+    dark : (row, column), optional
+
+    Returns
+    -------
+    bad : bool (row, column)
     """
     light = np.asarray(reference, np.float64) - (0 if dark is None else np.asarray(dark, np.float64))
     background, peak = np.percentile(light, (_BACKGROUND_PERCENT, _PEAK_PERCENT))
@@ -49,7 +59,7 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
 
 
 def _stands_out(image: Floats) -> Mask:
-    """Which pixels (row, column) differ from the mean of their neighbours by far more than those further away do."""
+    """True for pixels that differ from their neighbours' mean far more than the pixels around them do."""
     cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4
     difference = image - ndimage.correlate(image, cross, mode="mirror")
     usual = ndimage.correlate(difference**2, _FURTHER / np.count_nonzero(_FURTHER), mode="mirror")
@@ -57,9 +67,9 @@ def _stands_out(image: Floats) -> Mask:
 
 
 def repaired(light: NDArray[Any], bad: Mask) -> Image:
-    """Give each bad pixel of an image (row, column) the mean of the good ones about it; the image is not changed.
+    """Copy of an image (row, column) with bad pixels replaced by the mean of their good neighbours.
 
-    So the spline, which carries a pixel's value far, has nothing to carry.
+    Otherwise the spline would spread a bad value over many pixels.
     """
     row, column = np.nonzero(bad)
     if not row.size:

@@ -81,7 +81,7 @@ def cut(coefficients: Image, lattice: Lattice) -> Cells:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class CellMatch:
     """How each of N cells compares with the typical one."""
 
     typical: Floats  # light of a lit cell, its mean 0, (S, S)
@@ -91,7 +91,7 @@ class Comparison:
     displacement: Floats  # of a cell's light from where the typical cell has its own, in pitches, (N, xy)
 
 
-def compare(cells: Cells, *, lit_fraction: float, brightest: int) -> Comparison:
+def match_cells(cells: Cells, *, lit_fraction: float, brightest: int) -> CellMatch:
     """Compare every cell with the typical one: the median of the lit ones, all made equally bright.
 
     A cell is lit when it has `lit_fraction` of the light of the `brightest`-th cell, and more than noise may show.
@@ -112,7 +112,7 @@ def compare(cells: Cells, *, lit_fraction: float, brightest: int) -> Comparison:
     scale, along_y, along_x, _ = np.linalg.pinv(model) @ flat.T
     scale = np.where(np.abs(scale) > np.finfo(np.float32).tiny, scale, np.inf)
     displacement = -np.stack([along_x, along_y], axis=-1) / scale[:, None]
-    return Comparison(np.asarray(typical.reshape(shape), np.float64), brightness, is_lit, likeness, displacement)
+    return CellMatch(np.asarray(typical.reshape(shape), np.float64), brightness, is_lit, likeness, displacement)
 
 
 def _matched(flat: Image, typical: Image, lit_fraction: float, brightest: int) -> tuple[Floats, Mask, Floats]:

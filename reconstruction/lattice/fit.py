@@ -11,7 +11,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.background import rough_background, without_background
-from reconstruction.lattice.cells import Cells, Comparison, compare, cut
+from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells
 from reconstruction.lattice.spectrum import REACH
 
 LIT_FRACTION = 0.1  # of the light of a bright cell
@@ -33,7 +33,7 @@ class Fit:
 
     lattice: Lattice
     cells: Cells
-    comparison: Comparison
+    match: CellMatch
     agreement: Floats  # of the harmonics of all cells, 1 where they have one phase; along x and y
     off_lattice: Floats  # where each cell's light lies beside the lattice, in pitches, (N, xy)
 
@@ -65,19 +65,19 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
         cells = cut(coefficients, lattice)
         if not _fills_both_axes(cells):
             return None
-        comparison = compare(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
-        cells = without_background(cells, comparison.brightness)
-        comparison = compare(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
-        typical = Cells(cells.index[:1], comparison.typical[None].astype(np.float32))
+        match = match_cells(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
+        cells = without_background(cells, match.brightness)
+        match = match_cells(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
+        typical = Cells(cells.index[:1], match.typical[None].astype(np.float32))
         offset = np.angle(typical.harmonics()[0] * sign) * _TO_PITCHES
-        weight = comparison.is_lit * np.clip(comparison.brightness, 0, 1) ** 2
+        weight = match.is_lit * np.clip(match.brightness, 0, 1) ** 2
         if np.count_nonzero(weight) < _FEWEST:
             return None
-        move, stretch, turn, off_lattice = _similarity(cells.index, comparison.displacement, weight)
+        move, stretch, turn, off_lattice = _similarity(cells.index, match.displacement, weight)
         lattice = _moved(lattice, move + offset, stretch, turn)
     harmonics = _evened(cells.harmonics(), brightest)
     agreement = np.abs(harmonics.sum(axis=0)) / np.maximum(np.abs(harmonics).sum(axis=0), _NOTHING)
-    return Fit(lattice, cells, comparison, agreement, off_lattice)
+    return Fit(lattice, cells, match, agreement, off_lattice)
 
 
 def _fills_both_axes(cells: Cells) -> bool:

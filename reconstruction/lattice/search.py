@@ -19,8 +19,8 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.fit import SMALLEST_PITCH_PX, Fit, fit_lattice
+from reconstruction.lattice.rejection import is_outstanding, why_no_lattice
 from reconstruction.lattice.spectrum import REACH, Peak, strongest_peak, without_peaks
-from reconstruction.lattice.verdict import is_outstanding, why_no_lattice
 
 _SATURATED_FRACTION = 0.01  # of the pixels
 _DARK_AT_MOST = 8  # times as many lenslets as are lit may there be
@@ -166,8 +166,8 @@ def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
     x, y = (fit.cells.index - first).T
     whole = np.zeros((rows, columns), np.bool_)
     lit, brightness, beside = np.zeros_like(whole), np.zeros(whole.shape), np.full((*whole.shape, 2), np.nan)
-    whole[y, x], lit[y, x] = True, fit.comparison.is_lit
-    brightness[y, x], beside[y, x] = fit.comparison.brightness, fit.off_lattice * fit.lattice.pitch_px
+    whole[y, x], lit[y, x] = True, fit.match.is_lit
+    brightness[y, x], beside[y, x] = fit.match.brightness, fit.off_lattice * fit.lattice.pitch_px
     beside[~lit] = np.nan
     extent = _extent(lit)
     wanted = (sensor.lenslet_rows, sensor.lenslet_columns)
@@ -198,8 +198,8 @@ def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
         illuminated=lit[block],
         displacement_px=beside[block],
         brightness=brightness[block],
-        typical=fit.comparison.typical,
-        likeness=float(np.median(fit.comparison.likeness[fit.comparison.is_lit])),
+        typical=fit.match.typical,
+        likeness=float(np.median(fit.match.likeness[fit.match.is_lit])),
     )
 
 

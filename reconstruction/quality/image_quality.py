@@ -19,7 +19,7 @@ from scipy.interpolate import make_interp_spline
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor, centered_steps
-from reconstruction.quality.continuation import continued
+from reconstruction.quality.extrapolation import extrapolate
 
 _SAMPLES = 6  # along each side of a lenslet
 _FARTHEST_PERCENT = 99.0  # of each wavefront's area sends its light within the reach
@@ -109,7 +109,7 @@ def diffraction_rad(sensor: Sensor) -> float:
 def _transmission(phase: Floats) -> Transmission:
     """The pupil exp(i phase) on the fine grid, (..., sample_row, sample_column); zero where the phase is unknown."""
     rows, columns = phase.shape[-2:]
-    fine = _to_samples(rows) @ continued(phase) @ _to_samples(columns).T
+    fine = _to_samples(rows) @ extrapolate(phase) @ _to_samples(columns).T
     transmits = np.repeat(np.repeat(np.isfinite(phase), _SAMPLES, axis=-2), _SAMPLES, axis=-1)
     angle = np.where(transmits, np.remainder(fine, 2 * np.pi), 0).astype(np.float32)
     return np.asarray(np.where(transmits, np.exp(1j * angle), 0), np.complex64)

@@ -15,7 +15,7 @@ from reconstruction.wavefront import Wavefront, without_piston
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class SlopeFit:
     """Wavefronts without piston, rad, each (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown."""
 
     measured: Floats  # what the slopes of the view's lenslets say
@@ -23,7 +23,7 @@ class Comparison:
     difference: Floats  # measured minus fitted: noise, and what the pupil modes are too few for
 
 
-def compare(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> Comparison:
+def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeFit:
     """Compare a wavefront's views with what their lenslets measured; `modes` are those that it was fitted with.
 
     The modal method has fitted its modes to the slopes. What the fit leaves of the slopes is integrated from lenslet to
@@ -36,7 +36,7 @@ def compare(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> Comparis
     solution, views = wavefront.solution, wavefront.views
     if not isinstance(solution, ModalSolution):
         fitted = _fit(views, modes)
-        return Comparison(views, fitted, without_piston(views - fitted))
+        return SlopeFit(views, fitted, without_piston(views - fitted))
     field, displacement = wavefront.field, wavefront.displacement
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     field_modes = np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1)
@@ -44,7 +44,7 @@ def compare(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> Comparis
     fitted = np.tensordot(field_modes @ solution.coefficients.T, modes.gradients, axes=1)
     difference = zonal_wavefront(measured - fitted, displacement.valid & modes.inside, pitch_m=sensor.lenslet_pitch_m)
     difference[~field.contains(x, y[:, None])] = np.nan
-    return Comparison(without_piston(views + difference), views, difference)
+    return SlopeFit(without_piston(views + difference), views, difference)
 
 
 def _fit(views: Floats, modes: PupilModes) -> Floats:

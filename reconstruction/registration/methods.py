@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from reconstruction.displacement import Estimator
+from reconstruction.displacement import RegistrationMethod
 from reconstruction.geometry import Field, centered_steps
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes, ZernikeModes
-from reconstruction.registration.gauss_newton.method import GaussNewton
+from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.peers.centroids import Centroids
 from reconstruction.registration.peers.correlation import Correlation
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
 
 
-def prepare_registration(reference: ReferenceSubimages, settings: RegistrationSettings, field: Field) -> Estimator:
+def prepare_registration(
+    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field
+) -> RegistrationMethod:
     """Prepare the method that the settings ask for, for one reference."""
     if settings.method in {"correlation", "correlation_fft"}:
         return Correlation(reference, method="fft" if settings.method == "correlation_fft" else "square_difference")

@@ -1,4 +1,4 @@
-"""Numba, as this project uses it: compiled code lets go of the interpreter's lock and is kept on disk."""
+"""Numba compilation that releases the interpreter lock and caches on disk."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_PACKAGE
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile with Numba on the first call and keep the result on disk; a typed face for an untyped decorator."""
+    """Compile with Numba on the first call; a typed wrapper of the untyped decorator."""
     dispatcher: Any = numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")(
         function
     )
-    # Numba checks only the function's own file for changes, but inlines functions and constants from others.
-    dispatcher._cache._cache_file._source_stamp = _SOURCES  # noqa: SLF001 - there is no public way to say so
+    # Numba checks only the function's file for changes, but inlines functions and constants of other files.
+    dispatcher._cache._cache_file._source_stamp = _SOURCES  # noqa: SLF001 - there is no public way
     return cast("Callable[P, R]", dispatcher)

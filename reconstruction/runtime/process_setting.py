@@ -1,4 +1,4 @@
-"""What is set for the whole process, for as long as anybody in it wants that."""
+"""Reference-counted process-wide setting."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ from threading import RLock
 
 
 class ProcessSetting:
-    """One such setting: the first who wants it brings it into force, and the last to leave takes it away.
-
-    Several threads may want it at once, and leave in any order.
-    """
+    """A setting in force while at least one `with ... .wanted()` block runs, in any thread."""
 
     def __init__(self, begin: Callable[[], Callable[[], object]]) -> None:
-        """`begin` brings it into force and returns what brings back how it was before."""
+        """`begin` applies the setting and returns a function that restores the previous state."""
         self._begin = begin
-        self._changing = RLock()  # also when, in the middle of it, a forgotten generator leaves in the same thread
+        self._changing = RLock()  # re-entrant: garbage collection may end another block here
         self._wanted_by = 0
         self._restore: Callable[[], object] | None = None
 
     @contextmanager
     def wanted(self) -> Iterator[None]:
-        """Have it in force while a `with` lasts."""
+        """Keep the setting in force inside a `with` block."""
         self._enter()
         try:
             yield

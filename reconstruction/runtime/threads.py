@@ -1,4 +1,4 @@
-"""Threads that stay, so that a frame need not make any; and how many of them BLAS may have."""
+"""Persistent worker threads, and a limit on the threads of BLAS."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from reconstruction.runtime.process_setting import ProcessSetting
 
 @cache
 def worker_pool(threads: int) -> ThreadPoolExecutor:
-    """So many threads beside the one that asks, the same for the whole program."""
+    """Pool of that many threads besides the caller, shared by the whole process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="reconstruction")
 
 
 def one_blas_thread() -> AbstractContextManager[None]:
-    """Let BLAS work in one thread while a `with` lasts, in all of the process: live, and wherever live is repeated.
+    """Limit BLAS to one thread in the whole process inside a `with` block.
 
-    Its own threads wait for one another at full speed: on a busy computer that takes half a second for a decomposition
-    of 30 ms, and frames are lost. And in one thread sums are always added in the same order. Several threads may ask
-    for it; whoever is the last to leave, and nobody before, takes the limit away.
+    The threads of BLAS spin while they wait for one another: on a busy computer a decomposition of 30 ms takes half a
+    second, and frames are lost. One thread also adds sums in a fixed order, so that results repeat.
     """
     return _one_blas_thread.wanted()
 

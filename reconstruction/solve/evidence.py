@@ -15,7 +15,7 @@ _LEAST = np.finfo(np.float64).tiny
 
 
 @compiled
-def likeliest(square: Floats, along: Floats, total: Floats, count: int) -> Floats:
+def maximize_evidence(square: Floats, along: Floats, total: Floats, count: int) -> Floats:
     """The likeliest ratio of prior to noise variance of each combination, and the noise variance: (2, combination).
 
     `square` (combination, p) are the singular values' squares, one at most; `along` (combination, p) the `count` data

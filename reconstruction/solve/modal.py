@@ -22,7 +22,7 @@ from scipy import ndimage
 from reconstruction.arrays import Floats, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
-from reconstruction.solve.evidence import likeliest
+from reconstruction.solve.evidence import maximize_evidence
 from reconstruction.solve.whitening import Whitening
 
 _PRIOR_EXPONENT = 5.0
@@ -30,7 +30,7 @@ _UNSEEN = 1e-12  # singular value over the largest, below which it is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
+class _WeightedEquations:
     """The weighted, scaled equations of one set of lenslets for each of k combinations: W G S = u singular vt.
 
     G is (lenslet x xy, pupil_mode - 1); all without the piston.
@@ -63,7 +63,7 @@ class ModalSolution:
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston, which slopes do not show
     _whitening: Whitening
-    _equations: _Equations
+    _equations: _WeightedEquations
     _gain: Floats  # 1 / singular, or less where the prior holds: (combination, pupil_mode - 1)
     _prior_variance: Floats  # s^2 of each combination, (combination,); 0 without the prior
     _slopes: Floats  # rad/m, (lenslet x xy, field_mode)
@@ -177,7 +177,7 @@ class ModalSolver:
         along = equations.along(weighted)
         if self._is_smooth:
             total = np.vecdot(data, weighted)
-            ratio, noise = likeliest(equations.square, along, total, data.shape[1])
+            ratio, noise = maximize_evidence(equations.square, along, total, data.shape[1])
             ratio = ratio / np.max(equations.singular) ** 2
             gain = ratio[:, None] * equations.singular / (1 + ratio[:, None] * equations.singular**2)
             prior_variance = ratio * noise
@@ -195,7 +195,7 @@ class ModalSolver:
             covariance,
         )
 
-    def _decompose(self, valid_bytes: bytes, weight_bytes: bytes) -> _Equations:
+    def _decompose(self, valid_bytes: bytes, weight_bytes: bytes) -> _WeightedEquations:
         """Set up and decompose the equations of the valid lenslets."""
         valid = np.frombuffer(valid_bytes, np.bool_)
         weights = np.frombuffer(weight_bytes, np.float64)[valid]
@@ -217,7 +217,7 @@ class ModalSolver:
         values = self._modes.values[1:, known]
         is_seen = singular > _UNSEEN * singular[:, :1]
         scaled = vt * self._scale
-        return _Equations(
+        return _WeightedEquations(
             weight=root_weight**2,
             singular=singular,
             square=(singular / np.max(singular)) ** 2,

@@ -9,7 +9,7 @@ from scipy import ndimage
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Image
-from reconstruction.displacement import Estimator
+from reconstruction.displacement import RegistrationMethod
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import noise_power
 from reconstruction.registration.methods import prepare_registration
@@ -36,7 +36,7 @@ def deformed(small_bench: SmallBench) -> Image:
     return small_bench.frame(phase)
 
 
-def _estimator(bench: SmallBench, electrons: float, noise: CameraNoise | None) -> Estimator:
+def _estimator(bench: SmallBench, electrons: float, noise: CameraNoise | None) -> RegistrationMethod:
     """The registration of quadratic warps against a reference whose brightest pixel has so many electrons."""
     reference = bench.reference * np.float32(electrons / bench.reference.max())
     subimages = ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, noise=noise)

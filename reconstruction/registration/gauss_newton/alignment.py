@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.registration.gauss_newton.kernel import Scratch, look, warp_polynomials, warp_value
+from reconstruction.registration.gauss_newton.warped_sampling import (
+    Scratch,
+    sample_warped,
+    warp_polynomials,
+    warp_value,
+)
 from reconstruction.runtime.compilation import compiled
 
 LOST_PX = np.float32(1e6)  # the last step of a fit that has run away
@@ -40,7 +45,7 @@ class Grid(NamedTuple):
     weight: Image  # of the pixels, one on average; 0 for those that do not count, (L, N)
 
 
-class View(NamedTuple):
+class FrameData(NamedTuple):
     """A frame, and how the lattice lies on it."""
 
     coefficients: Image  # of the spline, (row, column)
@@ -58,12 +63,12 @@ class State(NamedTuple):
     step_px: np.float32  # largest change of a coefficient in the last step, or what is still to come of it
     gain: np.float32
     contrast: np.float32  # standard deviation of the light where the fit began, counts
-    careful: bool  # whether pixels were left out
+    is_partial: bool  # whether pixels were left out
 
 
 @compiled
-def settle(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to fast code
-    view: View, grid: Grid, lenslet: int, displacement: Image, limits: tuple[int, np.float32], scratch: Scratch
+def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to fast code
+    frame: FrameData, grid: Grid, lenslet: int, displacement: Image, limits: tuple[int, np.float32], scratch: Scratch
 ) -> State:
     """Improve the displacement (xy, Q), px, of one lenslet in place.
 
@@ -75,33 +80,33 @@ def settle(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to
     change, step = np.zeros(parameters, np.float32), np.float32(np.inf)
     gain, offset, contrast = np.float32(1.0), np.float32(0.0), np.float32(0.0)
     gain_before, offset_before, before, square = gain, offset, np.float32(np.inf), np.float32(np.inf)
-    careful: bool = False
+    is_partial: bool = False
     renew, halvings = True, 0
     left = np.empty((0, 0), np.float64)
     for iteration in range(limits[0]):
         if not np.max(np.abs(displacement)) < _BOUND_PX:
-            return State(np.float32(np.inf), LOST_PX, gain, contrast, careful)
+            return State(np.float32(np.inf), LOST_PX, gain, contrast, is_partial)
         warp = warp_polynomials(displacement, grid.monomials)
-        look(view.coefficients, warp, grid.uv, view.center_px[lenslet], view.turn, grid.scale, scratch)
+        sample_warped(frame.coefficients, warp, grid.uv, frame.center_px[lenslet], frame.turn, grid.scale, scratch)
         if iteration == 0:
             gain, offset, contrast = _brightness(scratch.light, grid.light[lenslet])
             gain_before, offset_before = gain, offset
             if not 0 < contrast < np.inf:  # nothing to be seen, or more than numbers hold
-                return State(np.float32(np.inf), LOST_PX, gain, np.float32(0.0), careful)
+                return State(np.float32(np.inf), LOST_PX, gain, np.float32(0.0), is_partial)
         if renew:
-            careful = bool(view.sees_bad[lenslet]) or _leaves_cell(warp, grid, view.half_cell_px)
-            if careful:
-                _mask(view, lenslet, scratch)
-                left = _left_over(inverse, grid.descent[lenslet], scratch.masked)
+            is_partial = bool(frame.sees_bad[lenslet]) or _leaves_cell(warp, grid, frame.half_cell_px)
+            if is_partial:
+                _exclude(frame, lenslet, scratch)
+                left = _left_over(inverse, grid.descent[lenslet], scratch.excluded)
         square = _subtract(gain, offset, grid.light[lenslet], weight, scratch)
-        if careful:
-            square = _leave_out(weight, scratch)
+        if is_partial:
+            square = _zero_excluded(weight, scratch)
         if not square < np.inf:
-            return State(square, LOST_PX, gain, contrast, careful)
+            return State(square, LOST_PX, gain, contrast, is_partial)
         if square > _GROWTH * before and step > _SMALL_PX:
             halvings += 1
             if halvings > _HALVINGS:
-                return State(square, LOST_PX, gain, contrast, careful)
+                return State(square, LOST_PX, gain, contrast, is_partial)
             for p in range(parameters):
                 change[p] *= np.float32(0.5)
             for axis in range(2):
@@ -111,8 +116,8 @@ def settle(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to
         else:
             before, gain_before, offset_before = square, gain, offset
             _project(inverse, scratch.residual, change)
-            if careful and not _solve(left.copy(), change):
-                return State(square, LOST_PX, gain, contrast, careful)
+            if is_partial and not _solve(left.copy(), change):
+                return State(square, LOST_PX, gain, contrast, is_partial)
             _carry(change, warp, grid.scale[0])
             last, step = step, np.float32(0.0)
             for axis in range(2):
@@ -123,12 +128,12 @@ def settle(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to
             shrinks = _FIRST_SHRINKS if iteration == 0 else min(max(step / last, _SHRINKS), np.float32(0.9))
             if step * shrinks / (np.float32(1.0) - shrinks) < limits[1]:
                 break
-        renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two masks would never settle
+        renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two masks would never fit_warp
         fainter = np.float32(1.0) - change[-2]
         gain, offset = gain_before * fainter, offset_before * fainter - change[-1]
     if not (gain > 0 and np.max(np.abs(displacement)) < _BOUND_PX):
         step = LOST_PX
-    return State(square, step, gain, contrast, careful)
+    return State(square, step, gain, contrast, is_partial)
 
 
 @compiled
@@ -188,12 +193,12 @@ def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Ima
 
 
 @compiled
-def _leave_out(weight: Image, scratch: Scratch) -> np.float32:
-    """Take the masked pixels out of the residual; return the weighted sum of squares as if none were missing."""
+def _zero_excluded(weight: Image, scratch: Scratch) -> np.float32:
+    """Take the excluded pixels out of the residual; return the weighted sum of squares as if none were missing."""
     square, total, kept = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for n in range(weight.size):
         total += weight[n]
-        if scratch.masked[n]:
+        if scratch.excluded[n]:
             scratch.residual[n] = np.float32(0.0)
         else:
             kept += weight[n]
@@ -212,32 +217,32 @@ def _project(inverse: Image, residual: Image, change: Image) -> None:
 
 
 @compiled
-def _mask(view: View, lenslet: int, scratch: Scratch) -> None:
+def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
     """Mask the pixels that land in the neighbour's cell or between bad pixels."""
-    cosine, sine = view.turn[0], view.turn[1]
+    cosine, sine = frame.turn[0], frame.turn[1]
     for n in range(scratch.x.size):
         x, y = scratch.x[n], scratch.y[n]
         column, row = int(x), int(y)
-        along, across = x - np.float32(view.center_px[lenslet, 0]), y - np.float32(view.center_px[lenslet, 1])
-        beyond = max(abs(cosine * along + sine * across), abs(cosine * across - sine * along)) > view.half_cell_px
-        scratch.masked[n] = beyond or (
-            view.sees_bad[lenslet]
+        along, across = x - np.float32(frame.center_px[lenslet, 0]), y - np.float32(frame.center_px[lenslet, 1])
+        beyond = max(abs(cosine * along + sine * across), abs(cosine * across - sine * along)) > frame.half_cell_px
+        scratch.excluded[n] = beyond or (
+            frame.sees_bad[lenslet]
             and (
-                view.bad[row, column]
-                or view.bad[row + 1, column]
-                or view.bad[row, column + 1]
-                or view.bad[row + 1, column + 1]
+                frame.bad[row, column]
+                or frame.bad[row + 1, column]
+                or frame.bad[row, column + 1]
+                or frame.bad[row + 1, column + 1]
             )
         )
 
 
 @compiled
-def _left_over(inverse: Image, descent: Image, masked: NDArray[np.bool_]) -> Floats:
-    """1 - sum A_n J_n^T over the masked pixels (N,): (P, P)."""
+def _left_over(inverse: Image, descent: Image, excluded: NDArray[np.bool_]) -> Floats:
+    """1 - sum A_n J_n^T over the excluded pixels (N,): (P, P)."""
     parameters = inverse.shape[0]
     left = np.eye(parameters)
-    for n in range(masked.size):
-        if masked[n]:
+    for n in range(excluded.size):
+        if excluded[n]:
             for i in range(parameters):
                 for j in range(parameters):
                     left[i, j] -= inverse[i, n] * descent[j, n]

@@ -19,7 +19,7 @@ from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 
 
-class Errors(NamedTuple):
+class FitErrors(NamedTuple):
     """How wrong the fits of L lenslets may be."""
 
     covariance: Floats  # px^2, (L, Q, xy, Q, xy); without known noise, of what the warp cannot explain
@@ -28,7 +28,7 @@ class Errors(NamedTuple):
     known: Floats  # share of what a lenslet's pixels say about its parameters that the good ones say, (L,)
 
 
-class FitErrors:
+class ErrorPropagation:
     """Propagates noise through the fits against one reference."""
 
     def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Mask) -> None:
@@ -51,10 +51,10 @@ class FitErrors:
             square[:, 0], square[:, 1], square[:, 2] = (shot + read) * self._of_reference, shot, read
         return square
 
-    def __call__(self, fits: Fits) -> Errors:
+    def __call__(self, fits: Fits) -> FitErrors:
         """Say how wrong the fits are; of those that ran away it may say anything."""
         template, lenslets = self._template, len(fits.gain)
-        errors = Errors(
+        errors = FitErrors(
             np.empty_like(template.per_pixel.covariance), np.empty(lenslets), np.empty(lenslets), np.ones(lenslets)
         )
         noise = (np.nan, np.nan)
@@ -62,10 +62,10 @@ class FitErrors:
             noise = self._noise.counts_per_light, self._noise.read_noise_counts**2
         prepared = *noise, self._of_reference, self._reference_power
         _propagate(fits, np.arange(lenslets), template.per_pixel, template.per_light, *prepared, errors)
-        careful = np.flatnonzero(fits.careful)
-        if careful.size:
-            per_pixel, per_light, errors.known[careful] = template.without(careful, fits.masked[careful])
-            _propagate(fits, careful, per_pixel, per_light, *prepared, errors)
+        is_partial = np.flatnonzero(fits.is_partial)
+        if is_partial.size:
+            per_pixel, per_light, errors.known[is_partial] = template.without(is_partial, fits.excluded[is_partial])
+            _propagate(fits, is_partial, per_pixel, per_light, *prepared, errors)
         return errors
 
 
@@ -79,7 +79,7 @@ def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by
     read: float,
     of_reference: float,
     reference_power: Floats,
-    errors: Errors,
+    errors: FitErrors,
 ) -> None:
     """Fill in what is wrong with the fits of some lenslets (K,), of which `per_pixel` and `per_light` tell.
 

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.registration.gauss_newton.alignment import LOST_PX, Grid, State, View, settle
-from reconstruction.registration.gauss_newton.kernel import Scratch, new_scratch
-from reconstruction.registration.gauss_newton.whole_pixel_search import Search, best_shift
+from reconstruction.registration.gauss_newton.alignment import LOST_PX, FrameData, Grid, State, fit_warp
+from reconstruction.registration.gauss_newton.warped_sampling import Scratch, new_scratch
+from reconstruction.registration.gauss_newton.whole_pixel_search import WholePixelSearch, best_shift
 from reconstruction.runtime.compilation import compiled
 
 _NOISE_STRIDE = 7  # pixels between those where the noise of interpolation is looked at; no divisor of a window's width
 
 
-class Limits(NamedTuple):
+class FitLimits(NamedTuple):
     """When a fit has settled and when it is no match, for translations (`start_`) and warps."""
 
     start_iterations: int
@@ -37,17 +37,17 @@ class Fits(NamedTuple):
     square: Floats  # weighted sum of the residual's squares before the last step, counts^2, (L,)
     step_px: Floats  # the largest change of a coefficient in the last step, (L,)
     noise_power: Floats  # share of the pixels' noise that interpolation leaves: of uniform, of shot noise, (L, 2)
-    careful: NDArray[np.bool_]  # whether pixels were left out, (L,)
-    masked: NDArray[np.bool_]  # which ones, (L, N)
+    is_partial: NDArray[np.bool_]  # whether pixels were left out, (L,)
+    excluded: NDArray[np.bool_]  # which ones, (L, N)
 
 
 @compiled
 def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by their place
-    view: View,
+    frame: FrameData,
     start: Grid,
     warp: Grid,
-    search: Search,
-    limits: Limits,
+    search: WholePixelSearch,
+    limits: FitLimits,
     power: Floats,
     fits: Fits,
     first: int,
@@ -61,7 +61,7 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     scratch = new_scratch(warp.uv.shape[1])
     coarse = new_scratch(start.uv.shape[1])
     patch = new_scratch(search.uv.shape[1])
-    cell = view.half_cell_px
+    cell = frame.half_cell_px
     settled = (limits.iterations, limits.tolerance_px)
     for lenslet in range(first, fits.gain.size, step):
         if not np.any(warp.weight[lenslet]):
@@ -71,36 +71,36 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
         state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
         poor = True
         if np.all(np.isfinite(displacement)):
-            state = settle(view, warp, lenslet, displacement, settled, scratch)
+            state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
             poor = _is_poor(state, limits, lenslet)
         if poor:
             translation = np.zeros((2, 1), np.float32)
-            settle(view, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse)
+            fit_warp(frame, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse)
             displacement[:] = 0
             if max(abs(translation[0, 0]), abs(translation[1, 0])) < cell:
                 displacement[0, 0], displacement[1, 0] = translation[0, 0], translation[1, 0]
-            state = settle(view, warp, lenslet, displacement, settled, scratch)
+            state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
             poor = _is_poor(state, limits, lenslet)
         if poor and search.reach > 0:
             again = np.zeros_like(displacement)
-            best_shift(view, search, lenslet, again, patch)
-            other = settle(view, warp, lenslet, again, settled, scratch)
+            best_shift(frame, search, lenslet, again, patch)
+            other = fit_warp(frame, warp, lenslet, again, settled, scratch)
             better = other.square < state.square if state.step_px < limits.converged_px else True
             if other.step_px < limits.converged_px and better:
                 displacement[:] = again
                 state = other
             elif state.step_px < limits.converged_px:  # as before; the pixels left out are looked up again
-                state = settle(view, warp, lenslet, displacement, settled, scratch)
+                state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
         fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
         fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
-        fits.careful[lenslet] = state.careful
-        if state.careful:
-            fits.masked[lenslet] = scratch.masked
-        _look_at_noise(warp.weight[lenslet], warp.light[lenslet], power, scratch, fits.noise_power[lenslet])
+        fits.is_partial[lenslet] = state.is_partial
+        if state.is_partial:
+            fits.excluded[lenslet] = scratch.excluded
+        _interpolated_noise(warp.weight[lenslet], warp.light[lenslet], power, scratch, fits.noise_power[lenslet])
 
 
 @compiled
-def _is_poor(state: State, limits: Limits, lenslet: int) -> bool:
+def _is_poor(state: State, limits: FitLimits, lenslet: int) -> bool:
     """Whether another start might do better."""
     poor = limits.poor_square[lenslet]
     enough = state.square < poor[0] + state.gain * (poor[1] + state.gain * poor[2])
@@ -108,7 +108,7 @@ def _is_poor(state: State, limits: Limits, lenslet: int) -> bool:
 
 
 @compiled
-def _look_at_noise(weight: Image, light: Image, power: Floats, scratch: Scratch, found: Floats) -> None:
+def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scratch, found: Floats) -> None:
     """Mean share of the noise that interpolation leaves where a window has landed: of uniform, of shot noise, (2,)."""
     pixels, shot, left_pixels, left_shot = 0.0, 0.0, 0.0, 0.0
     for n in range(0, weight.size, _NOISE_STRIDE):

@@ -20,7 +20,7 @@ from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.registration.gauss_newton.alignment import Grid
-from reconstruction.registration.gauss_newton.kernel import MONOMIALS
+from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS
 from reconstruction.registration.subimages import ReferenceSubimages
 
 # What a warp may leave unexplained, over the brightest pixel of a subimage. Without it the dark surround of a bright
@@ -57,20 +57,20 @@ class Template:
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of noise with as much variance as there is light, as shot noise has
 
-    def without(self, lenslets: NDArray[np.intp], masked: Mask) -> tuple[Propagated, Propagated, Floats]:
-        """`per_pixel` and `per_light` of some lenslets (K,) when pixels `masked` (K, N) do not count.
+    def without(self, lenslets: NDArray[np.intp], excluded: Mask) -> tuple[Propagated, Propagated, Floats]:
+        """`per_pixel` and `per_light` of some lenslets (K,) when pixels `excluded` (K, N) do not count.
 
         Also the share of what all pixels know about the parameters that is left, (K,).
         """
         inverse, descent = (np.asarray(part[lenslets], np.float64) for part in (self.grid.inverse, self.grid.descent))
-        inverse *= ~masked[:, None]
+        inverse *= ~excluded[:, None]
         left = inverse @ np.swapaxes(descent, 1, 2)
         share = np.clip(np.trace(left, axis1=1, axis2=2) / left.shape[1], 0, 1)
         left[share < _NOTHING] = np.eye(left.shape[1])
         inverse = np.linalg.pinv(left) @ inverse
         weight = np.asarray(self.grid.weight[lenslets], np.float64)
         whole = weight.sum(axis=1, keepdims=True)
-        weight *= ~masked
+        weight *= ~excluded
         weight *= whole / np.maximum(weight.sum(axis=1, keepdims=True), _NOTHING)
         light = np.maximum(self.grid.light[lenslets], 0)
         return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from reconstruction.arrays import Image
-from reconstruction.registration.gauss_newton.alignment import View
-from reconstruction.registration.gauss_newton.kernel import Scratch, look
+from reconstruction.registration.gauss_newton.alignment import FrameData
+from reconstruction.registration.gauss_newton.warped_sampling import Scratch, sample_warped
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 
 
-class Search(NamedTuple):
+class WholePixelSearch(NamedTuple):
     """What is looked for: the middle of the reference's windows, which shifts within reach leave inside the cell."""
 
     light: Image  # less its mean and over its contrast, (L, rows, columns)
@@ -22,7 +22,7 @@ class Search(NamedTuple):
     reach: int  # the largest shift, px
 
 
-def prepare_search(reference: ReferenceSubimages) -> Search:
+def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
     """Prepare the search for shifts that leave the field, with half its blur, inside the lenslet's cell."""
     reach = max(int(reference.reach_px - reference.half_width_px), 0)
     width = 2 * int(reference.half_width_px + reference.blur_px / 2) + reference.width % 2
@@ -32,7 +32,7 @@ def prepare_search(reference: ReferenceSubimages) -> Search:
     light = light - light.mean(axis=(1, 2), keepdims=True)
     light /= np.maximum(light.std(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
     near = np.abs(reference.offset_px).max(axis=1) <= (width - 1) / 2 + reach
-    return Search(
+    return WholePixelSearch(
         light=light.astype(np.float32),
         uv=np.ascontiguousarray(reference.offset_px[near].T / reference.half_width_px, np.float32),
         scale=(np.float32(reference.half_width_px), np.float32(0.0)),
@@ -41,10 +41,10 @@ def prepare_search(reference: ReferenceSubimages) -> Search:
 
 
 @compiled
-def best_shift(view: View, search: Search, lenslet: int, displacement: Image, scratch: Scratch) -> None:
+def best_shift(frame: FrameData, search: WholePixelSearch, lenslet: int, displacement: Image, scratch: Scratch) -> None:
     """Set the displacement (xy, Q) to the whole-pixel shift at which the frame correlates best with the reference."""
     still = np.zeros((2, 10), np.float32)
-    look(view.coefficients, still, search.uv, view.center_px[lenslet], view.turn, search.scale, scratch)
+    sample_warped(frame.coefficients, still, search.uv, frame.center_px[lenslet], frame.turn, search.scale, scratch)
     template, reach = search.light[lenslet], search.reach
     rows, columns = template.shape
     width = columns + 2 * reach

@@ -60,7 +60,7 @@ class BlockFlow:
         self._structure, self._plate = self._prepare_plate()
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.Estimator`."""
+        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
         subimages = self._reference.cut(light)
         seen = self._structure @ self._search(subimages)[..., None]
         shift = self._plate @ seen.reshape(len(seen), -1, 1)

@@ -19,7 +19,7 @@ from reconstruction.displacement import Displacement, Outcome, diagonal_covarian
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.registration.outcomes import judged
+from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.peers.correlation import correlation_spectrum, cross_correlation, normalised
 from reconstruction.registration.subimages import ReferenceSubimages
 
@@ -80,7 +80,7 @@ class Centroids:
         self._contrast = self._stars.window.std(axis=-1)  # (L, S)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.Estimator`.
+        """Compare a frame with the reference; see `displacement.RegistrationMethod`.
 
         A lenslet that has lost one of its stars yields nothing at all: the others do not say where it went.
         """
@@ -101,7 +101,7 @@ class Centroids:
 
         displacement = np.swapaxes(after.position_px - before.position_px, 1, 2)  # (L, xy, S)
         variance = np.repeat(self._variance(after, difference)[..., None], 2, axis=-1)  # (L, S, xy)
-        return judged(
+        return classify_lenslets(
             reference,
             self._modes,
             displacement,

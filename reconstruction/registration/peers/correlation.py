@@ -19,7 +19,7 @@ from reconstruction.displacement import Displacement, Outcome, diagonal_covarian
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.outcomes import judged
+from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.subimages import ReferenceSubimages
 
 Mismatch = Literal["square_difference", "fft"]
@@ -42,7 +42,7 @@ class Correlation:
         self._spectrum = correlation_spectrum(self._light)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.Estimator`."""
+        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
         reference = self._reference
         window = reference.cut(light)
         mismatch, pixels = self._mismatch(normalised(window))
@@ -50,7 +50,7 @@ class Correlation:
         residual_rms = np.sqrt(least / pixels)
         variance *= least[:, None] / (pixels - 3)  # what the shift does not explain is taken for noise
 
-        return judged(
+        return classify_lenslets(
             reference,
             self._modes,
             (shift - self._search)[..., None],

@@ -51,7 +51,7 @@ class _Deformable(ABC):
         self._windows = _equally_bright(reference.light.reshape(-1, reference.width, reference.width))
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.Estimator`."""
+        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
         subimages = self._reference.cut(light)
         shape = (len(self._reference.offset_px), 2)
         flow = for_every_lenslet(self._align, self._windows, _equally_bright(subimages), shape, threads=self._threads)

@@ -16,7 +16,7 @@ from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import FieldModes, SampledModes
-from reconstruction.registration.outcomes import judged
+from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.subimages import ReferenceSubimages
 
 _MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
@@ -109,7 +109,7 @@ def displacement_of(
     where the method found nothing. contrast (L,) of the frame's subimages; saturated (row, column).
     """
     found = np.isfinite(coefficients).all(axis=(1, 2)) & (residual_rms < _MISFIT * reference.contrast)
-    return judged(
+    return classify_lenslets(
         reference,
         modes,
         coefficients,

@@ -45,7 +45,7 @@ class ItkAffine:
         self._covariance = prepare_template(reference, self._modes, every, conserve_flux=False).per_pixel.covariance
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.Estimator`."""
+        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
         reference = self._reference
         subimages = reference.cut(light)
         scaled = (subimages * self._scale).astype(np.float32)

@@ -12,8 +12,7 @@ from support.optics import SmallBench
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench
-from reconstruction.frame.noise import CameraNoise
-from reconstruction.frame.photon_transfer import photon_transfer
+from reconstruction.frame.noise import CameraNoise, photon_transfer
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.detector.emccd import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings

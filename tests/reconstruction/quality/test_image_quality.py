@@ -9,7 +9,7 @@ from support.optics import sensor_of
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
-from reconstruction.quality.continuation import continued
+from reconstruction.quality.extrapolation import extrapolate
 from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_angles_rad, psf_reach_rad
 
 SENSOR = sensor_of(9, 15)  # wider than high, so that x is not y
@@ -135,7 +135,7 @@ def test_lost_lenslets_do_not_change_the_phase_beside_them() -> None:
     )
     whole = 5 * ((2 * u / WIDTH_M) ** 2 + u * v / WIDTH_M**2)
     bowl[3:5, 4:8] = bowl[0, 0] = bowl[:, -1] = np.nan
-    np.testing.assert_allclose(continued(bowl), whole, atol=1e-4)
+    np.testing.assert_allclose(extrapolate(bowl), whole, atol=1e-4)
 
 
 def test_nothing_known_gives_no_number_and_one_lenslet_gives_its_own() -> None:

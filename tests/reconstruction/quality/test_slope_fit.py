@@ -13,7 +13,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.isoplanatism import without_tilt
-from reconstruction.quality.slope_fit import compare
+from reconstruction.quality.slope_fit import slope_fit
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront, without_piston
 
@@ -36,7 +36,7 @@ def over_the_field(phase: Floats) -> Floats:
 def test_modal_is_compared_with_the_slopes(small_bench: SmallBench) -> None:
     modes = pupil_modes(SENSOR, "legendre", 3)  # piston and tilt alone: the fit misses the curvature
     wavefront = small_bench.reconstructor(warp="affine", pupil_modes=3).solve(displacement())
-    found = compare(wavefront, SENSOR, modes)
+    found = slope_fit(wavefront, SENSOR, modes)
     np.testing.assert_allclose(found.measured, over_the_field(BOWL), atol=1e-9)
     np.testing.assert_array_equal(found.fitted, wavefront.views)
     np.testing.assert_allclose(without_tilt(found.fitted), 0, atol=1e-9)
@@ -49,7 +49,7 @@ def test_fit_that_says_all_leaves_nothing(small_bench: SmallBench) -> None:
     coefficients[:, :, 0] = modes.gradients[8] / SENSOR.slope_per_px  # a cubic: zonal integration only comes near it
     measured = replace(displacement(), coefficients=coefficients)
     wavefront = small_bench.reconstructor(warp="affine", pupil_modes=10).solve(measured)
-    found = compare(wavefront, SENSOR, modes)
+    found = slope_fit(wavefront, SENSOR, modes)
     np.testing.assert_allclose(found.difference, 0, atol=1e-9)
     np.testing.assert_allclose(found.measured[0, 0], without_piston(modes.values[8]), atol=1e-9)
 
@@ -59,10 +59,10 @@ def test_zonal_is_compared_with_the_modes_that_fit_it_best() -> None:
         displacement().coefficients * SENSOR.slope_per_px, np.ones(U.shape, np.bool_), SENSOR.lenslet_pitch_m
     )
     wavefront = Wavefront.of(SENSOR, FIELD, displacement(), solution)
-    enough = compare(wavefront, SENSOR, pupil_modes(SENSOR, "legendre", 6))
+    enough = slope_fit(wavefront, SENSOR, pupil_modes(SENSOR, "legendre", 6))
     np.testing.assert_allclose(enough.measured, over_the_field(BOWL), atol=1e-9)
     np.testing.assert_allclose(enough.difference, 0, atol=1e-9)
-    too_few = compare(wavefront, SENSOR, pupil_modes(SENSOR, "legendre", 3))
+    too_few = slope_fit(wavefront, SENSOR, pupil_modes(SENSOR, "legendre", 3))
     curvature = 4e5 * (U * U - np.mean(U * U)) - 3e5 * U * V  # by symmetry it has no tilt
     np.testing.assert_allclose(too_few.difference, over_the_field(curvature), atol=1e-9)
 
@@ -74,7 +74,7 @@ def test_what_is_not_known_is_not_compared(row: int) -> None:
     measured = displacement()
     measured.outcome[~valid] = 3
     solution = ZonalSolution(measured.coefficients * SENSOR.slope_per_px, valid, SENSOR.lenslet_pitch_m)
-    found = compare(Wavefront.of(SENSOR, FIELD, measured, solution), SENSOR, pupil_modes(SENSOR, "zernike", 6))
+    found = slope_fit(Wavefront.of(SENSOR, FIELD, measured, solution), SENSOR, pupil_modes(SENSOR, "zernike", 6))
     outside = (np.hypot(U, V) > SENSOR.pupil_half_width_m[1]) | ~valid
     np.testing.assert_array_equal(np.isnan(found.difference), np.broadcast_to(outside, found.difference.shape))
     np.testing.assert_allclose(found.difference[..., ~outside], 0, atol=1e-9)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from support.optics import FIELD, SmallBench, sensor_of
 
 from reconstruction.arrays import Image
-from reconstruction.displacement import Displacement, Estimator
+from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Lattice
@@ -41,30 +41,30 @@ def frame(bench: SmallBench) -> Image:
     )
 
 
-def _estimator(bench: SmallBench, reference: Image, lattice: Lattice, **known: Any) -> Estimator:
+def _estimator(bench: SmallBench, reference: Image, lattice: Lattice, **known: Any) -> RegistrationMethod:
     sensor = bench.sensor if reference.shape == bench.frame_shape else sensor_of(COLUMNS, ROWS)
     subimages = ReferenceSubimages(reference, sensor=sensor, lattice=lattice, field=FIELD, **known)
     return prepare_registration(subimages, RegistrationSettings(), FIELD)
 
 
-def _compare(estimate: Estimator, light: Image) -> Displacement:
+def _compare(estimate: RegistrationMethod, light: Image) -> Displacement:
     return estimate(light, saturated=np.zeros(light.shape, np.bool_))
 
 
 @pytest.fixture(scope="module")
-def estimate(bench: SmallBench) -> Estimator:
+def estimate(bench: SmallBench) -> RegistrationMethod:
     return _estimator(bench, bench.reference, bench.lattice)
 
 
 @pytest.fixture(scope="module")
-def plain(estimate: Estimator, frame: Image) -> Displacement:
+def plain(estimate: RegistrationMethod, frame: Image) -> Displacement:
     return _compare(estimate, frame)
 
 
 @FEW
 @given(gain=st.floats(1e-3, 1e3), offset=st.floats(-10.0, 10.0))
 def test_gain_and_offset_change_nothing(
-    estimate: Estimator, frame: Image, plain: Displacement, gain: float, offset: float
+    estimate: RegistrationMethod, frame: Image, plain: Displacement, gain: float, offset: float
 ) -> None:
     peak = float(frame.max())
     other = _compare(estimate, np.asarray(gain * (frame + offset * peak), np.float32))
@@ -140,8 +140,8 @@ KINDS = ("noise", "constant", "negative", "hot", "stripes", "shuffled", "blocks"
 def test_any_finite_frame_gives_finite_numbers_or_none(  # noqa: PLR0917 - fixtures and draws
     bench: SmallBench,
     frame: Image,
-    estimate: Estimator,
-    weighted: Estimator,
+    estimate: RegistrationMethod,
+    weighted: RegistrationMethod,
     kind: str,
     exponent: int,
     seed: int,
@@ -160,7 +160,7 @@ def test_any_finite_frame_gives_finite_numbers_or_none(  # noqa: PLR0917 - fixtu
 
 
 @pytest.fixture(scope="module")
-def weighted(bench: SmallBench) -> Estimator:
+def weighted(bench: SmallBench) -> RegistrationMethod:
     per_electron = float(bench.reference.max()) / 1000
     return _estimator(bench, bench.reference, bench.lattice, noise=CameraNoise(per_electron, 8 * per_electron))
 

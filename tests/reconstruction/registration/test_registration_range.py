@@ -7,9 +7,9 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Image
-from reconstruction.displacement import Estimator, Outcome
+from reconstruction.displacement import Outcome, RegistrationMethod
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.gauss_newton.method import GaussNewton
+from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
@@ -25,7 +25,7 @@ def bench() -> SmallBench:
 
 
 @pytest.fixture(scope="module")
-def estimate(bench: SmallBench) -> Estimator:
+def estimate(bench: SmallBench) -> RegistrationMethod:
     return GaussNewton(bench.subimages(), LegendreModes(6), conserve_flux=True)
 
 
@@ -53,7 +53,7 @@ def _still(bench: SmallBench) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
     "shift_px", [(5.4, 0.0), (0.0, -5.4), (5.4, 5.4), (-5.3, 5.2), (-5.4, -5.4), (4.7, -3.6), (-2.5, 5.4)]
 )
 def test_tilts_up_to_the_edge_of_the_cell_are_found(
-    bench: SmallBench, estimate: Estimator, shift_px: tuple[float, float]
+    bench: SmallBench, estimate: RegistrationMethod, shift_px: tuple[float, float]
 ) -> None:
     displacement = estimate(_tilted(bench, *shift_px), saturated=_still(bench))
     assert displacement.valid.all()
@@ -62,7 +62,7 @@ def test_tilts_up_to_the_edge_of_the_cell_are_found(
     np.testing.assert_allclose(displacement.range_used, np.abs(shift_px).max() / RANGE_PX, atol=0.015)
 
 
-def test_beyond_the_range_a_lenslet_is_lost_and_says_how_far(bench: SmallBench, estimate: Estimator) -> None:
+def test_beyond_the_range_a_lenslet_is_lost_and_says_how_far(bench: SmallBench, estimate: RegistrationMethod) -> None:
     displacement = estimate(_tilted(bench, 6.2, 0.0), saturated=_still(bench))
     assert set(displacement.outcome.ravel()) <= {Outcome.LEFT_CELL, Outcome.DIVERGED}
     assert np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL) > 15
@@ -73,7 +73,7 @@ def test_beyond_the_range_a_lenslet_is_lost_and_says_how_far(bench: SmallBench, 
 
 @pytest.mark.parametrize("shift_px", [4.5, 5.3])
 def test_light_of_a_neighbour_that_comes_close_has_no_weight(
-    bench: SmallBench, estimate: Estimator, shift_px: float
+    bench: SmallBench, estimate: RegistrationMethod, shift_px: float
 ) -> None:
     displacement = estimate(_every_lenslet_its_own(bench, shift_px), saturated=_still(bench))
     assert displacement.valid.all()
@@ -100,7 +100,7 @@ def test_stars_that_have_moved_by_more_than_their_own_size_are_found(
     assert np.abs(displacement.coefficients[:, :, 0] - shift_px).max() < 0.03
 
 
-def test_noise_up_to_the_range(bench: SmallBench, estimate: Estimator) -> None:
+def test_noise_up_to_the_range(bench: SmallBench, estimate: RegistrationMethod) -> None:
     light = _tilted(bench, -5.0, 4.8)
     rng = np.random.default_rng(0)
     noisy = np.asarray(light + rng.normal(0, 0.08 * light.max(), light.shape), np.float32)

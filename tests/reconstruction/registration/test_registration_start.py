@@ -9,7 +9,7 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Image
-from reconstruction.displacement import Displacement, Estimator
+from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -37,11 +37,11 @@ def frames(small_bench: SmallBench) -> list[Image]:
 
 
 @pytest.fixture(scope="module", params=["quadratic", "affine"])
-def estimate(request: pytest.FixtureRequest, small_bench: SmallBench) -> Estimator:
+def estimate(request: pytest.FixtureRequest, small_bench: SmallBench) -> RegistrationMethod:
     return _prepared(small_bench, RegistrationSettings(warp=request.param))
 
 
-def _prepared(bench: SmallBench, settings: RegistrationSettings) -> Estimator:
+def _prepared(bench: SmallBench, settings: RegistrationSettings) -> RegistrationMethod:
     reference = bench.reference * np.float32(1000 / bench.reference.max())
     subimages = ReferenceSubimages(
         reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, noise=CameraNoise(1.0, 8.0)
@@ -55,7 +55,7 @@ def _differ_px(one: Displacement, other: Displacement) -> float:
     return float(np.abs(one.coefficients - other.coefficients).max())
 
 
-def test_a_drift_is_followed(estimate: Estimator, frames: list[Image]) -> None:
+def test_a_drift_is_followed(estimate: RegistrationMethod, frames: list[Image]) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     before = None
     for light in frames:
@@ -65,7 +65,7 @@ def test_a_drift_is_followed(estimate: Estimator, frames: list[Image]) -> None:
 
 
 @pytest.mark.parametrize("spoil", ["far", "wild", "lost", "turned", "tiny"])
-def test_a_bad_frame_does_not_poison_the_next(estimate: Estimator, frames: list[Image], spoil: str) -> None:
+def test_a_bad_frame_does_not_poison_the_next(estimate: RegistrationMethod, frames: list[Image], spoil: str) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     cold = estimate(frames[1], saturated=nowhere)
     rng = np.random.default_rng(1)

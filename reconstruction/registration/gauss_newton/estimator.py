@@ -18,12 +18,12 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.spline import noise_power_polynomial
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes
-from reconstruction.registration.gauss_newton.alignment import View
-from reconstruction.registration.gauss_newton.fit_errors import FitErrors
-from reconstruction.registration.gauss_newton.lenslet_fits import Fits, Limits, fit_lenslets
+from reconstruction.registration.classification import classify_lenslets
+from reconstruction.registration.gauss_newton.alignment import FrameData
+from reconstruction.registration.gauss_newton.fit_errors import ErrorPropagation
+from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fits, fit_lenslets
 from reconstruction.registration.gauss_newton.template import prepare_template
 from reconstruction.registration.gauss_newton.whole_pixel_search import prepare_search
-from reconstruction.registration.outcomes import judged
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool
@@ -57,12 +57,12 @@ class GaussNewton:
         self._start = prepare_template(reference, LegendreModes(1), coarse, conserve_flux=conserve_flux)
         self._warp = prepare_template(reference, modes, near, conserve_flux=conserve_flux, noise=reference.noise)
         self._search = prepare_search(reference)
-        self._errors = FitErrors(reference, self._warp, near)
+        self._errors = ErrorPropagation(reference, self._warp, near)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(near)
-        self._limits = Limits(
+        self._limits = FitLimits(
             start_iterations=8,
             start_tolerance_px=np.float32(0.1),  # only a start for the warp
             iterations=16,
@@ -74,7 +74,7 @@ class GaussNewton:
         self._fit(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.bool_), None)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
-        """Compare a frame with the reference; see `displacement.Estimator`."""
+        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
         reference, warp = self._reference, self._warp
         coefficients = reference.spline(light, saturated=saturated, threads=self._threads)
         bad = reference.bad | saturated
@@ -84,7 +84,7 @@ class GaussNewton:
         found = (fits.step_px < _CONVERGED_PX) & (errors.unexplained < self._unexplained)
         found &= ~_stands_out(errors.unexplained, fits.square, self._unexplained, found)
         spoilt = errors.known < _INFORMATION_LEFT
-        return judged(
+        return classify_lenslets(
             reference,
             self._modes,
             fits.displacement.astype(np.float64),
@@ -111,10 +111,10 @@ class GaussNewton:
             square=np.full(lenslets, np.inf),
             step_px=np.full(lenslets, np.inf),
             noise_power=np.ones((lenslets, 2)),
-            careful=np.zeros(lenslets, np.bool_),
-            masked=np.zeros((lenslets, pixels), np.bool_),
+            is_partial=np.zeros(lenslets, np.bool_),
+            excluded=np.zeros((lenslets, pixels), np.bool_),
         )
-        view = View(
+        frame = FrameData(
             coefficients=coefficients,
             bad=bad,
             sees_bad=reference.near(bad),
@@ -126,7 +126,7 @@ class GaussNewton:
         threads = self._threads
 
         def part(first: int) -> None:
-            fit_lenslets(view, self._start.grid, grid, self._search, self._limits, self._power, fits, first, threads)
+            fit_lenslets(frame, self._start.grid, grid, self._search, self._limits, self._power, fits, first, threads)
 
         others = [worker_pool(threads - 1).submit(part, first) for first in range(1, threads)]
         part(0)

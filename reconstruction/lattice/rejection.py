@@ -27,17 +27,17 @@ def why_no_lattice(fit: Fit | None, peak: Peak, light: Image, brightest: int) ->
 
     At least `brightest` lenslets must be lit.
     """
-    is_lit = np.zeros(1, np.bool_) if fit is None else fit.comparison.is_lit
+    is_lit = np.zeros(1, np.bool_) if fit is None else fit.match.is_lit
     lit = int(np.count_nonzero(is_lit))
     if fit is None or fit.agreement.min() < _AGREEMENT or _halves_alike(fit.cells) < _ALIKE:
         return _why_irregular(peak, lit)
-    if not fit.comparison.typical.std() > _CONTRAST * float(np.ptp(np.percentile(light, _RANGE_PERCENT))):
+    if not fit.match.typical.std() > _CONTRAST * float(np.ptp(np.percentile(light, _RANGE_PERCENT))):
         return "was the light on?"
     if lit < max(brightest, _FEWEST) or np.any(np.ptp(fit.cells.index[is_lit], axis=0) < 1):
         return f"light in {lit} of its lenslets is too little"
     if (scatter := float(np.sqrt(np.mean(np.sum(fit.off_lattice[is_lit] ** 2, axis=-1))))) > _SCATTER:
         return f"the images lie {100 * scatter:.0f} % of the pitch beside a square lattice"
-    if _repeats_inside(fit.comparison.typical):
+    if _repeats_inside(fit.match.typical):
         return "its cells hold the same image more than once; check sensor.lenslet_pitch_m and pixel_pitch_m"
     return ""
 

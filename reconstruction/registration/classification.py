@@ -13,7 +13,7 @@ from reconstruction.modes.field_modes import FieldModes
 from reconstruction.registration.subimages import DARK_CONTRAST, ReferenceSubimages
 
 
-def judged(
+def classify_lenslets(
     reference: ReferenceSubimages,
     modes: FieldModes,
     coefficients: Floats,

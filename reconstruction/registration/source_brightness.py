@@ -24,7 +24,7 @@ def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
     return mean.reshape(reference.width, reference.width), light.reshape(reference.lenslets)
 
 
-def brightness(point_images: Image, subimage: Floats) -> Floats:
+def point_brightness(point_images: Image, subimage: Floats) -> Floats:
     """Brightness (point,), none negative, of the points whose images (point, row, column) add up to a subimage."""
     matrix = point_images.reshape(len(point_images), -1).T.astype(np.float64)
     scale = np.max(matrix)  # the solver's tolerance is absolute

@@ -33,7 +33,7 @@ class Scratch(NamedTuple):
     corner: NDArray[np.uint64]  # flat index of the first of the 4 x 4 coefficients about it, (N,)
     weights: Image  # of the four columns and the four rows of coefficients, (8, N)
     residual: Image  # counts, (N,)
-    masked: NDArray[np.bool_]  # pixels that do not count, (N,)
+    excluded: NDArray[np.bool_]  # pixels that do not count, (N,)
 
 
 @compiled
@@ -72,7 +72,7 @@ def warp_value(p: Image, u: np.float32, v: np.float32) -> np.float32:
 
 
 @compiled
-def look(  # noqa: PLR0917 - compiled code takes its arguments by their place
+def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their place
     coefficients: Image,
     warp: Image,
     uv: Image,

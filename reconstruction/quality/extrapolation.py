@@ -17,14 +17,14 @@ _STIFFNESS = 1e-7  # of first differences: they decide where too few lenslets ar
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
+class _ExtrapolationMatrix:
     """Least squares of all differences for one set of known lenslets, factorised."""
 
     factors: SuperLU  # for the unknown ones, (unknown, unknown)
     coupling: sparse.csr_array  # of the known ones to them, (unknown, known)
 
 
-def continued(phase: Floats) -> Floats:
+def extrapolate(phase: Floats) -> Floats:
     """Wavefronts (..., lenslet_row, lenslet_column), rad, with a lenslet more on every side: all finite.
 
     What is known stays; the rest has the smallest third differences, so that polynomials up to the second degree go on
@@ -43,14 +43,14 @@ def continued(phase: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _equations(known_bytes: bytes, rows: int, columns: int) -> _Equations:
+def _equations(known_bytes: bytes, rows: int, columns: int) -> _ExtrapolationMatrix:
     known: Mask = np.frombuffer(known_bytes, np.bool_)
     energy = sum(
         (weight * _energy(directions, rows, columns) for weight, directions in _THIRD),
         start=_STIFFNESS * (_energy("x", rows, columns) + _energy("y", rows, columns)),
     )
     of_unknown = sparse.csr_array(energy)[np.flatnonzero(~known)]
-    return _Equations(
+    return _ExtrapolationMatrix(
         factors=splu(of_unknown[:, np.flatnonzero(~known)].tocsc()),
         coupling=of_unknown[:, np.flatnonzero(known)].tocsr(),
     )
