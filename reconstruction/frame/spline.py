@@ -95,7 +95,7 @@ def noise_power(position_px: Floats) -> Floats:
 
 
 def noise_power_polynomial() -> Floats:
-    """`noise_power` along one axis as a cubic polynomial of t (1 - t), t the fraction of a pixel: (4,), rising powers."""
+    """Coefficients (4,), rising powers, of `noise_power` along one axis as a cubic of t (1 - t), t a pixel fraction."""
     fraction, power = _noise_power_table()
     return np.asarray(np.polynomial.polynomial.polyfit(fraction * (1 - fraction), power, 3))
 
