@@ -54,6 +54,7 @@ class LiveBench:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._acquisition.close()
+        self._newest = None
 
     def __iter__(self) -> Iterator[Measurement]:
         """Yield the newest measurement whenever there is one; frames that come in between are skipped.
