@@ -1,4 +1,4 @@
-"""What all devices have in common: a name, properties, and that they are open, lost or closed."""
+"""Common base of all devices: name, properties, connection state."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Self, TypeAlias
 
 from drivers.errors import Disconnected, WrongState
@@ -15,39 +14,39 @@ Property: TypeAlias = str | float | int | bool
 
 
 class Device(ABC):
-    """A device from its opening to its closing; only one thread calls it.
+    """An open device, called by one thread only.
 
-    A device that was found `Disconnected` is lost: every later call says so, until it is closed and opened anew.
-    Whatever a driver's own methods meet leaves them as a `DeviceError`.
+    After the first `Disconnected` the device is lost: every later call raises it again, until the device is closed and
+    opened anew. A driver's own methods raise only `DeviceError`.
     """
 
-    def __init__(self, what: str) -> None:
-        """`what` it is called in errors: the camera, the light, the stage."""
-        self._what = what
+    def __init__(self, kind: str) -> None:
+        """`kind` names the device in errors: camera, light or stage."""
+        self._kind = kind
         self._is_closed = False
-        self._loss = ""  # why it is gone
-        self._turn = threading.RLock()  # against the interpreter's exit, which closes from another thread
+        self._loss = ""  # message of the first `Disconnected`
+        self._lock = threading.RLock()  # at exit the interpreter closes devices from another thread
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Maker, model and serial number, as a person would say them; known from the opening on, also when lost."""
+        """Maker, model and serial number; also known after a loss."""
 
     def properties(self) -> dict[str, Property]:
-        """All that the device can tell of itself and its settings, for the record."""
+        """Everything that the device reports about itself and its settings, for the record."""
         return {"name": self.name}
 
     @abstractmethod
     def _close(self) -> None:
-        """Leave the device safe and let go of it, whatever state it is in; called once."""
+        """Leave the device in a safe state and release it; called once, in any state."""
 
     def close(self) -> None:
-        """Leave the device safe and let go of it; closing twice is allowed."""
+        """Leave the device in a safe state and release it; closing twice is allowed."""
         if self._is_closed:
             return
         try:
             self._close()
-        except Disconnected:  # there is nothing left to let go of
+        except Disconnected:  # nothing left to release
             pass
         finally:
             self._is_closed = True
@@ -55,17 +54,15 @@ class Device(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @contextmanager
-    def _talking(self) -> Iterator[None]:
-        """Around everything that speaks to the device: not when it is closed or lost, and a loss is remembered."""
-        with self._turn:
+    def _access(self) -> Iterator[None]:
+        """Lock the device; raise if it is closed or lost, and remember a new loss."""
+        with self._lock:
             if self._is_closed:
-                raise WrongState(f"the {self._what} is closed")
+                raise WrongState(f"the {self._kind} is closed")
             if self._loss:
                 raise Disconnected(self._loss)
             try:

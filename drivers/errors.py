@@ -1,14 +1,14 @@
-"""Every fault that a device can have leaves it as one of this family; the text is one sentence for the bench."""
+"""The error family of all devices; each message is one sentence for the person at the bench."""
 
 from __future__ import annotations
 
 
 class DeviceError(Exception):
-    """A device could not do what it was asked to."""
+    """A device failed to do what was asked."""
 
 
 class Disconnected(DeviceError):
-    """The device is gone: unplugged or switched off; it stays so until it is opened again."""
+    """The device is unplugged or switched off; it stays lost until it is opened again."""
 
 
 class Busy(DeviceError):
@@ -16,7 +16,7 @@ class Busy(DeviceError):
 
 
 class DeviceTimeout(DeviceError):
-    """The device did not answer, or no frame came, within the time that was allowed."""
+    """No answer or no frame came in time."""
 
 
 class FrameLost(DeviceError):
@@ -28,8 +28,11 @@ class WrongState(DeviceError):
 
 
 class BadValue(DeviceError):
-    """A setting outside what the device allows; the text says what is allowed."""
+    """The value is outside the allowed ones, which the message names."""
 
 
 class Unsupported(DeviceError):
-    """The device, or what it runs with, cannot do it at all."""
+    """The device, or its library, can never do this."""
+
+
+REFUSALS = (BadValue, Unsupported, WrongState)  # nothing has changed, and the device is sound

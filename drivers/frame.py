@@ -1,4 +1,4 @@
-"""What comes out of a camera: a frame, and the part of the sensor that it shows."""
+"""Camera frame and sensor region."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.errors import BadValue
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """The part of the sensor that is read out, in pixels of the sensor, unbinned."""
+    """Part of the sensor that is read out, in unbinned pixels."""
 
     top: int
     left: int
@@ -22,18 +22,18 @@ class Region:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One exposure, as it left the camera."""
+    """One exposure with its metadata."""
 
-    pixels: NDArray[np.uint16]  # (row, column), counts; read-only, owned by the receiver
-    index: int  # the camera's own count of frames since start; a gap is a lost frame
+    pixels: NDArray[np.uint16]  # (row, column), counts; read-only, not shared
+    index: int  # the camera's frame number since start, from 0; a gap is a lost frame
     camera_time_s: float  # end of the exposure on the camera's clock
-    host_time_s: float  # time.perf_counter() when the frame had arrived here
+    host_time_s: float  # time.perf_counter() after the frame arrived
     exposure_s: float
     em_gain: float  # 1 without electron multiplication
 
 
 def check_region(region: Region, sensor: Region, step_px: int) -> None:
-    """Raise `BadValue` unless the region is all of the sensor, or lies on it in whole steps."""
+    """Raise `BadValue` unless the region is the whole sensor, or lies on it in whole steps."""
     if region == sensor:
         return
     numbers = (region.top, region.left, region.rows, region.columns)

@@ -13,6 +13,7 @@ from typing import Self
 from drivers.camera import Camera, CameraCapabilities, CameraState
 from drivers.device import Device, Property
 from drivers.errors import (
+    REFUSALS,
     BadValue,
     Busy,
     DeviceError,
@@ -28,6 +29,7 @@ from drivers.range import Range
 from drivers.stage import Stage
 
 __all__ = [
+    "REFUSALS",
     "BadValue",
     "Busy",
     "Camera",

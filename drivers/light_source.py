@@ -1,7 +1,7 @@
-"""What every light offers, and what keeps it safe whichever it is.
+"""The light interface and the safety rules common to all lights.
 
-It is off after it was opened, after it was closed, after any fault, and when the interpreter ends; its current goes up
-in steps and never above what its head and its owner allow. A driver fills in the methods with a leading underscore.
+A light is off after opening, after closing, after any fault and at interpreter exit. Its current rises in steps, never
+above the limits of its head and of its owner. A driver implements the methods with a leading underscore.
 """
 
 from __future__ import annotations
@@ -18,31 +18,30 @@ from weakref import WeakSet
 import numpy as np
 
 from drivers.device import Device, Property
-from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
+from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
 from drivers.range import Range
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08
-_LAST_WAIT_S = 1.0  # before it is closed, for a thread that is talking to the light, and may hang
-_REFUSALS = (BadValue, Unsupported, WrongState)  # nothing happened: no reason to switch off
+_LOCK_TIMEOUT_S = 1.0  # for another thread, which may hang, before the light is closed
 
 
 class LightSource(Device):
     """A light with an adjustable current.
 
-    A driver's constructor opens the connection and then calls `_begin`; whatever fails there closes it again.
+    A driver's constructor opens the connection and calls `_begin` last, which closes the light if it fails.
     """
 
     def __init__(self, *, limit_a: float | None = None, sleep: Callable[[float], None] = time.sleep) -> None:
-        """`limit_a` is the owner's limit of the current, below the head's own; `sleep` waits between two steps."""
+        """`limit_a` is the owner's limit of the current; `sleep` waits between two steps of a ramp."""
         super().__init__("light")
         self._limit_a, self._sleep = limit_a, sleep
-        self._has_begun = False  # before, nothing is known of what hangs on the wire, and nothing is sent to it
+        self._has_begun = False  # until then the device is unknown, and `close` sends nothing to it
         self._lit_since_s: float | None = None
         self._lit_before_s = 0.0
 
     def _begin(self) -> None:
-        """Make it safe: off, and set to a current that is allowed; the driver's constructor calls this last."""
+        """Switch off and bring the current into the allowed range."""
         self._has_begun = True
         _open_lights.add(self)
         try:
@@ -56,12 +55,12 @@ class LightSource(Device):
             raise
 
     def __del__(self) -> None:
-        """Leave no light on that nobody holds any more."""
-        with suppress(Exception):  # there is nobody left to tell
+        """Leave no unreferenced light on."""
+        with suppress(Exception):  # no caller to raise to
             self.close()
 
     def properties(self) -> dict[str, Property]:
-        """All settings in force; a driver adds what else its light can tell."""
+        """All settings in force; drivers add what else their light reports."""
         allowed = self.current_range_a
         return {
             "name": self.name,
@@ -74,18 +73,18 @@ class LightSource(Device):
 
     @property
     def current_range_a(self) -> Range:
-        """The currents that driver, head and owner allow."""
+        """Currents that driver, head and owner allow."""
         with self._guarded():
             return self._range()
 
     @property
     def current_a(self) -> float:
-        """The current that flows when the light is on."""
+        """Current in force, which flows while the light is on."""
         with self._guarded():
             return self._read_current()
 
     def set_current(self, current_a: float) -> float:
-        """Change the current, in steps when the light is on and it goes up; return the one in force."""
+        """Change the current, upwards in steps while the light is on; return the one in force."""
         with self._guarded():
             allowed = self._range()
             allowed.check(current_a, "current_a")
@@ -94,21 +93,21 @@ class LightSource(Device):
             before_a = self._read_current()
             try:
                 return self._ramp(current_a, allowed)
-            except _REFUSALS:
+            except REFUSALS:
                 self._set_current(before_a)
                 raise
 
     @property
     def is_on(self) -> bool:
-        """Whether the light is lit."""
+        """True while the light is lit."""
         with self._guarded():
             is_lit = self._is_lit()
-            if is_lit != (self._lit_since_s is not None):  # it went out by itself
+            if is_lit != (self._lit_since_s is not None):  # it went out on its own
                 self._note(on=is_lit)
             return is_lit
 
     def set_on(self, on: bool) -> None:
-        """Switch the light; the current comes up in steps."""
+        """Switch the light; its current rises in steps."""
         with self._guarded():
             if on and not self._is_lit():
                 self._light_up()
@@ -118,21 +117,21 @@ class LightSource(Device):
 
     @property
     def lit_s(self) -> float:
-        """How long the light has been on since it was opened, in all."""
+        """Total time on since opening, in seconds."""
         now_s = 0.0 if self._lit_since_s is None else time.monotonic() - self._lit_since_s
         return self._lit_before_s + now_s
 
     def close(self) -> None:
-        """Switch off and let go; closing twice is allowed. A thread that talks to it is waited for, but not long."""
+        """Switch off and release, after waiting briefly for another thread's call; closing twice is allowed."""
         _open_lights.discard(self)
-        has_turn = self._turn.acquire(timeout=_LAST_WAIT_S)
+        has_lock = self._lock.acquire(timeout=_LOCK_TIMEOUT_S)
         try:
-            self._switch_off_and_let_go()
+            self._switch_off_and_release()
         finally:
-            if has_turn:
-                self._turn.release()
+            if has_lock:
+                self._lock.release()
 
-    def _switch_off_and_let_go(self) -> None:
+    def _switch_off_and_release(self) -> None:
         if self._is_closed:
             return
         was_lit = self._lit_since_s is not None
@@ -141,7 +140,7 @@ class LightSource(Device):
             if self._has_begun and not self._loss:
                 self._switch(on=False)
         except DeviceError as error:
-            if was_lit:  # and nobody has been told
+            if was_lit:
                 raise _still_lit(error) from error
             if not isinstance(error, Disconnected):
                 raise
@@ -157,14 +156,14 @@ class LightSource(Device):
         return Range(head.minimum, min(head.maximum, self._limit_a))
 
     def _light_up(self) -> None:
-        """Switch on at the lowest current and go up to the one that was set."""
+        """Switch on at the lowest current and ramp up to the set one."""
         wanted_a, allowed = self._read_current(), self._range()
         try:
             self._set_current(allowed.minimum)
             self._note(on=True)
             self._switch(on=True)
             self._ramp(min(wanted_a, allowed.maximum), allowed)
-        except _REFUSALS:
+        except REFUSALS:
             self._switch(on=False)
             self._note(on=False)
             self._set_current(wanted_a)
@@ -179,17 +178,17 @@ class LightSource(Device):
         return self._set_current(current_a)
 
     def _note(self, *, on: bool) -> None:
-        """Let the timer run, or hold it."""
+        """Start or stop the timer of `lit_s`."""
         self._lit_before_s = self.lit_s
         self._lit_since_s = time.monotonic() if on else None
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Speak to the light; after a fault, whichever it is, Ctrl-C among them, it is switched off."""
-        with self._talking():
+        """Access the light; switch it off after any fault or Ctrl-C."""
+        with self._access():
             try:
                 yield
-            except _REFUSALS:
+            except REFUSALS:
                 raise
             except BaseException as error:
                 was_lit = self._lit_since_s is not None
@@ -202,8 +201,7 @@ class LightSource(Device):
                 raise
 
     @abstractmethod
-    def _read_range(self) -> Range:
-        """The currents that driver and head allow."""
+    def _read_range(self) -> Range: ...
 
     @abstractmethod
     def _read_current(self) -> float: ...
@@ -219,7 +217,7 @@ class LightSource(Device):
 
 
 def _still_lit(error: DeviceError) -> DeviceError:
-    """The same error of a light that could not be switched off either."""
+    """Extend the error of a light that could not be switched off."""
     return type(error)(f"{error}; the light may still be on: switch it off by hand")
 
 
@@ -228,22 +226,22 @@ _open_lights: WeakSet[LightSource] = WeakSet()
 
 @atexit.register
 def _switch_all_off() -> None:
-    """Leave no light on when the interpreter ends, however that comes, or say so."""
+    """Leave no light on at interpreter exit, or say so."""
     for light in tuple(_open_lights):
         try:
             light.close()
         except DeviceError as error:
             sys.stderr.write(f"{error}\n")
-        except Exception:  # noqa: BLE001, S112 - the next one's turn; there is nobody left to tell
+        except Exception:  # noqa: BLE001, S112 - the other lights remain
             continue
 
 
-def _leave_all_to_the_parent() -> None:
-    """Close nothing in a process that was forked off: the lights and their wires are its parent's."""
+def _forget_lights_of_parent() -> None:
+    """Forget the lights in a forked process: they belong to the parent."""
     for light in tuple(_open_lights):
-        light._is_closed = True  # noqa: SLF001 - nobody else may
+        light._is_closed = True  # noqa: SLF001 - same module
     _open_lights.clear()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_leave_all_to_the_parent)
+    os.register_at_fork(after_in_child=_forget_lights_of_parent)

@@ -1,4 +1,4 @@
-"""What a setting may be."""
+"""Interval of allowed values."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from drivers.errors import BadValue
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A closed interval of allowed values, in the unit of the setting it belongs to."""
+    """Closed interval of allowed values, in the unit of its setting."""
 
     minimum: float
     maximum: float
 
     def check(self, value: float, what: str) -> float:
-        """Return `value` if it lies in the interval, else raise `BadValue` naming `what` and the interval."""
+        """Return `value` if it is in the interval, else raise `BadValue` naming `what` and the interval."""
         if not self.minimum <= value <= self.maximum:  # false for NaN, too
             raise BadValue(f"{what} = {value:g} is outside {self.minimum:g} ... {self.maximum:g}")
         return value

@@ -21,13 +21,13 @@ class Stage(Device):
     @property
     def masks(self) -> tuple[str, ...]:
         """The available masks, for example ("square", "stars")."""
-        with self._talking():
+        with self._access():
             return self._read_masks()
 
     @property
     def mask(self) -> str:
         """The mask in use."""
-        with self._talking():
+        with self._access():
             return self._read_mask()
 
     def set_mask(self, mask: str) -> None:
@@ -35,18 +35,18 @@ class Stage(Device):
         masks = self.masks
         if mask not in masks:
             raise BadValue(f"there is no mask {mask!r}; there are {', '.join(masks)}")
-        with self._talking():
+        with self._access():
             self._set_mask(mask)
 
     @property
     def is_sample_in(self) -> bool:
         """True if the sample is in the beam."""
-        with self._talking():
+        with self._access():
             return self._is_sample_in()
 
     def set_sample_in(self, sample_in: bool) -> None:
         """Move the sample into or out of the beam."""
-        with self._talking():
+        with self._access():
             self._set_sample_in(sample_in=sample_in)
 
     def note_sample(self, sample_in: bool) -> None:
@@ -98,7 +98,7 @@ class ManualStage(OneMaskStage):
 
     def note_sample(self, sample_in: bool) -> None:
         """Record that a person has moved the sample."""
-        with self._talking():
+        with self._access():
             self._is_in = sample_in
 
     def _is_sample_in(self) -> bool:

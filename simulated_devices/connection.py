@@ -30,28 +30,28 @@ class Plugged(Device):
     def _reach(self) -> None:
         """Raise `Disconnected` where the plug was pulled."""
         if self._is_unplugged:
-            raise Disconnected(f"the {self._what} does not answer; is it plugged in and switched on?")
+            raise Disconnected(f"the {self._kind} does not answer; is it plugged in and switched on?")
 
     def _answer(self) -> None:
         """Raise `DeviceTimeout` if the next answer is not to come."""
         self._reach()
         if self._fails_next:
             self._fails_next = False
-            raise DeviceTimeout(f"the {self._what} did not answer in time")
+            raise DeviceTimeout(f"the {self._kind} did not answer in time")
 
     def _accept(self, what: str) -> None:
         """Raise `BadValue` if the next setting is to be refused."""
         self._answer()
         if self._refuses_next:
             self._refuses_next = False
-            raise BadValue(f"the {self._what} refused {what}")
+            raise BadValue(f"the {self._kind} refused {what}")
 
 
 class PluggedThroughout(Plugged):
     """The same, for a device that is spoken to by whatever is asked of it."""
 
     @contextmanager
-    def _talking(self) -> Iterator[None]:
-        with super()._talking():
+    def _access(self) -> Iterator[None]:
+        with super()._access():
             self._reach()
             yield

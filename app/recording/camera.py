@@ -69,7 +69,7 @@ class RecordedCamera(Camera):
     def see(self, *, is_lit: bool, is_sample_in: bool) -> None:
         """See something else from now on."""
         self.is_lit, self.is_sample_in = is_lit, is_sample_in
-        self._allowed = None  # it may have been taken otherwise
+        self._cached_capabilities = None  # it may have been taken otherwise
 
     def _read_capabilities(self) -> CameraCapabilities:
         rows, columns = self._shape
@@ -117,7 +117,7 @@ class RecordedCamera(Camera):
         if self._repeat:
             self._position %= len(self._frames)
         after = self._line()
-        self.line, self._allowed = before, None  # other frames may have been taken otherwise
+        self.line, self._cached_capabilities = before, None  # other frames may have been taken otherwise
         follows = after.index > before.index
         gap_s = after.host_time_s - before.host_time_s if follows else after.exposure_s
         index, due_s = self._pass(

@@ -62,7 +62,7 @@ class DcamCamera(Camera):
     def properties(self) -> dict[str, Property]:
         """All settings, every property that the camera has by Hamamatsu's own name, and what to beware of."""
         common = super().properties()
-        with self._talking():
+        with self._access():
             strings: dict[str, Property] = {
                 name: session.string(self._library, self._handle, number) for name, number in session.STRINGS.items()
             }
@@ -70,7 +70,7 @@ class DcamCamera(Camera):
 
     def warnings(self) -> tuple[str, ...]:
         """Sentences about settings and states in which the pixels are not what a photon count should be."""
-        with self._talking():
+        with self._access():
             return pixel_warnings(self._values, has_em_gain=has_em_gain(self._values))
 
     def _set_up(self, settings: DcamSettings) -> None:
@@ -78,7 +78,7 @@ class DcamCamera(Camera):
             raise Unsupported("only cameras that give one 16-bit number per pixel can be used")
         if settings.amplifier is not None:
             self.set_amplifier(settings.amplifier)
-        with self._talking():
+        with self._access():
             if has_em_gain(self._values):
                 self._prepare_em_gain()
         if settings.readout_speed is not None:
@@ -92,7 +92,7 @@ class DcamCamera(Camera):
             self.set_exposure(settings.exposure_s)
         if settings.em_gain is not None:
             self.set_em_gain(settings.em_gain)
-        with self._talking():
+        with self._access():
             for identifier, value in _wishes(settings).items():
                 if value is not None:
                     self._values.set(identifier, value)
@@ -101,7 +101,7 @@ class DcamCamera(Camera):
         capture = self._capture
         if capture is not None:
             capture.abort()
-        with self._turn:  # a reader in another thread has left
+        with self._lock:  # a reader in another thread has left
             self._leave(self._stop)
             self._leave(self._give_back)
             self._undo.close()

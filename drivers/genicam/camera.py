@@ -66,7 +66,7 @@ class GenicamCamera(Camera):
         """All settings in force, and what else is worth a record."""
         line = self._line
         told: dict[str, Property] = super().properties()  # checks that the camera is there
-        with self._talking():
+        with self._access():
             told |= {
                 "protocol": "GigE Vision" if line.is_gige else "USB3 Vision",
                 "pixel_format": f"Mono{self._format.bits}",

@@ -297,7 +297,7 @@ def test_a_process_that_was_forked_off_leaves_it_on() -> None:
 @pytest.mark.parametrize("close", ["at the interpreter's exit", "by a call"])
 def test_closing_from_another_thread_waits_for_its_turn(close: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A command under way is finished first, and none can follow."""
-    monkeypatch.setattr("drivers.light_source._LAST_WAIT_S", HANG_S)
+    monkeypatch.setattr("drivers.light_source._LOCK_TIMEOUT_S", HANG_S)
     bulb = Bulb(0.8)
     light = BulbLight(bulb)
     entered = threading.Event()

@@ -1,4 +1,4 @@
-"""Commands and faults in any order: no hang, nothing but `DeviceError`, frames in order, a state that fits."""
+"""Random commands and faults on a camera: no hang, only `DeviceError`, frames in order, consistent state."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, precondition, rule
 
 from drivers.camera import Camera
-from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
+from drivers.errors import REFUSALS, BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
 from drivers.frame import Region
-from support.storm import REFUSALS, Storm
+from support.storm import Storm
 
 T = TypeVar("T")
 
 
 class CameraStorm(Storm):
-    """A subclass also says what time it is for the device: a call that waits too long is told from a busy computer.
+    """A subclass also supplies the device's clock, so that a busy computer does not look like a slow call.
 
-    A call that does not come back at all is found by whoever runs the storm.
+    `run_storms` finds a call that never returns.
     """
 
-    longest_s: ClassVar[float] = 5.0  # of one call beyond its own timeout, whatever happens meanwhile
+    longest_s: ClassVar[float] = 5.0  # of one call, beyond its own timeout
     camera: Camera | None = None
     last_index: int = -1
     is_started: bool = False
@@ -33,7 +33,7 @@ class CameraStorm(Storm):
         raise NotImplementedError
 
     def now(self) -> float:
-        """Seconds on the clock by which driver and device wait."""
+        """Time in seconds on the clock of driver and device."""
         raise NotImplementedError
 
     @initialize(is_started=st.booleans())
@@ -42,13 +42,13 @@ class CameraStorm(Storm):
         self.enter(self.open(), is_started=is_started)
 
     def enter(self, camera: Camera, *, is_started: bool) -> None:
-        """Go on with a camera that was just opened; where nothing started it, hardly a frame would ever be read."""
+        """Continue with a newly opened camera, started or not; unstarted ones alone would hardly read a frame."""
         self.camera, self.is_started, self.last_index = camera, False, -1
         if is_started:
             self.start()
 
     def call(self, action: Callable[[Camera], T]) -> T | None:
-        """Return what it returned, None where it failed as devices do."""
+        """Return the result of the action, or None after a `DeviceError`."""
         assert self.camera is not None
         try:
             with self.in_time():
@@ -61,7 +61,7 @@ class CameraStorm(Storm):
 
     @contextmanager
     def in_time(self, timeout_s: float = 0.0) -> Iterator[None]:
-        """Around a call that must not take longer than that."""
+        """Assert that the block takes no longer than allowed."""
         start_s = self.now()
         try:
             yield
@@ -155,7 +155,7 @@ class CameraStorm(Storm):
             values = getattr(camera.capabilities, f"{what}s")
             before, wanted = getattr(camera, what), values[choice] if choice < len(values) else 99
             if what == "trigger" and wanted not in {"internal", "software"}:
-                return  # nobody is there to trigger it
+                return  # no external trigger would come
             try:
                 getattr(camera, f"set_{what}")(wanted)
             except REFUSALS:
@@ -217,7 +217,7 @@ class CameraStorm(Storm):
             self.recover()
         try:
             camera = self.open()
-        except DeviceError:  # on a real wire it may be a matter of time, which must not decide what comes next
+        except DeviceError:  # can depend on time on a real wire, and must not decide the next step
             assert not is_repaired
             self.recover()
             camera = self.open()

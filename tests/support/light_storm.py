@@ -1,4 +1,4 @@
-"""Commands and faults in any order: no hang, nothing but `DeviceError`, no wrong answer, and never lit by mistake."""
+"""Random commands and faults on a light: no hang, only `DeviceError`, no wrong answer, never lit by mistake."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import TypeVar
 from hypothesis import strategies as st
 from hypothesis.stateful import initialize, precondition, rule
 
-from drivers.errors import DeviceError, Disconnected
+from drivers.errors import REFUSALS, DeviceError, Disconnected
 from drivers.interface import LightSource
 from simulated_devices.clock import ManualClock
-from support.storm import REFUSALS, Storm
+from support.storm import Storm
 
-LONGEST_S = 4.0  # of one call, whatever happens meanwhile
-LOST_S = 2.0  # to find that the device is gone
+LONGEST_S = 4.0  # of one call
+LOST_S = 2.0  # until a loss is noticed
 T = TypeVar("T")
 
 
 class LightStorm(Storm):
-    """A subclass also says what is true of the light."""
+    """A subclass also supplies the true state of the light."""
 
     light: LightSource | None
 
@@ -35,11 +35,11 @@ class LightStorm(Storm):
         raise NotImplementedError
 
     def is_calm(self) -> bool:
-        """No fault is waiting, and the device is there."""
+        """No fault is pending and the device is plugged in."""
         raise NotImplementedError
 
     def recover(self) -> None:
-        """Plug in again, take all faults away."""
+        """Plug in again and clear all faults."""
         self.device.faults.clear()
         self.device.refuses_next = False
 
@@ -49,7 +49,7 @@ class LightStorm(Storm):
         self.light = self.open()
 
     def call(self, action: Callable[[LightSource], T]) -> T | None:
-        """Return what it returned, None where it failed; a failure leaves the light off."""
+        """Return the result of the action, or None after a `DeviceError`, which must leave the light off."""
         assert self.light is not None
         start_s = self.clock.now()
         try:
@@ -98,7 +98,7 @@ class LightStorm(Storm):
 
     @rule(data=st.data())
     def fault(self, data: st.DataObject) -> None:
-        if self.is_calm():  # one after another
+        if self.is_calm():  # one fault at a time
             self.happen(data.draw(self.faults()))
 
     @rule(duration_s=st.sampled_from([0.01, 0.3, 1.0]))
@@ -110,7 +110,7 @@ class LightStorm(Storm):
     def close(self) -> None:
         assert self.light is not None
         was_calm = self.is_calm()
-        with suppress(DeviceError):  # an answer that is still late
+        with suppress(DeviceError):  # a late answer
             self.light.close()
         self.light.close()
         assert not (was_calm and self.device.is_lit)

@@ -1,7 +1,6 @@
-"""Commands and faults in any order, on any device: what all storms have in common.
+"""Base of the storms: random sequences of commands and faults on a device.
 
-In the tests each device sees a few sequences, always the same. `make storms` runs SVWFS_SEQUENCES of them, each time
-others; it is the variable that decides, here and nowhere else.
+The tests run a few fixed sequences per device; with SVWFS_SEQUENCES set, as in `make storms`, that many random ones.
 """
 
 from __future__ import annotations
@@ -14,16 +13,13 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant
 
-from drivers.errors import BadValue, Unsupported, WrongState
-
 FEW = 30
-REFUSALS = (BadValue, Unsupported, WrongState)
 
-MANY = int(os.environ.get("SVWFS_SEQUENCES", "0"))  # 0 where nobody asked
+MANY = int(os.environ.get("SVWFS_SEQUENCES", "0"))
 
 
 def storm_settings(few: int = FEW, *, steps: int = 20) -> settings:
-    """So many sequences of at most so many steps, or as many as were asked for."""
+    """Settings for `few` sequences of at most `steps` steps, or for SVWFS_SEQUENCES."""
     return settings(
         max_examples=MANY or few,
         derandomize=not MANY,
@@ -35,32 +31,32 @@ def storm_settings(few: int = FEW, *, steps: int = 20) -> settings:
 
 @dataclass(slots=True)
 class Tally:
-    """What has been run so far, in this process."""
+    """Count of sequences and steps run in this process."""
 
     sequences: int = 0
     steps: int = 0
 
 
 class Storm(RuleBasedStateMachine):
-    """A subclass says what the device is, and what can happen to it."""
+    """Base class; a subclass supplies the device and its faults."""
 
     tally: ClassVar = Tally()
     device: Any = None
 
     def make(self) -> Any:
-        """Return a stand-in."""
+        """Return a stand-in device."""
         raise NotImplementedError
 
     def faults(self) -> st.SearchStrategy[Any]:
-        """What can happen."""
+        """Strategy for the faults of the device."""
         raise NotImplementedError
 
     def happen(self, fault: Any) -> None:
-        """Let it happen."""
+        """Apply a fault."""
         raise NotImplementedError
 
     def recover(self) -> None:
-        """Plug in again, take all faults away."""
+        """Plug in again and clear all faults."""
         raise NotImplementedError
 
     @invariant()

@@ -6,9 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
-from drivers.interface import BadValue, DeviceError, Devices, Unsupported, WrongState
-
-_REFUSALS = (BadValue, Unsupported, WrongState)  # the device is well, only what was asked of it was not
+from drivers.interface import REFUSALS, DeviceError, Devices
 
 
 @dataclass(slots=True)
@@ -57,7 +55,7 @@ def as_found(devices: Devices) -> Iterator[Found]:
         try:
             yield found
         except BaseException as error:
-            if not isinstance(error, DeviceError) or isinstance(error, _REFUSALS):
+            if not isinstance(error, DeviceError) or isinstance(error, REFUSALS):
                 found.restore(devices)
                 is_restored = True
             raise
