@@ -41,8 +41,8 @@ def calibrate(
 
         check_plot_path(plot)
     loaded = load(bench, setting)
-    with progress_bar() as report:
-        found = run(reference, dark=dark, bench=loaded, report=report)
+    with progress_bar() as progress:
+        found = run(reference, dark=dark, bench=loaded, progress=progress)
     if plot is not None:
         from app.results.lattice_plot import plot_lattice
 
@@ -71,8 +71,8 @@ def simulate(
     from app.commands.simulate import simulate as run
 
     loaded = load(bench, setting)
-    with progress_bar() as report:
-        run(loaded, out, noise_free=noise_free, progress=lambda fraction: report("rendering", fraction))
+    with progress_bar() as progress:
+        run(loaded, out, noise_free=noise_free, progress=lambda fraction: progress("rendering", fraction))
     typer.echo(f"dark.tif, reference.tif, frame.tif and truth.nc are in {out}")
 
 
@@ -98,8 +98,8 @@ def reconstruct(
     if plot is not None:
         check_plot_path(plot)
     loaded = load(bench, setting)
-    with progress_bar() if refine else nullcontext(lambda *_: None) as report:
-        found = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, report=report)
+    with progress_bar() if refine else nullcontext(lambda *_: None) as progress:
+        found = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress)
     inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
     dataset = result_dataset(found.wavefront, with_psf=True).assign_attrs(refinement_rounds=len(found.changes_rad))
     write_results(out, dataset, bench=loaded, inputs=inputs)

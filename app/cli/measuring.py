@@ -83,6 +83,6 @@ def measure(
     from app.commands.measure import measure as run
 
     loaded = load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
-    with progress_bar() as report:
-        measured = run(loaded, frames, out, report, average=average or FRAMES, auto_expose=auto_expose)
+    with progress_bar() as progress:
+        measured = run(loaded, frames, out, progress, average=average or FRAMES, auto_expose=auto_expose)
     print_measurement(measured, out)

@@ -30,7 +30,7 @@ def table1(
     """Table 1: every method on the simulated bench, against the truth."""
     from app.evaluation.paper.tables import table1 as run
 
-    _paper_table(lambda report: run(load(bench, setting), seeds, peers=peers, report=report), out)
+    _paper_table(lambda progress: run(load(bench, setting), seeds, peers=peers, progress=progress), out)
 
 
 @paper.command()
@@ -45,7 +45,7 @@ def table2(
     """Table 2: every method on noisy frames of the experiment, against the stars."""
     from app.evaluation.paper.tables import table2 as run
 
-    _paper_table(lambda report: run(load(bench, setting), seeds, peers=peers, report=report), out)
+    _paper_table(lambda progress: run(load(bench, setting), seeds, peers=peers, progress=progress), out)
 
 
 @paper.command()
@@ -55,7 +55,7 @@ def sources(
     """The supplement's study: sources of other shapes."""
     from app.evaluation.paper.tables import sources as run
 
-    _paper_table(lambda report: run(load(bench, setting), seeds, report=report), out)
+    _paper_table(lambda progress: run(load(bench, setting), seeds, progress=progress), out)
 
 
 def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path) -> None:
@@ -65,7 +65,7 @@ def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path
     from app.files import make_folder
 
     make_folder(out)
-    with progress_bar() as report:
-        table = run(report)
+    with progress_bar() as progress:
+        table = run(progress)
     write_table(table, out)
     print_table(table)

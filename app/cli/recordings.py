@@ -24,8 +24,8 @@ def recover(
     from app.cli.tables import print_recovered, progress_bar
     from app.recording.recover import recover as run
 
-    with progress_bar() as report:
-        found = run(recording, lambda fraction: report("looking at the frames", fraction))
+    with progress_bar() as progress:
+        found = run(recording, lambda fraction: progress("looking at the frames", fraction))
     print_recovered(found, recording)
 
 
@@ -51,7 +51,7 @@ def replay(
     from app.cli.tables import print_replay, progress_bar
     from app.results.replay.run import replay as run
 
-    with progress_bar() as report:
+    with progress_bar() as progress:
         made = run(
             recording,
             bench=bench,
@@ -59,7 +59,7 @@ def replay(
             frames=frames,
             out=out,
             verify=verify,
-            report=report,
+            progress=progress,
         )
     print_replay(made)
 
@@ -85,8 +85,8 @@ def export(
     from app.cli.tables import progress_bar
     from app.results.export.run import export as run
 
-    with progress_bar() as report:
-        count = run(recording, to, out, frames=frames, overwrite=overwrite, report=report)
+    with progress_bar() as progress:
+        count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)
     typer.echo(f"{count} frames of {recording} are in {out}")
 
 
@@ -119,7 +119,7 @@ def report(
             settings=tuple(setting or ()),
             frames=frames,
             overwrite=overwrite,
-            report=progress,
+            progress=progress,
         )
     if residual is not None:
         print_residual(residual)

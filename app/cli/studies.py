@@ -46,8 +46,8 @@ def study(
     from app.evaluation.study.sweeps import chosen_sweeps, print_outcomes, run_study
 
     sweeps, loaded = chosen_sweeps(names or []), load(bench, setting)
-    with progress_bar() as report:
-        outcomes = run_study(loaded, sweeps, seeds, out, report)
+    with progress_bar() as progress:
+        outcomes = run_study(loaded, sweeps, seeds, out, progress)
     print_outcomes(outcomes)
 
 
@@ -94,8 +94,8 @@ def benchmark(
     from app.evaluation.benchmark.run import Plan, run_benchmark
 
     plan = Plan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
-    with progress_bar() as report:
-        result = run_benchmark(plan, report)
+    with progress_bar() as progress:
+        result = run_benchmark(plan, progress)
     if json is not None:
         write_benchmark(result, json)
     print_benchmark(result)
@@ -112,8 +112,8 @@ def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, jso
     from app.evaluation.benchmark.output import write_benchmark
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
-    with progress_bar() as report:
-        figures = live_benchmark(plan, report)
+    with progress_bar() as progress:
+        figures = live_benchmark(plan, progress)
     print_live(figures)
     if json is not None:
         write_benchmark(live_json(figures), json)

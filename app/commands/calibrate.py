@@ -35,13 +35,13 @@ class Found:
     survey: Survey
 
 
-def calibrate(reference: Path, *, dark: Path | None, bench: Bench, report: Progress = lambda *_: None) -> Found:
+def calibrate(reference: Path, *, dark: Path | None, bench: Bench, progress: Progress = lambda *_: None) -> Found:
     """Find the lattice in a reference from image files; whatever is wrong with them is an `InputError` that says so."""
     image = read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     try:
         most = full_scale_of(image, bench.camera_model.bits)
-        found = survey(image, bench.sensor, dark=dark_image, full_scale=most, report=report)
+        found = survey(image, bench.sensor, dark=dark_image, full_scale=most, progress=progress)
         return Found(image, bench, dataclasses.replace(bench, lattice=_rounded(found.lattice)), found)
     except ReconstructionError as error:
         raise InputError(f"{dark if error.image == 'dark' else reference}: {error}") from error

@@ -15,7 +15,7 @@ _LOOK_S = 0.1
 _WARM_UP_S = 3.0  # of the run without a window: nothing of it is about memory
 
 
-def live_benchmark(plan: LivePlan, report: Progress) -> LiveFigures:
+def live_benchmark(plan: LivePlan, progress: Progress) -> LiveFigures:
     """Measure; where there is no display the window is drawn unseen.
 
     Whatever ends it, Ctrl-C too, the light goes off and the recording is removed.
@@ -24,7 +24,7 @@ def live_benchmark(plan: LivePlan, report: Progress) -> LiveFigures:
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
     lasting_s = (plan.warm_up_s + plan.seconds, warm_up_s + plan.without_window_s)
     middle = lasting_s[0] / sum(lasting_s)
-    in_window = named(between(report, 0.0, middle), "window" if is_seen else "unseen window")
+    in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
     with stream_sinks(plan.bench) as sinks:
         with recording_folder(plan, in_window) as folder:
             with_window = Course(
@@ -39,7 +39,7 @@ def live_benchmark(plan: LivePlan, report: Progress) -> LiveFigures:
             _run_in_window(with_window)
         without_window = Course(
             plan.bench,
-            named(between(report, middle, 1.0), "no window"),
+            named(between(progress, middle, 1.0), "no window"),
             warm_up_s=warm_up_s,
             seconds=plan.without_window_s,
             sinks=sinks,

@@ -27,7 +27,7 @@ _POLL_S = 0.05
 
 
 def measure(
-    bench: Bench, frames: int, out: Path, report: Progress, *, average: int = FRAMES, auto_expose: bool = False
+    bench: Bench, frames: int, out: Path, progress: Progress, *, average: int = FRAMES, auto_expose: bool = False
 ) -> Measured:
     """Record `frames` frames into the folder `out`, and write beside them the results, the dark and the reference.
 
@@ -42,8 +42,8 @@ def measure(
         acquisition = Acquisition(bench, open_devices, sinks)
         acquisition.start()
         try:
-            _calibrate(acquisition, bench, average, report, auto_expose=auto_expose)
-            _record(acquisition, bench, frames, out, report)
+            _calibrate(acquisition, bench, average, progress, auto_expose=auto_expose)
+            _record(acquisition, bench, frames, out, progress)
         except Interrupted:
             is_stopped = True
         except DeviceError as error:
@@ -58,7 +58,7 @@ def measure(
         raise Interrupted("stopped before the first frame") if is_stopped else RunError(fault)
     recording = Recording(out)
     try:
-        measured = write_measured(recording, bench, report)
+        measured = write_measured(recording, bench, progress)
     except (Interrupted, RunError) as error:
         why = "stopped before the results were written" if isinstance(error, Interrupted) else fault or str(error)
         raise type(error)(
@@ -73,20 +73,20 @@ def measure(
     return measured
 
 
-def _calibrate(acquisition: Acquisition, bench: Bench, average: int, report: Progress, *, auto_expose: bool) -> None:
+def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: Progress, *, auto_expose: bool) -> None:
     """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample.
 
     A reference that no frame could be reconstructed with is told at once, before the sample is moved.
     """
     if bench.is_worked_by_hand:
         ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
-    _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, report)
+    _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, progress)
     while problem := acquisition.submit(_problem).result():
         said = f"the reference is of no use: {problem}"
         if not bench.is_worked_by_hand:
             raise RunError(said)
         ask(f"{said}; see to light, mask and focus, the sample out of the beam")
-        _wait([acquisition.take_reference(average)], acquisition, report)
+        _wait([acquisition.take_reference(average)], acquisition, progress)
     if bench.is_worked_by_hand:
         ask("put the sample into the beam")
 
@@ -96,28 +96,28 @@ def _problem(instrument: Instrument) -> str:
     return "" if instrument.calibration is not None else instrument.status().warning
 
 
-def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, report: Progress) -> None:
+def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, progress: Progress) -> None:
     """Record from the first frame with the sample on, or from the first that is refined."""
 
     def begin() -> Future[None]:
         return acquisition.start_recording(out, command="measure", frames=frames)
 
     watched = watch_sample(acquisition)
-    _wait([watched, *([] if bench.reconstruction.refine else [begin()])], acquisition, report)
+    _wait([watched, *([] if bench.reconstruction.refine else [begin()])], acquisition, progress)
     if bench.reconstruction.refine:
         while acquisition.is_alive and not _is_refined(acquisition):
-            report("waiting for the first refinement", 0.0)
+            progress("waiting for the first refinement", 0.0)
             time.sleep(_POLL_S)
-        _wait([begin()], acquisition, report)
+        _wait([begin()], acquisition, progress)
     while acquisition.is_alive and (state := acquisition.recording) is not None and state.stage == "recording":
-        report(f"recording {frames} frames", state.frames / frames)
+        progress(f"recording {frames} frames", state.frames / frames)
         time.sleep(_POLL_S)
 
 
-def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, report: Progress) -> None:
+def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, progress: Progress) -> None:
     for step in steps:
         while not step.done():
-            report(acquisition.activity.text, acquisition.activity.progress)
+            progress(acquisition.activity.text, acquisition.activity.progress)
             time.sleep(_POLL_S)
         step.result()
 

@@ -26,7 +26,7 @@ class Reconstructed:
 
 
 def reconstruct_files(
-    frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, report: Progress
+    frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, progress: Progress
 ) -> Reconstructed:
     """Reconstruct one frame from image files and refine it in at most `refine` rounds.
 
@@ -47,11 +47,11 @@ def reconstruct_files(
         wavefront = reconstructor(frame_image)
         changes_rad = []
         if refine:
-            report("modelling the bench", 0.0)
+            progress("modelling the bench", 0.0)
             for done, step in enumerate(reconstructor.rounds(frame_image, refine), 1):
                 wavefront = step.wavefront
                 changes_rad.append(step.change_rad)
-                report("refining", done / refine)
+                progress("refining", done / refine)
         return Reconstructed(wavefront, tuple(changes_rad))
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error

@@ -48,7 +48,7 @@ class Measured:
         self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
 
 
-def write_measured(recording: Recording, bench: Bench, report: Progress) -> Measured:
+def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Measured:
     """Write `results.nc`, `dark.tif` and `reference.tif` into a recording's folder, and say what came out.
 
     Every frame is reconstructed, also those that were passed over live. Without any there is no `results.nc`.
@@ -56,7 +56,7 @@ def write_measured(recording: Recording, bench: Bench, report: Progress) -> Meas
     shape = bench.field.view_rows, bench.field.view_columns
     measured = Measured(bench, np.zeros(shape), np.zeros(shape))
     _write_calibration(recording)
-    pieces = results_in_pieces((made, {}) for made in _counted(recording, measured, report))
+    pieces = results_in_pieces((made, {}) for made in _counted(recording, measured, progress))
     first = next(pieces, None)
     if first is not None:
         names = {"dark": "dark.tif", "reference": "reference.tif"}
@@ -73,9 +73,9 @@ def _write_calibration(recording: Recording) -> None:
                 write_image(recording.folder / f"{name}.tif", average.mean)
 
 
-def _counted(recording: Recording, measured: Measured, report: Progress) -> Iterator[Repeated]:
+def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Repeated]:
     """Every frame, counted as it comes."""
     for made in repeated(recording):
         measured.take(made)
-        report("writing the results", (made.line.index + 1) / len(recording))
+        progress("writing the results", (made.line.index + 1) / len(recording))
         yield made

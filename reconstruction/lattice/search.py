@@ -65,7 +65,7 @@ def survey(
     *,
     dark: Counts | None = None,
     full_scale: float = np.inf,
-    report: Callable[[str, float], None] = lambda *_: None,
+    progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Survey:
     """Find the sensor's lenslets on a reference (row, column), counts, and say how well the frame shows them.
 
@@ -74,20 +74,19 @@ def survey(
     subimages must be symmetric about the lenslet axes on average; `reconstruction.lattice.fit` says what is taken for
     the centre where they are not. Of the lattice's cells those are taken for the sensor's that have most lit lenslets,
     and of blocks alike the one closest to the frame's middle. Raises `ReconstructionError`, in one sentence, when the
-    frame shows no such lattice. `report` hears what is being done and how much of it, 0 ... 1: many megapixels
-    take a while.
+    frame shows no such lattice. `progress` receives the present step and the share that is done, 0 ... 1.
     """
     light, pitch_px = _light(reference, sensor, dark, full_scale), sensor.lenslet_pitch_px
-    report("looking for a lattice", 0.0)
+    progress("looking for a lattice", 0.0)
     if not _may_show(light, pitch_px):
         raise ReconstructionError(_refusal(pitch_px, "was the light on?"), image="reference")
-    report("looking for bad pixels", 0.1)
+    progress("looking for bad pixels", 0.1)
     light = repaired(light, find_bad_pixels(reference, dark))
-    report("fitting the lattice", 0.25)
+    progress("fitting the lattice", 0.25)
     fit, why = _fitted(light, sensor, pitch_px)
     for tried, factor in enumerate(_OTHER_PITCHES, 1):
         if fit is None:
-            report(f"fitting one of {pitch_px * factor:.1f} px pitch", (tried + 1) / 4)
+            progress(f"fitting one of {pitch_px * factor:.1f} px pitch", (tried + 1) / 4)
             fit, _ = _fitted(light, sensor, pitch_px * factor)
     if fit is not None and abs(fit.lattice.pitch_px / pitch_px - 1) < REACH:
         return _of_the_sensor(fit, sensor, light.shape)

@@ -39,14 +39,14 @@ class Grown:
         return asdict(self)
 
 
-def growth(case: Case, sizes: Sequence[int], budget_s: float, report: Progress) -> list[Grown]:
+def growth(case: Case, sizes: Sequence[int], budget_s: float, progress: Progress) -> list[Grown]:
     """Quadratic warps on lattices of several sizes; affine and cubic ones on that of the case itself."""
     own = case.sensor.lenslet_rows
     wanted: list[tuple[int, Warp]] = [(size, "quadratic") for size in sizes]
     wanted += [(own, "affine"), (own, "cubic")]
     found = []
     for index, (size, warp) in enumerate(wanted):
-        report(f"{size} x {size} lenslets, {warp}", index / len(wanted))
+        progress(f"{size} x {size} lenslets, {warp}", index / len(wanted))
         found.append(grown(tiled(case, size), warp, budget_s))
     return found
 

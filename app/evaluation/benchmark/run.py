@@ -47,25 +47,25 @@ class Plan:
     peers: tuple[str, ...] = (*_RATIOS, *_OWN_ROWS)
 
 
-def run_benchmark(plan: Plan, report: Progress) -> Json:
+def run_benchmark(plan: Plan, progress: Progress) -> Json:
     """Run everything, BLAS in one thread as in the live path."""
     with one_blas_thread():
-        return _run(plan, report)
+        return _run(plan, progress)
 
 
-def _run(plan: Plan, report: Progress) -> Json:
-    report("rendering", 0.0)
+def _run(plan: Plan, progress: Progress) -> Json:
+    progress("rendering", 0.0)
     clean = noise_free(plan.bench)
     grainy = noisy(clean, np.random.default_rng(1))
-    race, residuals, missing = _race(clean, grainy, plan, _part(report, 0.05, 0.5))
+    race, residuals, missing = _race(clean, grainy, plan, _part(progress, 0.05, 0.5))
     seconds = {name: times.median_s for name, times in race.items()}
-    report("frames in a loop", 0.5)
+    progress("frames in a loop", 0.5)
     rate = frames_per_s(grainy, plan.budget_s)
-    report("zonal solve", 0.55)
+    progress("zonal solve", 0.55)
     zonal = _zonal(grainy, plan.budget_s)
-    report("forward model", 0.6)
+    progress("forward model", 0.6)
     forward = _forward(clean, plan.budget_s, missing)
-    grown = growth(grainy, plan.sizes, plan.budget_s / 3, _part(report, 0.65, 0.9))
+    grown = growth(grainy, plan.sizes, plan.budget_s / 3, _part(progress, 0.65, 0.9))
     result: Json = {
         "ratios": {name: seconds[name] / seconds[OURS] for name in _RATIOS if name in seconds},
         "ratios_of_best": {name: race[name].best_s / race[OURS].best_s for name in _RATIOS if name in race},
@@ -88,13 +88,13 @@ def _run(plan: Plan, report: Progress) -> Json:
         "versions": versions(*_PACKAGES),
     }
     if plan.with_four_k:
-        report("64 x 64 lenslets on 2048 x 2048 pixels", 0.9)
+        progress("64 x 64 lenslets on 2048 x 2048 pixels", 0.9)
         result["four_k"] = four_k(grainy, plan.budget_s / 3).as_dict()
     return result
 
 
 def _race(
-    clean: Case, grainy: Case, plan: Plan, report: Progress
+    clean: Case, grainy: Case, plan: Plan, progress: Progress
 ) -> tuple[dict[str, Times], dict[str, dict[str, float]], dict[str, str]]:
     """Times on the noisy frame, residuals on both, and who could not take part."""
     missing: dict[str, str] = {}
@@ -106,7 +106,7 @@ def _race(
             for name in plan.peers:
                 if name in missing:
                     continue
-                report(f"{name}, {kind.replace('_', ' ')}", 0.0)
+                progress(f"{name}, {kind.replace('_', ' ')}", 0.0)
                 try:
                     register = stack.enter_context(_peer(name, case))
                     residuals[kind][name] = residual_rad(case, register(case.frame))
@@ -115,7 +115,7 @@ def _race(
                     continue
                 if case is grainy:
                     calls[name] = lambda register=register: register(grainy.frame)  # type: ignore[misc] # bound now
-        return side_by_side(calls, plan.budget_s, report), residuals, missing
+        return side_by_side(calls, plan.budget_s, progress), residuals, missing
 
 
 def _our_residuals(case: Case) -> dict[str, float]:
@@ -186,6 +186,6 @@ def _forward(case: Case, budget_s: float, missing: dict[str, str]) -> Json:
     return found
 
 
-def _part(report: Progress, first: float, last: float) -> Progress:
-    """The report of work that is the share from `first` to `last` of the whole."""
-    return named(between(report, first, last), "timing")
+def _part(progress: Progress, first: float, last: float) -> Progress:
+    """Return the callback for the share of the work from `first` to `last`."""
+    return named(between(progress, first, last), "timing")

@@ -33,7 +33,7 @@ class Times:
 
 
 def side_by_side(
-    contestants: Mapping[str, Callable[[], Any]], budget_s: float, report: Progress | None = None
+    contestants: Mapping[str, Callable[[], Any]], budget_s: float, progress: Progress | None = None
 ) -> dict[str, Times]:
     """Call all contestants in turn until each has had `budget_s` and three calls; the first call of each is not timed.
 
@@ -41,14 +41,14 @@ def side_by_side(
     """
     times = {name: Times() for name in contestants}
     for index, (name, call) in enumerate(contestants.items()):
-        if report is not None:
-            report(name, index / len(contestants) / 2)
+        if progress is not None:
+            progress(name, index / len(contestants) / 2)
         call()
     waiting = dict(contestants)
     while waiting:
         for name, call in list(waiting.items()):
-            if report is not None:
-                report(name, 1 - len(waiting) / len(contestants) / 2)
+            if progress is not None:
+                progress(name, 1 - len(waiting) / len(contestants) / 2)
             turn_s = 0.0
             while turn_s < _TURN_S:
                 start_s = time.perf_counter()

@@ -76,19 +76,19 @@ class Table:
         self.last[name] = truth, result.views
 
 
-def table1(bench: Bench, seeds: int, *, peers: bool, report: Progress) -> Table:
+def table1(bench: Bench, seeds: int, *, peers: bool, progress: Progress) -> Table:
     """The paper's simulation: every method on noise-free frames of the same screens, against the truth."""
     table = Table("table1", "Simulation: residual RMS (rad) against the truth", PAPER_TABLE_1, "truth", _inside(bench))
     methods = _methods(peers=peers)
     for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(report, index, seeds)
+        step = part(progress, index, seeds)
         step("rendering", 0.0)
         frames, truth = noise_free_frames(screen, ("square", "stars"))
         _run(table, screen, frames, truth, methods, step)
     return table
 
 
-def table2(bench: Bench, seeds: int, *, peers: bool, report: Progress) -> Table:
+def table2(bench: Bench, seeds: int, *, peers: bool, progress: Progress) -> Table:
     """The paper's experiment, through the whole instrument: noisy frames, both exposures, the stars as the truth.
 
     Every method is run twice: on windows at their true sub-pixel centres, and (`_resized`) as in the paper on frames
@@ -97,7 +97,7 @@ def table2(bench: Bench, seeds: int, *, peers: bool, report: Progress) -> Table:
     table = Table("table2", "Experiment: residual RMS (rad) against the stars", PAPER_TABLE_2, "stars", _inside(bench))
     methods = {name: method for name, method in _methods(peers=peers).items() if method.mask == "square"}
     for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(report, index, seeds)
+        step = part(progress, index, seeds)
         step("rendering and exposing", 0.0)
         frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
         stars = _stars(screen, frames)
@@ -111,12 +111,12 @@ def table2(bench: Bench, seeds: int, *, peers: bool, report: Progress) -> Table:
     return table
 
 
-def sources(bench: Bench, seeds: int, *, report: Progress) -> Table:
+def sources(bench: Bench, seeds: int, *, progress: Progress) -> Table:
     """The robustness study of the paper's supplement: the same screens behind sources of other shapes."""
     table = Table("sources", "Other sources: residual RMS (rad) against the truth", {}, "truth", _inside(bench))
     kinds = ("affine_zonal", "affine_modal", "quadratic_zonal", "quadratic_modal")
     for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(report, index, seeds)
+        step = part(progress, index, seeds)
         step("rendering", 0.0)
         frames, truth = noise_free_frames(screen, SOURCES)
         for source in SOURCES:
@@ -149,10 +149,10 @@ def _run(
     frames: Mapping[str, Frames],
     truth: Floats,
     methods: Mapping[str, Method],
-    report: Progress,
+    progress: Progress,
 ) -> None:
     for done, (name, method) in enumerate(methods.items()):
-        report(name, done / len(methods))
+        progress(name, done / len(methods))
         try:
             table.add(name, measured(bench, frames, method), truth)
         except ReconstructionError as error:

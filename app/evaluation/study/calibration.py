@@ -59,11 +59,11 @@ class _Frame:
     seed: int
 
 
-def _run(bench: Bench, seeds: int, report: Progress) -> Iterator[Trial]:
+def _run(bench: Bench, seeds: int, progress: Progress) -> Iterator[Trial]:
     for done, seed in enumerate(range(seeds)):
         frames = [*_foreign(seed), *_as_it_is(bench, seed), *_random(bench, seed)]
         for index, frame in enumerate(frames):
-            report(f"{frame.case}, {frame.name}", (done + index / len(frames)) / seeds)
+            progress(f"{frame.case}, {frame.name}", (done + index / len(frames)) / seeds)
             if seed == 0 or "random" in frame.case:  # without noise the others are always the same
                 yield _trial(frame, frame.light * (_CLEAN_PEAK / frame.light.max()), None)
             yield _trial(frame, *_faint(frame))

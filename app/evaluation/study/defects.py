@@ -65,13 +65,13 @@ def _over(
 ) -> Callable[[Bench, int, Progress], Iterator[Observation]]:
     """Tell the estimators of a bench that is wrong in one way by each value; its frames are those of the right one."""
 
-    def run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
+    def run(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
         mask = bench.simulation.source.mask
         reference = NoiseFreeFrames(bench).reference(mask)
         frames = _frames(bench, seeds)
         told = [(kind, value, wrong) for kind, wrong in kinds.items() for value in values]
         for done, (kind, value, wrong) in enumerate(told):
-            report(f"{kind} {value:g}", done / len(told))
+            progress(f"{kind} {value:g}", done / len(told))
             estimators = Estimators(wrong(bench, value), reference, warps=_TOLD, refined=("cubic",))
             for frame in frames:
                 yield from estimators.observe(frame.photons, frame.truth, value, prefix=f"{kind}: ")
@@ -79,14 +79,14 @@ def _over(
     return run
 
 
-def _dead(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
+def _dead(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
     mask = bench.simulation.source.mask
     reference = NoiseFreeFrames(bench).reference(mask)
     shape = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
     for done, (frame, screen) in enumerate(zip(_frames(bench, seeds), seeded(bench, seeds), strict=True)):
         order = np.random.default_rng(screen.simulation.seed).permutation(shape[0] * shape[1])
         for index, fraction in enumerate(_DEAD):
-            report(f"{fraction:.0%} dead", (done + index / len(_DEAD)) / seeds)
+            progress(f"{fraction:.0%} dead", (done + index / len(_DEAD)) / seeds)
             alive = np.ones(order.size)
             alive[order[: round(fraction * order.size)]] = 0.0
             alive = alive.reshape(shape)

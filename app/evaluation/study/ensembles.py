@@ -35,18 +35,18 @@ _FILM_S = sorted({age_s * back for age_s in _AGES_S for back in range(ROUNDS + 1
 _STEP_M = 10e-6  # over which the wavefront's change is measured
 
 
-def _run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
+def _run(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
     mask = bench.simulation.source.mask
     reference = NoiseFreeFrames(bench).reference(mask)
     films = []
     for index, length_m in enumerate(_CORRELATION_LENGTHS_M):
         for done, screen in enumerate(seeded(with_screen(bench, correlation_length_m=length_m), seeds)):
-            report(f"rendering {length_m * 1e3:g} mm", (index + done / seeds) / len(_CORRELATION_LENGTHS_M) / 2)
+            progress(f"rendering {length_m * 1e3:g} mm", (index + done / seeds) / len(_CORRELATION_LENGTHS_M) / 2)
             drifting = NoiseFreeFrames(_drifting(screen))
             films.append((length_m, {seconds: drifting.frame(mask, seconds) for seconds in _FILM_S}))
     ways = [(warp, way, reconstruction) for warp in _WARPS for way, reconstruction in _WAYS.items()]
     for index, (warp, way, reconstruction) in enumerate(ways):
-        report(f"{warp}, {way}", (1 + index / len(ways)) / 2)
+        progress(f"{warp}, {way}", (1 + index / len(ways)) / 2)
         try:
             estimator = Estimator(bench, reference, warp, reconstruction=reconstruction)
         except ReconstructionError:  # more modes than so few lenslets tell apart

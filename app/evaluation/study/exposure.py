@@ -56,10 +56,10 @@ _CAMERAS = (
 )
 
 
-def _run(_bench: Bench, seeds: int, report: Progress) -> Iterator[Trial]:
+def _run(_bench: Bench, seeds: int, progress: Progress) -> Iterator[Trial]:
     cells = list(itertools.product(_CAMERAS, _CURRENTS_A))
     for done, (camera, current_a) in enumerate(cells):
-        report(f"{camera.name}, {current_a:g} A", done / len(cells))
+        progress(f"{camera.name}, {current_a:g} A", done / len(cells))
         allowed = camera.exposures_s
         rights_s, starts_s = (np.geomspace(allowed.minimum, allowed.maximum, count) for count in (_RIGHT, _STARTS))
         for (image, right_s, start_s), seed in itertools.product(

@@ -75,11 +75,11 @@ def camera(bench: Bench, speed: int, em_gain: float) -> EmCamera:
     )
 
 
-def _photons(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
+def _photons(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
     em_camera = camera(bench, _SLOW, 1.0)
     for done, (seed, reference, frame) in enumerate(_screens(bench, seeds)):
         for index, peak_e in enumerate(_PEAKS_E):
-            report(f"{peak_e:g} electrons", (done + index / len(_PEAKS_E)) / seeds)
+            progress(f"{peak_e:g} electrons", (done + index / len(_PEAKS_E)) / seeds)
             scale = np.float32(peak_e / frame.photons.max())
             known, mean = em_camera.counts(reference * scale), em_camera.counts(frame.photons * scale)
             draws = [em_camera.exposed(frame.photons * scale, seed, draw) for draw in range(_DRAWS)]
@@ -112,12 +112,12 @@ def _share_of_noise(
     yield replace(total, curve="quadratic, modal 45: its error bar", rms_rad=predicted_rad)
 
 
-def _em_gain(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
+def _em_gain(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
     settings = [(f"37 e- read noise, {peak_e:g} e-", _FAST, gain, peak_e) for peak_e in _DIM_PEAKS_E for gain in _GAINS]
     settings += [(f"8 e- read noise, {peak_e:g} e-", _SLOW, 1.0, peak_e) for peak_e in _DIM_PEAKS_E]
     for done, (seed, reference, frame) in enumerate(_screens(bench, seeds)):
         for index, (curve, speed, gain, peak_e) in enumerate(settings):
-            report(f"{curve}, gain {gain:g}", (done + index / len(settings)) / seeds)
+            progress(f"{curve}, gain {gain:g}", (done + index / len(settings)) / seeds)
             em_camera = camera(bench, speed, gain)
             electrons = frame.photons * np.float32(peak_e / frame.photons.max())
             known = em_camera.counts(reference * np.float32(peak_e / frame.photons.max()))

@@ -38,12 +38,12 @@ def _over(
     """Observe noise-free frames of the bench that `change` makes for each value; the reference is always the same."""
     values = tuple(values)
 
-    def run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
+    def run(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
         mask = bench.simulation.source.mask
         estimators = Estimators(bench, NoiseFreeFrames(bench).reference(mask))
         for done, screen in enumerate(seeded(bench, seeds, first_seed)):
             for index, value in enumerate(values):
-                report(f"{value:g}", (done + index / len(values)) / seeds)
+                progress(f"{value:g}", (done + index / len(values)) / seeds)
                 frames = NoiseFreeFrames(change(screen, value))
                 frame = frames.frame(mask)
                 yield from estimators.observe(frame.photons, frame.truth, value, sample=frames.sample)

@@ -23,7 +23,7 @@ _MASKS: tuple[Mask, ...] = ("square", "circle", "octagon", "ellipse", "peaks")
 _CELLS = 6  # of the checkerboard, along a side
 
 
-def _run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
+def _run(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
     source = bench.simulation.source
     sources: dict[str, Source] = {mask: replace(source, mask=mask) for mask in _MASKS}
     sources["checkerboard"] = replace(source, file=str(_checkerboard()), mask="image")
@@ -32,7 +32,7 @@ def _run(bench: Bench, seeds: int, report: Progress) -> Iterator[Observation]:
         views = _lit_views(with_source, each)
         estimators = Estimators(with_source, NoiseFreeFrames(with_source).reference(each.mask))
         for done, screen in enumerate(seeded(with_source, seeds)):
-            report(name, (index + done / seeds) / len(sources))
+            progress(name, (index + done / seeds) / len(sources))
             frame = NoiseFreeFrames(screen).frame(each.mask)
             yield from estimators.observe(frame.photons, frame.truth, name, views=views)
 

@@ -38,7 +38,7 @@ def chosen_sweeps(names: Sequence[str]) -> list[Sweep | TrialStudy]:
 
 
 def run_study(
-    bench: Bench, studies: Sequence[Sweep | TrialStudy], seeds: int, out: Path, report: Progress
+    bench: Bench, studies: Sequence[Sweep | TrialStudy], seeds: int, out: Path, progress: Progress
 ) -> list[Outcome | TrialOutcome]:
     """Run sweeps and trials; write what they show into the folder `out` after each.
 
@@ -48,7 +48,7 @@ def run_study(
     outcomes: list[Outcome | TrialOutcome] = []
     try:
         for index, study in enumerate(studies):
-            step = named(part(report, index, len(studies)), study.name)
+            step = named(part(progress, index, len(studies)), study.name)
             step("beginning", 0.0)
             if isinstance(study, TrialStudy):
                 tried = TrialOutcome(study, tuple(study.run(bench, seeds, step)))

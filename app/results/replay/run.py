@@ -48,7 +48,7 @@ def replay(
     frames: str | None,
     out: Path | None,
     verify: bool,
-    report: Progress,
+    progress: Progress,
 ) -> Replay:
     """Reconstruct recorded frames once more and write the results to `out`, if it is given.
 
@@ -62,7 +62,7 @@ def replay(
         raise InputError("--verify asks whether the recorded bench makes the same again: leave --bench and --set out")
     made = Replay(Verification(recording) if change is None else None, None if change is None else Comparison())
     with one_blas_thread():
-        stream = _frames(recording, chosen, change, made, report)
+        stream = _frames(recording, chosen, change, made, progress)
         if out is not None:
             write_pieces(
                 out,
@@ -78,7 +78,7 @@ def replay(
 
 
 def _frames(
-    recording: Recording, chosen: range, change: Change | None, made: Replay, report: Progress
+    recording: Recording, chosen: range, change: Change | None, made: Replay, progress: Progress
 ) -> Iterator[tuple[Repeated, Mapping[str, Variable]]]:
     """Make frame after frame, as recorded or both ways, and pass on what is to be written of each."""
     originals = repeated(recording, chosen)
@@ -90,7 +90,7 @@ def _frames(
         if made.comparison is not None:
             more = made.comparison.take(next(originals), frame)
         made.take(frame)
-        report(f"replaying {len(chosen)} frames", done / len(chosen))
+        progress(f"replaying {len(chosen)} frames", done / len(chosen))
         yield frame, more
 
 

@@ -30,7 +30,7 @@ def report_pages(
     settings: tuple[str, ...],
     frames: str | None,
     overwrite: bool,
-    report: Progress,
+    progress: Progress,
 ) -> tuple[Summary, Residual | None]:
     """Write the report of a recording as PDF, page after page, or as one PNG; with its facts return what is left.
 
@@ -42,8 +42,8 @@ def report_pages(
     if out.exists() and not overwrite:
         raise InputError(f"{out}: is there already; --overwrite replaces it")
     recordings = [Recording(folder), *([] if beside is None else [Recording(beside)])]
-    summary = summarise(recordings[0], frames, report, change=change_of(None, settings))
-    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, report))
+    summary = summarise(recordings[0], frames, progress, change=change_of(None, settings))
+    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, progress))
     write_pages(out, _pages(summary, residual))
     return summary, residual
 

@@ -70,7 +70,7 @@ class Summary:
         return whole if count == len(self.lines) else f"{count} of {whole}"
 
 
-def summarise(recording: Recording, frames: str | None, report: Progress, *, change: Change | None = None) -> Summary:
+def summarise(recording: Recording, frames: str | None, progress: Progress, *, change: Change | None = None) -> Summary:
     """Look through some frames of a recording, all without `frames`; of more than 200, so many are made again.
 
     With a `change` of their calibrations, something else is made of them.
@@ -85,7 +85,7 @@ def summarise(recording: Recording, frames: str | None, report: Progress, *, cha
         if frame.problem and not frame.line.problem:
             again[frame.problem] += 1
         sums.take(frame, is_early=2 * done <= len(some) + 1)
-        report(f"looking at {recording.folder.name}", done / len(some))
+        progress(f"looking at {recording.folder.name}", done / len(some))
     problems = Counter(line.problem for line in lines if line.problem)
     first = recording.calibration(numbers[0]) if numbers else None
     return Summary(

@@ -74,7 +74,7 @@ def test_an_unknown_sweep_is_refused_before_anything_is_computed(
     assert not (tmp_path / "new").exists()
 
 
-def _one(_bench: Bench, seeds: int, _report: Progress) -> Iterator[Observation]:
+def _one(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[Observation]:
     yield from (Observation(curve="affine", at="here", rms_rad=0.1 * seed, lost=seed) for seed in range(seeds))
 
 

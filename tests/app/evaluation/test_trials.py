@@ -27,7 +27,7 @@ def trial(case: str, **figures: float) -> Trial:
     return Trial(case=case, name="", figures=figures, asked=dict.fromkeys(figures, 2.0), **refused)
 
 
-def made(_bench: Bench, seeds: int, _report: Progress) -> Iterator[Trial]:
+def made(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[Trial]:
     yield from (trial("one", a=float(value), b=0.5) for value in range(1, seeds + 1))
     yield trial("other", a=math.nan, b=math.nan)
 

@@ -46,7 +46,7 @@ def zonal(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recordi
 
 
 def exported(recording: Recording, to: Format, out: Path, **options: Any) -> Path:
-    given: dict[str, Any] = {"frames": None, "overwrite": False, "report": lambda *_: None}
+    given: dict[str, Any] = {"frames": None, "overwrite": False, "progress": lambda *_: None}
     export(recording.folder, to, out, **{**given, **options})
     return out
 
@@ -257,7 +257,7 @@ def test_ctrl_c_leaves_nothing(recording: Recording, tmp_path: Path, to: Format)
             raise Interrupted("interrupted")
 
     with pytest.raises(Interrupted):
-        exported(recording, to, tmp_path / "out", report=interrupt)
+        exported(recording, to, tmp_path / "out", progress=interrupt)
     assert not list(tmp_path.iterdir())
 
 

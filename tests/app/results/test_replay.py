@@ -54,7 +54,7 @@ def mine(plain: Recording, tmp_path: Path) -> Recording:
 
 
 def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
-    given: dict[str, Any] = {"bench": None, "frames": None, "out": None, "verify": False, "report": lambda *_: None}
+    given: dict[str, Any] = {"bench": None, "frames": None, "out": None, "verify": False, "progress": lambda *_: None}
     return replay(folder, settings=settings, **{**given, **options})
 
 
@@ -306,7 +306,7 @@ def test_ctrl_c_leaves_nothing_half_written(plain: Recording, tmp_path: Path, mo
             raise Interrupted("interrupted")
 
     with pytest.raises(Interrupted):
-        replayed(plain.folder, out=tmp_path / "r.nc", report=interrupt)
+        replayed(plain.folder, out=tmp_path / "r.nc", progress=interrupt)
     assert not list(tmp_path.iterdir())
 
 

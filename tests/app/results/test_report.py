@@ -63,7 +63,7 @@ def mine(recording: Recording, tmp_path: Path) -> Recording:
 
 def reported(folder: Path, out: Path, **options: Any) -> tuple[Summary, object]:
     given: dict[str, Any] = {"beside": None, "settings": (), "frames": None, "overwrite": False}
-    return report_pages(folder, out, report=lambda *_: None, **{**given, **options})
+    return report_pages(folder, out, progress=lambda *_: None, **{**given, **options})
 
 
 def drawn(page: Page) -> Figure:
@@ -130,7 +130,7 @@ def beyond_limits(figure: Figure) -> list[Text]:
 
 
 def test_the_sums_are_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
-    export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, report=lambda *_: None)
+    export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, progress=lambda *_: None)
     found = summary.found
     assert found is not None
     with xr.open_dataset(tmp_path / "r.nc") as results:

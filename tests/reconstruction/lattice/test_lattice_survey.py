@@ -405,7 +405,7 @@ def test_a_large_frame_without_a_lattice_is_refused_before_anything_is_fitted(mo
 
 def test_hot_pixels_do_not_hide_a_faint_lattice_on_a_large_frame() -> None:
     heard: list[tuple[str, float]] = []
-    found = survey(_many(60), sensor_with(46, 46, 16.0), report=lambda text, done: heard.append((text, done)))
+    found = survey(_many(60), sensor_with(46, 46, 16.0), progress=lambda text, done: heard.append((text, done)))
     truth = Lattice(center_x_px=374.6, center_y_px=373.9, pitch_px=16.1, rotation_rad=0.004)
     check(found, truth)
     assert (found.rows, found.columns) == (46, 46)

@@ -56,7 +56,7 @@ class Course:
     def __init__(
         self,
         bench: Bench,
-        report: Progress,
+        progress: Progress,
         *,
         warm_up_s: float,
         seconds: float,
@@ -67,7 +67,7 @@ class Course:
         """Prepare for `seconds` after a warm-up, over the last `memory_s` of which the memory is looked at."""
         self._tally = Tally()
         self.acquisition = Acquisition(bench, open_devices, (self._tally.take, *sinks))
-        self._report, self._record_into = report, record_into
+        self._progress, self._record_into = progress, record_into
         self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
         self._kept = 2 * ceil(seconds / bench.camera_model.exposure_s)
         self._expected: tuple[Future[Any], ...] = ()
@@ -119,14 +119,14 @@ class Course:
                 raise RunError(f"no wavefront within {_GIVE_UP_S:g} s: {newest.problem if newest else 'no frame came'}")
             self._check()
             activity = self.acquisition.activity
-            self._report(activity.text or "waiting for the first wavefront", 0.0)
+            self._progress(activity.text or "waiting for the first wavefront", 0.0)
             yield
         return first_s
 
     def _wait(self, until_s: float, first_s: float, text: str) -> Iterator[None]:
         while (now_s := time.perf_counter()) < until_s:
             self._check()
-            self._report(text, min(1.0, (now_s - first_s) / (self._warm_up_s + self._seconds)))
+            self._progress(text, min(1.0, (now_s - first_s) / (self._warm_up_s + self._seconds)))
             yield
 
     def _check(self) -> None:

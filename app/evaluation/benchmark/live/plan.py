@@ -60,7 +60,7 @@ class LivePlan:
 
 
 @contextmanager
-def recording_folder(plan: LivePlan, report: Progress) -> Iterator[Path | None]:
+def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None]:
     """Give a folder for the recording, which is removed at the end however that comes; None when there is to be none.
 
     `InputError` when there is no such folder to make it in, or no room.
@@ -85,5 +85,5 @@ def recording_folder(plan: LivePlan, report: Progress) -> Iterator[Path | None]:
         yield folder / "recording"
     finally:
         with ended_by(lambda *_: None):  # a second Ctrl-C must not leave half of it
-            report("removing the recording", 1.0)
+            progress("removing the recording", 1.0)
             shutil.rmtree(folder)
