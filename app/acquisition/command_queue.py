@@ -1,4 +1,4 @@
-"""What others want done by the one thread that owns the devices, in the order in which they asked."""
+"""Queue of commands for the thread that owns the devices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from app.acquisition.instrument import Instrument
 from app.errors import InputError
-from app.measurement.routines import Cancelled, RoutineError
+from app.measurement.routines.frames import Cancelled, RoutineError
 from drivers.interface import BadValue, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
 
@@ -25,34 +25,34 @@ _HARMLESS = (
     BadValue,
     Unsupported,
     WrongState,
-)  # the caller's business; the thread goes on
+)  # passed to the caller; the thread goes on
 
 
 class CommandQueue:
-    """Takes commands from any thread until it is closed; each one's result or error comes by its future.
+    """Accepts commands from any thread until it is closed; each gets a future.
 
-    What `afterwards` does of a command that ended nothing, is done before its future tells anybody.
+    `afterwards` runs after a command that did not stop the worker, before its future resolves.
     """
 
     def __init__(self, afterwards: Callable[[Instrument], None]) -> None:
         self._afterwards = afterwards
         self._waiting: queue.Queue[tuple[Callable[[Instrument], None], Future[Any]]] = queue.Queue()
-        self._ending = threading.Lock()  # so that no command slips in between the last look and the end
-        self._refusal: str | None = None  # why no more are taken; None as long as they are
+        self._ending = threading.Lock()  # no command may slip in while the queue closes
+        self._refusal: str | None = None  # why commands are refused; None while they are accepted
 
     def submit(self, command: Callable[[Instrument], T]) -> Future[T]:
-        """Have `command` executed after those that wait already; `WrongState` when nobody will any more."""
+        """Append a command; its future has a `WrongState` if the queue is closed."""
         future: Future[T] = Future()
 
         def execute(instrument: Instrument) -> None:
             if future.set_running_or_notify_cancel():
                 try:
-                    tell = _answer(command, instrument, future)
+                    resolve = _execute(command, instrument, future)
                     self._afterwards(instrument)
                 except BaseException as error:
                     future.set_exception(error)
                     raise
-                tell()
+                resolve()
 
         with self._ending:
             if self._refusal is None:
@@ -63,13 +63,13 @@ class CommandQueue:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nobody wants anything."""
+        """Whether no command waits."""
         return self._waiting.empty()
 
     def next(self, timeout_s: float = 0.0) -> Callable[[Instrument], None] | None:
-        """Take the next one out, to be called by who owns the devices; None when none comes within `timeout_s`.
+        """Remove the next command, to be called by the worker; None if none arrives within `timeout_s`.
 
-        It raises what ends that thread: a device that fails, a fault of ours.
+        The command raises only errors that end the worker: a failing device or a bug.
         """
         try:
             execute, _ = self._waiting.get(block=timeout_s > 0, timeout=timeout_s)
@@ -78,7 +78,7 @@ class CommandQueue:
         return execute
 
     def close(self, refusal: str) -> None:
-        """Refuse all that wait, and all that are still to come, for this reason."""
+        """Refuse all waiting and future commands for this reason."""
         with self._ending:
             self._refusal = refusal
         while not self.is_empty:
@@ -87,8 +87,8 @@ class CommandQueue:
                 future.set_exception(WrongState(refusal))
 
 
-def _answer(command: Callable[[Instrument], T], instrument: Instrument, future: Future[T]) -> Callable[[], None]:
-    """Execute the command; return what tells its result, or its harmless error, to whoever waits for it."""
+def _execute(command: Callable[[Instrument], T], instrument: Instrument, future: Future[T]) -> Callable[[], None]:
+    """Execute the command; return a function that resolves its future with the result or a harmless error."""
     try:
         return partial(future.set_result, command(instrument))
     except _HARMLESS as error:

@@ -1,4 +1,4 @@
-"""The one place that knows which devices a bench has, and whether they are real or simulated."""
+"""Opening a bench's devices: the one place that knows real from simulated."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PITCH_TOLERANCE = 0.01
 
 
 def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
-    """Open the devices that the bench names; `progress` goes from 0 to 1 while a simulated one prepares itself."""
+    """Open the devices of a bench; `progress` goes from 0 to 1 while a simulated one is prepared."""
     with ExitStack() as stack:
         if isinstance(bench.camera, RecordingSettings):
             return _open_recording(bench, bench.camera, stack)
@@ -46,7 +46,7 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
 
 
 def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack) -> Devices:
-    """Open the devices of a real bench; what they refuse of its settings is the bench's fault."""
+    """Open real devices; settings that they refuse are an `InputError`."""
     section = "camera"
     try:
         camera = stack.enter_context(open_camera(bench.camera))
@@ -71,7 +71,7 @@ def _open_recording(bench: Bench, settings: RecordingSettings, stack: ExitStack)
 
 
 def _check_pitch(bench: Bench, camera: Camera) -> None:
-    """Raise `InputError` when the camera has other pixels than the bench says."""
+    """Raise `InputError` if the camera's pixel pitch is not the bench's."""
     pitch_m = camera.capabilities.pixel_pitch_m
     if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
         raise InputError(
@@ -94,7 +94,7 @@ def open_camera(settings: CameraSettings) -> Camera:
 
 
 def open_light(settings: LightSettings) -> LightSource:
-    """Open a real light; it is off then, and set to the current that is asked for."""
+    """Open a real light, switched off and set to the configured current."""
     light = _light(settings)
     if settings.current_a is not None:
         try:
@@ -123,7 +123,7 @@ def _light(settings: LightSettings) -> LightSource:
 
 
 def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:
-    """Build the bench as physics, with typical devices in place of real ones; they are told the time by `clock`."""
+    """Build the simulation of a bench, with typical devices in place of real ones, running on `clock`."""
     camera, light = bench.camera_model, bench.light_model
     try:
         return SimulatedBench(
@@ -137,5 +137,5 @@ def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Cloc
             clock=clock,
             progress=progress,
         )
-    except ValueError as error:  # settings that are each possible but not together, or the screen's file
+    except ValueError as error:  # inconsistent settings, or an unusable screen file
         raise InputError(f"simulation: {error}") from error

@@ -1,42 +1,76 @@
-"""A frame in a straight line: from the camera through the instrument to everybody who takes or looks at results."""
+"""Path of a frame from the camera through the instrument to the sinks and the mailbox."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
-from app.acquisition.arrivals import Arrivals
 from app.acquisition.instrument import Instrument, Reconstruction
 from app.measurement.measurement import Counts, LightState, Measurement
-from app.measurement.routines import next_frame
+from app.measurement.routines.frames import next_frame
 from app.timing import Timings
 from drivers.interface import DeviceTimeout, Frame, FrameLost
 
-_PASSING_OVER_S = 0.5  # and no longer, where frames come faster than they can be passed over
-_OLD_S = 0.1  # a frame that is older, and there are newer ones, is not reconstructed
+_SKIPPING_S = 0.5  # time limit for skipping frames that arrive faster than they can be skipped
+_OLD_S = 0.1  # an older frame is skipped if there is a newer one
+
+
+class Arrivals:
+    """Counts arrived and lost frames, and converts the camera's clock to this computer's; used by one thread."""
+
+    def __init__(self) -> None:
+        self.counts = Counts()  # immutable: other threads read it
+        self._next_index = 0
+        self._clock_lag_s = math.inf  # this computer's clock minus the camera's
+
+    def count(self, frame: Frame) -> None:
+        """Count a frame and those lost before it."""
+        was_restarted = frame.index < self._next_index
+        lost = frame.index if was_restarted else frame.index - self._next_index
+        self._next_index = frame.index + 1
+        self.counts = replace(self.counts, acquired=self.counts.acquired + 1, lost=self.counts.lost + lost)
+        self.set_clock(frame)
+
+    def count_reconstructed(self) -> None:
+        """Count a reconstructed frame."""
+        self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)
+
+    def set_clock(self, frame: Frame) -> None:
+        """Update the clock difference: the smallest delay seen belongs to the fastest transfer."""
+        self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
+
+    def exposure_end_s(self, frame: Frame) -> float:
+        """End of the exposure on this computer's clock, `time.perf_counter()`."""
+        return frame.camera_time_s + self._clock_lag_s
+
+    def age_s(self, frame: Frame) -> float:
+        """Time since the end of the exposure."""
+        return time.perf_counter() - self.exposure_end_s(frame)
 
 
 class FramePath:
-    """Takes frames and passes on what becomes of them: to the sinks every one, to the mailbox the newest."""
+    """Reads and reconstructs frames; every result goes to the sinks, the newest to the mailbox."""
 
     def __init__(
         self,
         sinks: tuple[Callable[[Measurement], None], ...],
         timings: Timings,
-        is_wanted: Callable[[Instrument], bool],
+        must_stop_waiting: Callable[[Instrument], bool],
     ) -> None:
-        """`is_wanted` says, ten times a second, whether there is something else to do than to wait for a frame."""
-        self._sinks, self._timings, self._is_wanted = sinks, timings, is_wanted
+        """`must_stop_waiting` is polled at 10 Hz while waiting for a frame."""
+        self._sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
         self._arrivals = Arrivals()
-        self.newest: Measurement | None = None  # the mailbox: written by one thread, read by anybody
+        self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
 
     @property
     def counts(self) -> Counts:
-        """What has become of the frames so far."""
+        """Numbers of frames acquired, reconstructed and lost so far."""
         return self._arrivals.counts
 
     def acquire(self, instrument: Instrument, light: LightState | None) -> None:
-        """Take one frame, reconstruct it and pass it on; `Cancelled` when something else is to be done."""
+        """Read one frame, reconstruct it and pass it on; `Cancelled` if the wait was stopped."""
         frame = self._newest_frame(instrument, light)
         made = instrument.measure(frame)
         if made.wavefront is not None:
@@ -48,23 +82,23 @@ class FramePath:
             self.newest = measurement
 
     def show(self, frame: Frame, text: str, light: LightState | None) -> None:
-        """Let a frame be seen, with a text in place of a wavefront; it is neither measured nor counted."""
+        """Put a frame into the mailbox with a text in place of a wavefront, neither measured nor counted."""
         self._arrivals.set_clock(frame)
         self.newest = self._measurement(frame, Reconstruction(None, text), light)
 
     def _newest_frame(self, instrument: Instrument, light: LightState | None) -> Frame:
-        """Wait for a frame; when it has lain in the camera for long, pass it over for the newest that is there."""
+        """Wait for a frame; if it is old already, skip to the newest in the camera."""
         camera, start_s = instrument.devices.camera, time.perf_counter()
-        frame = next_frame(camera, lambda: self._is_wanted(instrument))
-        arrived_s = max(frame.host_time_s, start_s)  # it may have lain in the camera already
+        frame = next_frame(camera, lambda: self._must_stop_waiting(instrument))
+        arrived_s = max(frame.host_time_s, start_s)  # it may have been waiting in the camera
         self._timings.note("wait", arrived_s - start_s)
         self._timings.note("copy", time.perf_counter() - arrived_s)
         self._arrivals.count(frame)
         if self._arrivals.age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
-            while not self._is_wanted(instrument) and time.perf_counter() < arrived_s + _PASSING_OVER_S:
+            while not self._must_stop_waiting(instrument) and time.perf_counter() < arrived_s + _SKIPPING_S:
                 try:
                     newer = camera.read(0.0)
-                except (DeviceTimeout, FrameLost):  # there is none; whatever another device says is not the camera's
+                except (DeviceTimeout, FrameLost):  # only of the camera: a light may time out in `_must_stop_waiting`
                     break
                 self._publish(self._measurement(frame, instrument.pass_over(frame), light))
                 frame = newer

@@ -1,6 +1,6 @@
 """The instrument: devices, dark, reference and the reconstructor made of them.
 
-It has no thread of its own; whoever holds it owns the devices. `Status` is the frozen view of it that others may see.
+It runs in the thread that owns the devices; other threads see its frozen `Status`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Standing = Literal["missing", "doubtful", "good"]  # of a dark or a reference
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How the instrument stands at one moment, for a window or a report."""
+    """Snapshot of the instrument."""
 
     bench: Bench
     camera_name: str
@@ -62,11 +62,11 @@ class Status:
     dark: Standing
     reference: Standing
     lattice: Lattice | None
-    warning: str  # why the wavefronts are missing or doubtful; empty when they are not
+    warning: str  # why wavefronts are missing or doubtful; empty if they are good
 
     @property
     def bench_in_force(self) -> Bench:
-        """The bench with what has been set and found since: lattice, exposure, gain, current."""
+        """The bench with the current lattice, exposure, gain and light current."""
         camera = {
             "exposure_s": self.exposure_s,
             "amplifier": self.amplifier,
@@ -83,67 +83,47 @@ class Status:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reconstruction:
-    """What became of one frame, and all that is needed to make the same of it again."""
+    """Result for one frame, and everything needed to reproduce it."""
 
     wavefront: Wavefront | None
-    problem: str  # why there is no wavefront; empty when there is one
+    problem: str  # why there is no wavefront; empty if there is one
     calibration: Calibration | None = None
-    start: Displacement | None = None  # where the registration began: as the frame before was registered, None if cold
-    registered: Displacement | None = None  # what it found; the wavefront's own is less the bias
+    start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
+    registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
     refinement: RefinementState = RefinementState()
 
 
 class Instrument:
-    """Devices and what has been measured with them so far."""
+    """Devices with their dark, reference and reconstructor."""
 
     def __init__(self, devices: Devices, bench: Bench, timings: Timings | None = None) -> None:
         self.devices = devices
         self._timings = timings or Timings()
-        self._bench = bench
-        self._dark: Average | None = None
-        self._reference: Average | None = None
+        self.bench = bench  # with the current settings
+        self.dark: Average | None = None
+        self.reference: Average | None = None
+        self.calibration: Calibration | None = None  # None if frames cannot be reconstructed
         self._dark_taken: Circumstances | None = None
         self._reference_taken: Circumstances | None = None
         self._lattice = bench.lattice
-        self._calibration: Calibration | None = None
         self._reconstructor: Reconstructor | None = None
         self._refinement: LiveRefinement | None = None
-        self._before: Displacement | None = None  # how the frame before was registered
+        self._before: Displacement | None = None  # displacement of the previous frame
         self._problem = "no reference yet: take the sample out and take one"
 
-    @property
-    def dark(self) -> Average | None:
-        """The dark in force."""
-        return self._dark
-
-    @property
-    def calibration(self) -> Calibration | None:
-        """What frames are reconstructed with; None as long as they are not."""
-        return self._calibration
-
-    @property
-    def reference(self) -> Average | None:
-        """The reference in force."""
-        return self._reference
-
-    @property
-    def bench(self) -> Bench:
-        """The bench as it is set now."""
-        return self._bench
-
     def properties(self) -> dict[str, dict[str, Property]]:
-        """All that the devices can tell of themselves, for the record."""
+        """All properties of the devices, for a recording."""
         camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
         return {"camera": camera.properties(), "light": light.properties(), "stage": stage.properties()}
 
     def status(self) -> Status:
-        """Ask the devices how they stand."""
+        """Query the devices."""
         camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
         now = Circumstances.of(self.devices)
         problem = self._problem if self._reconstructor is None else ""
         of_dark, of_reference = self._doubt_of_dark(now), self._doubt_of_reference(now)
         return Status(
-            bench=self._bench,
+            bench=self.bench,
             camera_name=camera.name,
             light_name=light.name,
             capabilities=camera.capabilities,
@@ -159,86 +139,86 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
-            dark=_standing(self._dark, of_dark),
-            reference=_standing(self._reference, problem or of_reference),
+            dark=_standing(self.dark, of_dark),
+            reference=_standing(self.reference, problem or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference,
         )
 
     def take_dark(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
-        """Take a dark and use it from now on."""
-        self._dark = take_dark(self.devices, frames, progress=progress, should_stop=should_stop)
+        """Average frames with the light off, and use them as dark from now on."""
+        self.dark = take_dark(self.devices, frames, progress=progress, should_stop=should_stop)
         self._dark_taken = Circumstances.of(self.devices)
         self._prepare()
 
     def take_reference(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
-        """Take a reference, find the lattice in it if the bench does not say where it is, and use it from now on."""
-        self._reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
+        """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
+        self.reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
         self._reference_taken = Circumstances.of(self.devices)
         self._prepare()
 
     def use(self, calibration: Calibration) -> None:
-        """Take over bench, dark and reference that come from elsewhere, as from a recording."""
-        self._bench, self._dark, self._reference = calibration.bench, calibration.dark, calibration.reference
+        """Replace bench, dark and reference, for example by recorded ones."""
+        self.bench, self.dark, self.reference = calibration.bench, calibration.dark, calibration.reference
         now = Circumstances.of(self.devices)
-        self._dark_taken = None if self._dark is None else _as_averaged(now, self._dark)
-        self._reference_taken = _as_averaged(now, self._reference)
+        self._dark_taken = None if self.dark is None else _as_averaged(now, self.dark)
+        self._reference_taken = _as_averaged(now, self.reference)
         self._prepare()
 
     def auto_expose(self, *, progress: Progress, should_stop: ShouldStop) -> AutoExposure:
-        """Find exposure and current for what is in the beam, and use them from now on."""
-        sensor, lattice = self._bench.sensor, self._lattice
+        """Find and set exposure and current for what is in the beam."""
+        sensor, lattice = self.bench.sensor, self._lattice
         pitch_px = sensor.lenslet_pitch_px if lattice is None else lattice.pitch_px
         return auto_expose(self.devices, pitch_px, progress=progress, should_stop=should_stop)
 
     def check_background(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> BackgroundCheck:
-        """Compare the background of now with the dark; `RoutineError` where there is none that it compares with."""
+        """Compare the current background with the dark; `RoutineError` if there is no dark that fits."""
         doubt = self._doubt_of_dark(Circumstances.of(self.devices))
-        if self._dark is None or doubt:
+        if self.dark is None or doubt:
             raise RoutineError(doubt)
-        return check_background(self.devices, self._dark, frames, progress=progress, should_stop=should_stop)
+        return check_background(self.devices, self.dark, frames, progress=progress, should_stop=should_stop)
 
     def survey_lattice(self) -> Survey:
-        """Find the lenslets in the reference; nothing is changed by it."""
-        if self._reference is None:
+        """Find the lenslets in the reference without changing anything."""
+        if self.reference is None:
             raise WrongState("the lattice is found in the reference: take one first")
         now = Circumstances.of(self.devices)
         if not _fits(self._reference_taken, now):
             raise WrongState(self._doubt_of_reference(now))
-        dark = self._dark if _fits(self._dark_taken, now) else None
-        return surveyed(self._bench, dark, self._reference, self.devices.camera.capabilities.full_scale)
+        dark = self.dark if _fits(self._dark_taken, now) else None
+        return surveyed(self.bench, dark, self.reference, self.devices.camera.capabilities.full_scale)
 
-    def read_out(self, area: SensorArea) -> SensorArea:
-        """Have the camera, stopped for it, read out another part of its sensor; return what it really took.
+    def set_area(self, area: SensorArea) -> SensorArea:
+        """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
 
-        The lattice goes along. Dark and reference are of no use until they are taken again, or the area is as before.
+        The lattice moves with it. Dark and reference become unusable until they are retaken or the area is restored.
         """
         camera, before = self.devices.camera, SensorArea.of(self.devices.camera)
         whole = camera.capabilities.sensor
         with camera.paused():
             taken = set_area(camera, area)
             try:
-                bench = moved(self._bench, before, taken, whole)
+                bench = moved(self.bench, before, taken, whole)
                 lattice = None if self._lattice is None else moved_lattice(self._lattice, before, taken)
             except BadValue:
                 set_area(camera, before)
                 raise
         if taken != before:
-            self._bench, self._lattice = bench, lattice
+            self.bench, self._lattice = bench, lattice
             self._prepare()
         return taken
 
     def change_settings(self, change: Callable[[Bench], Bench]) -> None:
-        """Replace the settings of registration and reconstruction by what `change` makes of the bench."""
+        """Replace the bench by `change(bench)`; only registration and reconstruction may differ."""
         try:
-            self._bench = change(self._bench)
-        except ValueError as error:  # the settings refuse what cannot be
+            self.bench = change(self.bench)
+        except ValueError as error:  # inconsistent settings
             raise BadValue(str(error)) from error
         self._prepare()
 
     def measure(self, frame: Frame) -> Reconstruction:
-        """Reconstruct a frame, or say why it cannot be done."""
-        calibration, start = self._calibration, self._before
+        """Reconstruct a frame, or say why that is impossible."""
+        calibration, start = self.calibration, self._before
         if self._reconstructor is None:
             return Reconstruction(None, self._problem)
         try:
@@ -252,12 +232,12 @@ class Instrument:
         return Reconstruction(wavefront, "", calibration, start, registered, refinement)
 
     def pass_over(self, frame: Frame) -> Reconstruction:
-        """Leave a frame for later, with what it takes: the calibration, and what corrected the frame before."""
+        """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's correction."""
         refinement = RefinementState() if self._refinement is None else self._refinement.as_before(frame.camera_time_s)
-        return Reconstruction(None, PASSED_OVER, self._calibration, refinement=refinement)
+        return Reconstruction(None, PASSED_OVER, self.calibration, refinement=refinement)
 
     def close(self) -> None:
-        """Let go of what works beside the frames; the devices belong to whoever opened them."""
+        """Stop the refinement thread; the caller closes the devices."""
         if self._refinement is not None:
             self._refinement.close()
         self._refinement = None
@@ -270,43 +250,43 @@ class Instrument:
         return self._refinement.refine(registered, time_s)
 
     def _prepare(self) -> None:
-        """Make the reconstructor anew, the camera paused; what stands in the way becomes the warning that all see."""
-        self._calibration = self._reconstructor = self._before = None
+        """Rebuild the reconstructor, the camera paused; a failure becomes the warning in the status."""
+        self.calibration = self._reconstructor = self._before = None
         self.close()
-        if self._reference is None:
+        if self.reference is None:
             return
-        camera, bench, now = self.devices.camera, self._bench, Circumstances.of(self.devices)
+        camera, bench, now = self.devices.camera, self.bench, Circumstances.of(self.devices)
         if not _fits(self._reference_taken, now):
             self._problem = self._doubt_of_reference(now)
             return
-        dark = self._dark if _fits(self._dark_taken, now) else None
+        dark = self.dark if _fits(self._dark_taken, now) else None
         try:
             with camera.paused():
-                calibration = Calibration.of(bench, dark, self._reference, camera.capabilities.full_scale)
+                calibration = Calibration.of(bench, dark, self.reference, camera.capabilities.full_scale)
                 self._lattice = calibration.lattice
                 self._reconstructor = calibration.reconstructor()
-                self._calibration = calibration
+                self.calibration = calibration
                 if bench.reconstruction.refine:
                     self._refinement = LiveRefinement(bench, self._reconstructor)
         except ReconstructionError as error:
             self._problem = str(error)
 
     def _doubt_of_dark(self, now: Circumstances) -> str:
-        """Why the dark does not go with the frames of now; empty when it does."""
+        """Why the dark does not fit the current frames; empty if it does."""
         return _doubt("dark", self._dark_taken, now, is_lit=False)
 
     def _doubt_of_reference(self, now: Circumstances) -> str:
-        """Why the reference does not go with the frames of now; empty when it does."""
+        """Why the reference does not fit the current frames; empty if it does."""
         return _doubt("reference", self._reference_taken, now, is_lit=True)
 
 
 def _as_averaged(now: Circumstances, average: Average) -> Circumstances:
-    """Return the circumstances of now, but for what is known of an average."""
+    """Circumstances of an average; what it does not store is assumed unchanged."""
     return replace(now, exposure_s=average.exposure_s, em_gain=average.em_gain, amplifier=average.amplifier)
 
 
 def _fits(taken: Circumstances | None, now: Circumstances) -> bool:
-    """Whether what was taken then has the pixels of the frames of now."""
+    """Whether an average covers the same pixels as the current frames."""
     return taken is not None and taken.shows_same_pixels(now)
 
 

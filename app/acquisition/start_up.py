@@ -1,4 +1,4 @@
-"""From devices that are just open to live wavefronts, without a click."""
+"""Start-up sequence from opened devices to live wavefronts."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 
-FRAMES = 20  # averaged into the dark and into the reference
+FRAMES = 20  # averaged into the dark, and into the reference
 
 
 def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
-    """Have the light turned on, a dark and a reference taken, the sample moved in and the camera started.
+    """Turn the light on, take a dark and a reference, move the sample in and start the camera.
 
-    The steps are executed in order; a cancelled one is left out, and the next one follows. On a bench that is worked by
-    hand nobody knows yet where the sample is: the camera starts after the dark, and a person asks for the reference.
-    With `auto_expose` the exposure is found first.
+    The steps run in order; cancelling one skips only that one. On a bench worked by hand the position of the sample is
+    unknown: the camera starts after the dark, and the user requests the reference. With `auto_expose` the exposure is
+    found first.
     """
     if acquisition.bench.is_worked_by_hand:
         return (
@@ -29,9 +29,9 @@ def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: boo
 
 
 def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
-    """Have the light turned on, a dark and a reference taken.
+    """Turn the light on, take a dark and a reference.
 
-    With `auto_expose` the exposure is found before, without the sample: the reference must not be saturated.
+    With `auto_expose` the exposure is found first, without the sample, so that the reference is not saturated.
     """
     steps: list[Future[Any]] = [acquisition.submit(_turn_light_on)]
     if auto_expose:
@@ -40,7 +40,7 @@ def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bo
 
 
 def watch_sample(acquisition: Acquisition) -> Future[None]:
-    """Have the sample in the beam, moved there now or before by hand, and the camera started."""
+    """Move the sample in (on a bench worked by hand it already is) and start the camera."""
 
     def watch(instrument: Instrument) -> None:
         instrument.devices.stage.note_sample(True)

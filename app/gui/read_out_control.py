@@ -30,7 +30,7 @@ class ReadOutControl:
 
     def read_out(self, acquisition: Acquisition, area: SensorArea) -> None:
         """Ask for it; what is refused is told."""
-        self._answers.expect(acquisition.read_out(area), lambda taken: self._tell(acquisition.status, taken))
+        self._answers.expect(acquisition.set_area(area), lambda taken: self._tell(acquisition.status, taken))
 
     def _tell(self, status: Status | None, taken: SensorArea) -> None:
         self.dialog.close()  # so that the keys are the window's again

@@ -329,7 +329,7 @@ def test_devices_that_are_slow_to_answer_are_asked_less_often(
         return status(instrument)
 
     running.begin()
-    monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.01)
+    monkeypatch.setattr("app.acquisition.loop._STATUS_INTERVAL_S", 0.01)
     monkeypatch.setattr(Instrument, "status", slowly)
     wait_until(lambda: len(asked_s) > 2)
     assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
@@ -358,8 +358,8 @@ def test_what_a_light_says_while_frames_are_passed_over_is_not_taken_for_the_cam
     running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
     try:
         running.begin()
-        monkeypatch.setattr("app.acquisition.worker._STATUS_INTERVAL_S", 0.0)
-        monkeypatch.setattr("app.acquisition.worker._STATUS_SHARE", math.inf)
+        monkeypatch.setattr("app.acquisition.loop._STATUS_INTERVAL_S", 0.0)
+        monkeypatch.setattr("app.acquisition.loop._STATUS_SHARE", math.inf)
         running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is asked at every look
         monkeypatch.setattr(Instrument, "status", silent_once)
         monkeypatch.setattr(Instrument, "pass_over", pass_over_before)

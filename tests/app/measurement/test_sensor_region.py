@@ -247,7 +247,7 @@ def test_a_part_shows_the_same_lenslets_after_dark_and_reference_are_taken_again
     before = measurements[-1].wavefront
     assert before is not None
     whole = acquisition.submit(lambda instrument: SensorArea.of(instrument.devices.camera)).result(HANG_S)
-    taken = acquisition.read_out(SensorArea(Region(17, 20, 140, 230), 1)).result(HANG_S)
+    taken = acquisition.set_area(SensorArea(Region(17, 20, 140, 230), 1)).result(HANG_S)
     assert taken == SensorArea(Region(16, 16, 144, 224), 1)
     status = acquisition.status
     assert status is not None
@@ -274,7 +274,7 @@ def test_a_part_shows_the_same_lenslets_after_dark_and_reference_are_taken_again
     np.testing.assert_array_equal(now.displacement.valid, inside)
     np.testing.assert_allclose(now.displacement.mean[inside], before.displacement.mean[inside], atol=0.1)
 
-    acquisition.read_out(whole).result(HANG_S)
+    acquisition.set_area(whole).result(HANG_S)
     assert acquisition.submit(lambda instrument: instrument.bench).result(HANG_S) == acquisition.bench
 
 
@@ -283,9 +283,9 @@ def test_the_area_before_finds_its_dark_and_reference_again(
 ) -> None:
     acquisition, measurements = live_small
     whole = acquisition.submit(lambda instrument: SensorArea.of(instrument.devices.camera)).result(HANG_S)
-    acquisition.read_out(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
+    acquisition.set_area(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
     wait_until(lambda: measurements[-1].frame.pixels.shape == (160, 160))
-    acquisition.read_out(whole).result(HANG_S)
+    acquisition.set_area(whole).result(HANG_S)
     assert acquisition.status is not None
     assert acquisition.status.warning == ""
     wait_until(lambda: measurements[-1].wavefront is not None)
@@ -300,7 +300,7 @@ def test_the_camera_goes_back_when_the_bench_refuses_what_is_left(
     acquisition, measurements = live_small
     monkeypatch.setattr("app.acquisition.instrument.moved", refuse)
     with pytest.raises(BadValue, match="too few"):
-        acquisition.read_out(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
+        acquisition.set_area(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
     seen = len(measurements)
     wait_until(lambda: len(measurements) > seen + 1)  # it runs again
     assert measurements[-1].frame.pixels.shape == (172, 240)
@@ -309,7 +309,7 @@ def test_the_camera_goes_back_when_the_bench_refuses_what_is_left(
 
 def test_a_lattice_beside_the_frame_is_told(live_small: tuple[Acquisition, list[Measurement]]) -> None:
     acquisition, measurements = live_small
-    acquisition.read_out(SensorArea(Region(0, 0, 64, 64), 1)).result(HANG_S)
+    acquisition.set_area(SensorArea(Region(0, 0, 64, 64), 1)).result(HANG_S)
     acquisition.take_reference(3).result(HANG_S)
     wait_until(lambda: "most lenslets lie beside the frame of 64 x 64" in measurements[-1].problem)
 
@@ -319,10 +319,10 @@ def test_a_recording_has_frames_of_one_kind(live_small: tuple[Acquisition, list[
     area = SensorArea(Region(0, 0, 160, 160), 1)
     acquisition.start_recording(tmp_path / "whole").result(HANG_S)
     with pytest.raises(WrongState, match="stop it first"):
-        acquisition.read_out(area).result(HANG_S)
+        acquisition.set_area(area).result(HANG_S)
     assert measurements[-1].frame.pixels.shape == (172, 240)
     acquisition.stop_recording()
-    acquisition.read_out(area).result(HANG_S)
+    acquisition.set_area(area).result(HANG_S)
     wait_until(lambda: measurements[-1].frame.pixels.shape == (160, 160))
     acquisition.keep_recent(tmp_path / "kept").result(HANG_S)
     wait_until(lambda: acquisition.kept is not None and acquisition.kept.stage in {"finished", "ended early"})
@@ -335,8 +335,8 @@ def test_a_recording_has_frames_of_one_kind(live_small: tuple[Acquisition, list[
 
 def test_a_camera_of_one_area_says_so(make_fixed: Instrument) -> None:
     with pytest.raises(BadValue, match="no binning 2"):
-        make_fixed.read_out(SensorArea(Region(0, 0, 300, 430), 2))
-    assert make_fixed.read_out(SensorArea(Region(0, 0, 16, 16), 1)) == SensorArea(Region(0, 0, 300, 430), 1)
+        make_fixed.set_area(SensorArea(Region(0, 0, 300, 430), 2))
+    assert make_fixed.set_area(SensorArea(Region(0, 0, 16, 16), 1)) == SensorArea(Region(0, 0, 300, 430), 1)
     assert make_fixed.devices.camera.is_running
 
 
