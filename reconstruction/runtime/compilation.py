@@ -21,6 +21,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     dispatcher: Any = numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")(
         function
     )
-    # Numba checks only the function's file for changes, but inlines functions and constants of other files.
-    dispatcher._cache._cache_file._source_stamp = _SOURCES  # noqa: SLF001 - there is no public way
+    # Numba checks only the function's file for changes, but inlines functions and constants of other files. Its version
+    # is checked before the rest of the cache is read, which may name classes that no longer exist.
+    dispatcher._cache._cache_file._version = f"{numba.__version__} {_SOURCES}"  # noqa: SLF001 - there is no public way
     return cast("Callable[P, R]", dispatcher)

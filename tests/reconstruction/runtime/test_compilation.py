@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -32,6 +33,10 @@ def test_a_constant_from_another_file_is_compiled_again_when_it_changes(tmp_path
         return float(finished.stdout.strip(" []\n"))
 
     before = result()
+    for index in (tmp_path / "cache").rglob("*.nbi"):  # as if it named a class that the next version does not have
+        with index.open("rb") as file:
+            version = pickle.load(file)  # noqa: S301 - Numba wrote it
+        index.write_bytes(pickle.dumps(version) + b"creconstruction\nRemoved\n.")
     source = package / "solve" / "whitening.py"
     source.write_text(source.read_text().replace("SYSTEMATIC_PX = 0.01", "SYSTEMATIC_PX = 3.0"))
     assert abs(before - 1.0001) < 1e-9
