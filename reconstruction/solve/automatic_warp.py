@@ -1,7 +1,6 @@
 """How freely a warp may bend when the settings leave it open: as freely as the camera's noise allows.
 
 The quadratic modes remove most of what the estimator gets wrong systematically, and add noise. Which is more follows
-from reconstruction.settings import Warp
 from the reference and the camera alone. The cubic ones are never chosen here: they pay when a wavefront is
 refined and no light strays into the neighbours' cells, which is for the user to know; where it does, they are worse.
 """
