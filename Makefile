@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run test storms lint lock clean qt-libraries c-compiler
+.PHONY: help setup run check test soak storms lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
@@ -21,8 +21,20 @@ setup: qt-libraries .venv/ready ## make .venv; with root, install the system lib
 run: setup ## the live window on the simulated bench
 	.venv/bin/svwfs live
 
-test: setup c-compiler ## every test, without a screen
-	QT_QPA_PLATFORM=offscreen .venv/bin/python -m pytest
+# Two processes, each with one thread of linear algebra; a file's tests stay together because they share fixtures.
+PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 --dist loadfile
+
+QUICK := tests/reconstruction tests/drivers tests/simulated_devices/detector tests/app/bench \
+    --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py
+
+check: lint setup ## lint and the quick tests of numerics, devices and settings, about a minute
+	$(PYTEST) -q -m 'not soak' $(QUICK)
+
+test: setup c-compiler ## every test but the soaks, about five minutes
+	$(PYTEST) -m 'not soak'
+
+soak: setup c-compiler ## the tests that take 15 s or more each
+	$(PYTEST) -m soak
 
 storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, most of an hour
 	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-10000} PYTHONPATH=tests .venv/bin/python -m support.run_storms $(DRIVERS)

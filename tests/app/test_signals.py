@@ -1,4 +1,4 @@
-"""Whoever ends the program, and however: the light goes off, and what was measured is kept."""
+"""Signals that end the program: the light goes off, and handlers are restored."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from app.signals import ENDING, ended_by
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.pseudo_terminal import PtyServer
 
-# A command that has the light on, as the command line runs it; nothing of it may reach its terminal any more.
+# A command that keeps the light on; it runs as any other, but its terminal closes early.
 LIT = """
 import sys, time, typer
 from app import cli
+from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 
 @cli.cli.command()
@@ -43,7 +44,7 @@ def lit_program(port: str, prepare: Callable[[], object]) -> subprocess.Popen[st
 
 
 @pytest.mark.parametrize("number", ENDING)
-def test_the_light_goes_off(number: signal.Signals) -> None:
+def test_signal_switches_the_light_off(number: signal.Signals) -> None:
     device = DC4100Wire()
     with (
         PtyServer(device) as server,
@@ -59,7 +60,7 @@ def test_the_light_goes_off(number: signal.Signals) -> None:
         assert (program.returncode, errors) == (130, "svwfs: interrupted\n")
 
 
-def test_a_hangup_that_nohup_ignores_ends_nothing() -> None:
+def test_hangup_ignored_by_nohup_ends_nothing() -> None:
     device = DC4100Wire()
     ignoring = lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)  # noqa: E731 - as nohup does
     with PtyServer(device) as server, lit_program(server.port, ignoring) as program:
@@ -74,7 +75,8 @@ def test_a_hangup_that_nohup_ignores_ends_nothing() -> None:
         assert not device.is_lit
 
 
-def test_what_was_there_before_is_there_again() -> None:
+@pytest.mark.usefixtures("default_signals")
+def test_handlers_are_restored() -> None:
     came: list[int] = []
     before = [signal.getsignal(number) for number in ENDING]
     with ended_by(lambda number, _frame: came.append(number)):

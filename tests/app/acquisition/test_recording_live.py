@@ -204,6 +204,7 @@ def test_the_last_seconds_can_be_kept_while_it_records(make_live: Callable[..., 
     assert kept.line(len(kept) - 1).camera_index + 1 >= Recording(tmp_path / "r").line(0).camera_index
 
 
+@pytest.mark.soak
 def test_killed_at_random_moments_it_leaves_all_but_the_last_frames(small_toml: Path, tmp_path: Path) -> None:
     """How many are missing is for `recording_crash.py` on a quiet computer: here anything may hold a program up."""
     random = np.random.default_rng()

@@ -251,6 +251,7 @@ def interrupt() -> None:
 MANY = source.square(Source(), object_samples=31)
 
 
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (interrupt, KeyboardInterrupt)])
 def test_an_exception_in_one_thread_and_ctrl_c_end_them_all(
     end: Callable[[], object], error: type[BaseException]

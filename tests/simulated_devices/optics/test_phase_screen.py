@@ -92,6 +92,7 @@ def test_the_samples_near_the_pupil_are_the_ensemble_to_the_bit(length_m: float,
     assert_is_of_the_ensemble(simulation, samples=385, spacing_m=25e-6, rms_rad=4.2, pupil_scale=1.0, field_scale=0.975)
 
 
+@pytest.mark.soak
 def test_the_sample_of_the_experiment_preset_is_the_ensemble_near_the_source_to_the_bit() -> None:
     simulation = load_bench("paper_experiment", ("simulation.seed=2",)).simulation
     assert simulation.screen.correlation_length_m == 1.2e-3
