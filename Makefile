@@ -27,7 +27,7 @@ PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 .venv/bin/python -m p
 QUICK := tests/reconstruction tests/drivers tests/simulated_devices/detector tests/app/bench \
     --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py
 
-check: lint setup ## lint and the quick tests of numerics, devices and settings, about a minute
+check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, about a minute
 	$(PYTEST) -q -m 'not soak' $(QUICK)
 
 test: setup c-compiler ## every test but the soaks, about five minutes

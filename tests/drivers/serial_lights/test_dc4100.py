@@ -445,6 +445,7 @@ def test_settings_check_themselves(wrong: dict[str, Any], words: str) -> None:
 
 LEAVING = """
 import signal, sys
+from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests were started with
 light = ThorlabsDC4100(DC4100Settings(port=sys.argv[1]))
