@@ -13,19 +13,11 @@ from app.bench.config import Bench, with_known
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.live_refinement import LiveRefinement, RefinementState
 from app.measurement.measurement import PASSED_OVER
-from app.measurement.routines import (
-    AutoExposure,
-    Average,
-    BackgroundCheck,
-    Circumstances,
-    Progress,
-    RoutineError,
-    ShouldStop,
-    auto_expose,
-    check_background,
-    take_dark,
-    take_reference,
-)
+from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
+from app.measurement.routines.averages import Average, take_dark, take_reference
+from app.measurement.routines.background import BackgroundCheck, check_background
+from app.measurement.routines.device_state import Circumstances
+from app.measurement.routines.frames import FrameProgress, RoutineError, ShouldStop
 from app.measurement.sensor_region import SensorArea, moved, moved_lattice, set_area
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
@@ -145,13 +137,13 @@ class Instrument:
             warning=problem or of_dark or of_reference,
         )
 
-    def take_dark(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
+    def take_dark(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
         """Average frames with the light off, and use them as dark from now on."""
         self.dark = take_dark(self.devices, frames, progress=progress, should_stop=should_stop)
         self._dark_taken = Circumstances.of(self.devices)
         self._prepare()
 
-    def take_reference(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> None:
+    def take_reference(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
         """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
         self.reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
         self._reference_taken = Circumstances.of(self.devices)
@@ -165,13 +157,13 @@ class Instrument:
         self._reference_taken = _as_averaged(now, self.reference)
         self._prepare()
 
-    def auto_expose(self, *, progress: Progress, should_stop: ShouldStop) -> AutoExposure:
+    def auto_expose(self, *, progress: FrameProgress, should_stop: ShouldStop) -> AutoExposure:
         """Find and set exposure and current for what is in the beam."""
         sensor, lattice = self.bench.sensor, self._lattice
         pitch_px = sensor.lenslet_pitch_px if lattice is None else lattice.pitch_px
         return auto_expose(self.devices, pitch_px, progress=progress, should_stop=should_stop)
 
-    def check_background(self, frames: int, *, progress: Progress, should_stop: ShouldStop) -> BackgroundCheck:
+    def check_background(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> BackgroundCheck:
         """Compare the current background with the dark; `RoutineError` if there is no dark that fits."""
         doubt = self._doubt_of_dark(Circumstances.of(self.devices))
         if self.dark is None or doubt:

@@ -11,7 +11,8 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.loop import AcquisitionLoop, Activity
 from app.bench.config import write_bench
 from app.measurement.measurement import Counts, Measurement
-from app.measurement.routines import AutoExposure, BackgroundCheck
+from app.measurement.routines.auto_exposure import AutoExposure
+from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea
 from app.recording.background import RecordingState
 from drivers.interface import Frame, WrongState

@@ -10,7 +10,8 @@ from app.gui import commands
 from app.gui.answers import Answers
 from app.gui.camera_panel import CameraPanel
 from app.gui.message_strip import MessageStrip
-from app.measurement.routines import AutoExposure, BackgroundCheck
+from app.measurement.routines.auto_exposure import AutoExposure
+from app.measurement.routines.background import BackgroundCheck
 from reconstruction.lattice.search import Survey
 
 

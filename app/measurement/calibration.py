@@ -1,7 +1,7 @@
-"""The calibration: all that the reconstructor is made of, so that it can be made again, bit for bit.
+"""Calibration: everything from which a reconstructor is rebuilt bit by bit.
 
-A `Calibration` is in force until a dark, a reference or a setting changes; then there is another one. Each frame
-carries the one it was reconstructed with, and a recording keeps every one that its frames name.
+A new dark, reference or setting makes a new `Calibration`. Each measurement refers to its own, and a recording stores
+all that its frames refer to.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from app.bench.config import Bench
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from reconstruction.frame.noise import CameraNoise, photon_transfer
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey, survey
@@ -18,25 +18,22 @@ from reconstruction.pipeline import Reconstructor
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """A bench with the dark, the reference and the lattice in force."""
+    """A bench with its dark, reference and lattice."""
 
     bench: Bench
     dark: Average | None
     reference: Average
-    lattice: Lattice  # the bench's, or as found in the reference
-    full_scale: float  # the count at which a pixel saturates
+    lattice: Lattice  # configured, or found in the reference
+    full_scale: float  # saturation level, counts
 
     @classmethod
     def of(cls, bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Calibration:
-        """Find the lattice in the reference unless the bench says where it is; `ReconstructionError` if there is none.
-
-        This is the only step that need not be done again for a calibration that was kept.
-        """
+        """Find the lattice in the reference unless it is configured; `ReconstructionError` if it shows none."""
         lattice = bench.lattice or surveyed(bench, dark, reference, full_scale).lattice
         return cls(bench, dark, reference, lattice, full_scale)
 
     def reconstructor(self) -> Reconstructor:
-        """Make the reconstructor; raises `ReconstructionError` when dark, reference and settings do not allow it."""
+        """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
         return self.bench.reconstructor(
             self.reference.mean,
             lattice=self.lattice,
@@ -47,9 +44,9 @@ class Calibration:
         )
 
     def noise(self) -> CameraNoise | None:
-        """The camera's noise, from the scatter of the frames that made dark and reference; None without a dark."""
+        """Camera noise from the scatter of the averaged frames; None without a dark."""
         dark, reference = self.dark, self.reference
-        if dark is None or dark.mean.shape != reference.mean.shape:  # the latter is refused by whoever uses both
+        if dark is None or dark.mean.shape != reference.mean.shape:  # refused by `reconstructor`
             return None
         return photon_transfer(
             reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
@@ -57,5 +54,5 @@ class Calibration:
 
 
 def surveyed(bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Survey:
-    """Look where the lenslets lie on the reference, whatever the bench says; `ReconstructionError` if it shows none."""
+    """Find the lenslets in the reference, ignoring the configured lattice; `ReconstructionError` if it shows none."""
     return survey(reference.mean, bench.sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)

@@ -1,4 +1,4 @@
-"""The forward model of a bench as it really is: the refinement's picture of the optics, with the measured source."""
+"""Forward model of a bench with its measured source, used by the refinement."""
 
 from __future__ import annotations
 
@@ -16,16 +16,15 @@ from reconstruction.registration.source_brightness import mean_subimage, point_b
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.source import SourcePoints
 
-_POINTS_PER_BLUR = 2.8  # points of the source for every lambda f / D of its image; fewer would be seen one by one
-_MARGIN_POINTS = 1  # beyond the field's edge on every side: whatever blurs the edge is taken for source
-_SAMPLES_PER_BLUR = 1.35  # pupil samples for every lambda f / D of the cell; below 1 its edge is aliased
+_POINTS_PER_BLUR = 2.8  # source points per lambda f / D; fewer would be resolved
+_MARGIN_POINTS = 1  # on every side of the field: blur of its edge is modelled as source
+_SAMPLES_PER_BLUR = 1.35  # pupil samples per lambda f / D of the cell; below 1 its edge is aliased
 
 
 class BenchModel:
-    """A coarse model of one bench behind one reference; see `refinement.ImagingModel`.
+    """Coarse model of one bench with one reference; see `refinement.ImagingModel`.
 
-    The source's brightness is found in the reference: its shape, its unevenness and whatever blurs it. So is the light
-    that each lenslet gets.
+    The brightness of the source and the light of each lenslet are estimated from the reference.
     """
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = 2) -> None:
@@ -44,7 +43,7 @@ class BenchModel:
             threads=threads,
         )
         subimage, light = mean_subimage(reference)
-        # One lenslet of the same kind, on as many pixels as the window has.
+        # The same lenslets on as many pixels as one window has.
         middle_px = (reference.width - 1 + lattice.pitch_px) / 2
         one_lenslet = ForwardModel(
             replace(sensor, lenslet_rows=2, lenslet_columns=2),
@@ -71,7 +70,7 @@ class BenchModel:
 
 
 def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:
-    """The value (lenslet_row, lenslet_column) of the lenslet behind which each pixel lies, (row, column); else 0."""
+    """Value (lenslet_row, lenslet_column) of the lenslet of each pixel, (row, column); 0 outside the lattice."""
     row, column = np.mgrid[:rows, :columns]
     position_px = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64))
     counts = np.array(values.shape[::-1])

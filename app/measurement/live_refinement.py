@@ -1,7 +1,7 @@
-"""Refinement beside the live view: a thread of low priority finds the bias, and the newest bias corrects every frame.
+"""Live refinement: a low-priority thread estimates the bias, and the newest bias corrects every frame.
 
-A round takes some tenths of a second, in which the wavefront changes little while the sample drifts. When it has
-changed much, the bias of a wavefront that is gone would do harm: then frames stay as they are until the next is found.
+A round takes some tenths of a second. If the wavefront has changed much meanwhile, the old bias would do harm: frames
+stay uncorrected until the next one is found.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import Bias, Refinement, distance_rad, mean_rms
 from reconstruction.wavefront import Wavefront
 
-_MOVED_FRACTION = 0.5  # of the RMS of the wavefront at which the bias was found: beyond, it is no better than none
-_MOVED_RAD = 0.1  # but for a wavefront that is nearly flat
+_MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
+_MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _NICENESS = 10
 _WAIT_S = 0.2
 
@@ -32,75 +32,75 @@ RefinementStage = Literal["off", "preparing", "applied", "moved", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class RefinementState:
-    """Whether a frame has been corrected, and by what."""
+    """Correction of one frame."""
 
     stage: RefinementStage = "off"
-    age_s: float = math.nan  # from the frame at which the bias was found to this one
-    moved_rad: float = math.nan  # by how much the wavefront has changed since, mean over the views
-    problem: str = ""  # why it has failed
+    age_s: float = math.nan  # from the bias's frame to this one
+    moved_rad: float = math.nan  # change of the wavefront since the bias's frame, mean RMS over the views
+    problem: str = ""  # reason of a failure
     bias: Floats | None = field(default=None, compare=False, repr=False)  # as applied, px; see `Reconstructor.solve`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _TimedBias:
     bias: Bias
     time_s: float
 
 
 class LiveRefinement:
-    """Corrects the frames of one reconstructor; its thread ends soon after `close`."""
+    """Refinement of one reconstructor's frames; its thread ends soon after `close`."""
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor) -> None:
-        """Make the model, which takes some tenths of a second in which no other thread runs; then begin."""
+        """Build the model, which blocks all threads for some tenths of a second, and start the thread."""
         self._reconstructor = reconstructor
         self._newest: tuple[Wavefront, float] | None = None  # one slot each way, written by one thread
-        self._found: _Found | None = None
+        self._bias: _TimedBias | None = None
         self._problem = ""
-        self._state = RefinementState("preparing")  # of the frame before
+        self._state = RefinementState("preparing")  # of the previous frame
         self._something_new, self._closing = threading.Event(), threading.Event()
         try:
             model = BenchModel(bench, reconstructor)
-        except (ReconstructionError, ValueError) as error:  # a reference of which no model can be made
+        except (ReconstructionError, ValueError) as error:  # the reference does not allow a model
             self._problem = str(error)
             return
         threading.Thread(target=self._work, args=(model,), name="refinement", daemon=True).start()
 
     def close(self) -> None:
-        """Begin no further round."""
+        """Stop after the current round."""
         self._closing.set()
 
     def refine(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, RefinementState]:
-        """Reconstruct a frame exposed at `time_s`, corrected by the newest bias if that is any good for it."""
-        found = self._found
-        if found is None:
+        """Reconstruct a frame exposed at `time_s`, corrected by the newest bias if it applies."""
+        newest = self._bias
+        if newest is None:
             wavefront = self._reconstructor.solve(displacement)
             state = RefinementState("failed" if self._problem else "preparing", problem=self._problem)
         else:
-            wavefront = self._reconstructor.solve(displacement, bias=found.bias.displacement)
-            moved_rad = distance_rad(wavefront.views, found.bias.views)
-            limit_rad = max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(found.bias.views))
+            wavefront = self._reconstructor.solve(displacement, bias=newest.bias.displacement)
+            moved_rad = distance_rad(wavefront.views, newest.bias.views)
+            limit_rad = max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(newest.bias.views))
             is_near = moved_rad <= limit_rad
             if not is_near:
                 wavefront = self._reconstructor.solve(displacement)
             state = RefinementState(
                 "applied" if is_near else "moved",
-                time_s - found.time_s,
+                time_s - newest.time_s,
                 moved_rad,
-                bias=found.bias.displacement if is_near else None,
+                bias=newest.bias.displacement if is_near else None,
             )
         self._newest, self._state = (wavefront, time_s), state
         self._something_new.set()
         return wavefront, state
 
     def as_before(self, time_s: float) -> RefinementState:
-        """What corrected the frame before, for one exposed at `time_s` that will be reconstructed only later."""
+        """Return the previous frame's correction, for a skipped frame exposed at `time_s`."""
         if self._newest is None:
             return self._state
         return replace(self._state, age_s=self._state.age_s + time_s - self._newest[1])
 
     def _work(self, model: BenchModel) -> None:
-        """Find the bias of the newest wavefront, again and again."""
-        if sys.platform == "linux":  # where a thread has a priority of its own
+        """Estimate the bias of the newest wavefront repeatedly."""
+        if sys.platform == "linux":  # threads have their own priority only here
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
             refinement = Refinement(self._reconstructor, model)
@@ -109,12 +109,12 @@ class LiveRefinement:
                     self._something_new.clear()
                     wavefront, time_s = self._newest
                     try:
-                        self._found = _Found(refinement.bias(wavefront), time_s)
-                    except ReconstructionError as error:  # of this wavefront; the next may be better
+                        self._bias = _TimedBias(refinement.bias(wavefront), time_s)
+                    except ReconstructionError as error:  # the next wavefront may succeed
                         self._problem = str(error)
         except Exception as error:
-            self._found, self._problem = None, str(error)
-            # Where the program ends meanwhile, the threads that share the work are gone before this one: no fault.
+            self._bias, self._problem = None, str(error)
+            # At interpreter exit the worker pool ends before this thread: not a fault.
             is_over = isinstance(error, RuntimeError) and self._closing.is_set()
             if not (is_over or isinstance(error, ReconstructionError)):
                 raise

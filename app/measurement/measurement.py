@@ -1,4 +1,4 @@
-"""One frame and what became of it: what the acquisition passes on to whoever shows, records or publishes."""
+"""Measurement: one frame and its result, as shown, recorded and published."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ PASSED_OVER = "passed over: the computer was behind, and a newer frame was there
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What has become of the frames since the loop began."""
+    """Numbers of frames since the loop began."""
 
     acquired: int = 0
-    reconstructed: int = 0  # fewer, when the computer is slower than the camera: then only the newest are
+    reconstructed: int = 0  # fewer if the computer is slower than the camera
     lost: int = 0  # overwritten in the camera before they were read
 
 
@@ -32,16 +32,16 @@ class LightState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """One frame, what became of it, and what is needed to make the same of it again."""
+    """One frame, its result, and everything needed to reproduce it."""
 
     frame: Frame
     wavefront: Wavefront | None
-    problem: str  # why there is no wavefront; empty when there is one
+    problem: str  # why there is no wavefront; empty if there is one
     counts: Counts
-    exposure_end_s: float  # when it was exposed, by this computer's time.perf_counter()
+    exposure_end_s: float  # end of the exposure on this computer's clock, time.perf_counter()
     latency_s: float  # from then to this result
     refinement: RefinementState = RefinementState()  # with the bias that was applied, if any
-    calibration: Calibration | None = None  # the same object as long as it is in force
-    start: Displacement | None = None  # where the registration began: as the frame before was registered; None if cold
-    registered: Displacement | None = None  # what it found; the wavefront's own is less the bias
-    light: LightState | None = None  # as it was set last
+    calibration: Calibration | None = None  # shared by all frames that used it
+    start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
+    registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
+    light: LightState | None = None  # as last polled

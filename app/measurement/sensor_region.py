@@ -1,6 +1,6 @@
-"""Which part of its sensor a camera reads out, how it bins the pixels, and where the lattice then lies in the frame.
+"""Sensor area (region of interest and binning), and the lattice's position in its frame.
 
-Regions are in pixels of the sensor, unbinned, whatever the binning.
+Regions are always in unbinned pixels of the sensor.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from drivers.interface import BadValue, Camera, DeviceError, Disconnected, Regio
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice, Sensor, centered_steps
 
-_AROUND = 0.5  # pitches that are left about the lattice
+_AROUND = 0.5  # margin around the lattice, in pitches
 
 
 @dataclass(frozen=True, slots=True)
 class SensorArea:
-    """What of the sensor makes the frame."""
+    """Region of the sensor, and binning, that make the frame."""
 
     region: Region
     binning: int
@@ -31,14 +31,14 @@ class SensorArea:
 
     @classmethod
     def of(cls, camera: Camera) -> SensorArea:
-        """Ask the camera."""
+        """Query the camera."""
         return cls(camera.region, camera.binning)
 
 
 def set_area(camera: Camera, area: SensorArea) -> SensorArea:
-    """Have a stopped camera read out an area, its region made larger to whole steps; return what it really took.
+    """Set the area of a stopped camera, its region enlarged to whole steps; return the accepted area.
 
-    A camera that refuses either reads out what it did before.
+    If the camera refuses, the previous area is restored.
     """
     before = SensorArea.of(camera)
     try:
@@ -52,25 +52,25 @@ def set_area(camera: Camera, area: SensorArea) -> SensorArea:
 
 
 def in_steps(region: Region, sensor: Region, step_px: int) -> Region:
-    """Return the smallest region of the sensor in whole steps that holds what of `region` lies on it."""
+    """Return the smallest region in whole steps that contains the part of `region` on the sensor."""
     bottom, right = region.top + region.rows, region.left + region.columns
     if region.top <= 0 and region.left <= 0 and bottom >= sensor.rows and right >= sensor.columns:
-        return sensor  # whatever its size
+        return sensor  # also if it is not a whole number of steps
     top, rows = _side_in_steps(region.top, region.rows, sensor.rows, step_px)
     left, columns = _side_in_steps(region.left, region.columns, sensor.columns, step_px)
     return Region(top, left, rows, columns)
 
 
 def moved(bench: Bench, before: SensorArea, after: SensorArea, sensor: Region | None) -> Bench:
-    """Return the bench with lattice, pixels and camera as they are with another area of the `sensor`.
+    """Convert lattice, pixel pitch and camera of a bench to another area; `BadValue` if it has too few pixels.
 
-    `BadValue` when too few pixels would be left.
+    `sensor` is the whole sensor, or None if the camera has only one area.
     """
     finer, region = before.binning / after.binning, after.region
-    read_out = {
+    settings = {
         "binning": after.binning,
         "region": None if region == sensor else region,
-        "rows": region.rows,  # of a simulated camera, which becomes a smaller one
+        "rows": region.rows,  # a simulated camera becomes smaller
         "columns": region.columns,
     }
     try:
@@ -78,14 +78,14 @@ def moved(bench: Bench, before: SensorArea, after: SensorArea, sensor: Region | 
             bench,
             sensor=replace(bench.sensor, pixel_pitch_m=bench.sensor.pixel_pitch_m / finer),
             lattice=None if bench.lattice is None else moved_lattice(bench.lattice, before, after),
-            camera=with_known(bench.camera, read_out),
+            camera=with_known(bench.camera, settings),
         )
     except ValueError as error:
         raise _too_few(after, error) from error
 
 
 def moved_lattice(lattice: Lattice, before: SensorArea, after: SensorArea) -> Lattice:
-    """Return where the same lenslets lie in the frame of another area; see `moved`."""
+    """Convert a lattice to the frame of another area."""
     finer = before.binning / after.binning
 
     def along(center_px: float, start_px: int, other_start_px: int) -> float:
@@ -103,9 +103,9 @@ def moved_lattice(lattice: Lattice, before: SensorArea, after: SensorArea) -> La
 
 
 def region_around(lattice: Lattice, sensor: Sensor, area: SensorArea) -> Region:
-    """Return the part of the sensor that holds all lenslets, with half a pitch about them; it may reach beyond it.
+    """Return the region with all lenslets and half a pitch around them; it may extend beyond the sensor.
 
-    The lattice lies in the frame of `area`.
+    `lattice` is given in the frame of `area`.
     """
     whole = moved_lattice(lattice, area, SensorArea(Region(0, 0, 0, 0), 1))
     corners = _cell_corners_px(whole, sensor).reshape(-1, 2)
@@ -116,7 +116,7 @@ def region_around(lattice: Lattice, sensor: Sensor, area: SensorArea) -> Region:
 
 
 def lenslets_outside(lattice: Lattice, sensor: Sensor, area: SensorArea) -> int:
-    """Return how many lenslets' cells do not lie wholly in the frame."""
+    """Count the lenslets whose cells are not completely in the frame."""
     corners = _cell_corners_px(lattice, sensor)
     size = np.array([area.region.columns, area.region.rows]) // area.binning
     return int(np.any((corners < -0.5) | (corners > size - 0.5), axis=(-2, -1)).sum())
@@ -130,7 +130,7 @@ def _cell_corners_px(lattice: Lattice, sensor: Sensor) -> Floats:
 
 
 def _side_in_steps(start_px: int, length_px: int, whole_px: int, step_px: int) -> tuple[int, int]:
-    """Where one side of a region begins and how long it is, in whole steps."""
+    """Start and length of one side of a region, in whole steps."""
     most_px = whole_px - whole_px % step_px
     start = min(max(start_px, 0) // step_px * step_px, most_px - step_px)
     end = min(-(-(start_px + length_px) // step_px) * step_px, most_px)
@@ -145,7 +145,7 @@ def _write(camera: Camera, area: SensorArea) -> None:
     allowed = camera.capabilities
     if area.binning != camera.binning:
         if allowed.sensor is not None:
-            camera.set_region(allowed.sensor)  # no region has to fit the steps of two binnings
+            camera.set_region(allowed.sensor)  # a region need not fit the steps of two binnings
         camera.set_binning(area.binning)
         allowed = camera.capabilities
     if allowed.sensor is not None:

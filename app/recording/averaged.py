@@ -7,7 +7,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from reconstruction.arrays import Floats
 
 _ROUNDING = 1 / 6  # counts^2, of a difference between two numbers that are rounded each

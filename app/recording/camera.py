@@ -11,7 +11,7 @@ from functools import lru_cache
 from app.bench.recording_settings import Pace
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from app.recording.averaged import AveragedFrames
 from app.recording.frame_line import FrameLine
 from app.recording.reader import Recording

@@ -13,7 +13,7 @@ from app.bench.config import load_bench, write_bench
 from app.errors import InputError
 from app.files import atomic_write
 from app.measurement.calibration import Calibration
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from reconstruction.arrays import Floats
 
 

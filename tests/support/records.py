@@ -12,7 +12,7 @@ import numpy as np
 from app.bench.config import Bench
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import LightState
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from app.recording.background import BackgroundRecording, RecordingState
 from app.recording.record import Record
 from app.recording.recorder import Recorder

@@ -17,9 +17,9 @@ import numpy as np
 
 from app.bench.config import Bench
 from app.evaluation.study.trials import Trial, TrialStudy
-from app.measurement.routines import RoutineError, auto_expose
-from app.measurement.routines.auto_exposure import FILL, TOLERANCE
+from app.measurement.routines.auto_exposure import FILL, TOLERANCE, auto_expose
 from app.measurement.routines.exposure_search import MOST_FRAMES
+from app.measurement.routines.frames import RoutineError
 from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.arrays import Floats

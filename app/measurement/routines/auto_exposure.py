@@ -1,9 +1,8 @@
-"""The exposure at which the brightest lenslets fill so much of the camera's scale, found in a few frames.
+"""Auto-exposure: exposure and current at which the brightest lenslets fill a given part of full scale.
 
-The exposure time is moved, over all that the camera allows in its present mode, and where that is not enough the
-light's current. Electron multiplication and amplifier stay as they are: they change the noise, which is a choice of
-whoever measures. The sample stays where it is: what is in the beam is what is exposed for. What fills is the level as
-the camera counts it, background included, for it is that which saturates.
+The exposure time is changed within the camera's current mode; only if that is not enough, the light's current. EM gain
+and amplifier stay, because they change the noise, and so does the sample. The level includes the background, because
+that is what saturates.
 """
 
 from __future__ import annotations
@@ -11,51 +10,51 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from app.measurement.routines.as_found import as_found
 from app.measurement.routines.brightness import brightness
+from app.measurement.routines.device_state import restored
 from app.measurement.routines.exposure_search import MOST_FRAMES, SATURATED, Reach, Shot, next_light
-from app.measurement.routines.frames import Progress, RoutineError, ShouldStop, next_frame
+from app.measurement.routines.frames import FrameProgress, RoutineError, ShouldStop, next_frame
 from drivers.interface import BadValue, Devices, Range
 
 FILL = 0.70  # of full scale
-TOLERANCE = 0.05  # likewise
+TOLERANCE = 0.05  # of full scale
 
-_FIRST_S = 10.0  # the first frame is not exposed for longer: it would say no more
-_LEAST_CURRENT = 1e-3  # of the highest; below it a light is dark or unsteady
-_BEGINNING_CURRENT = 0.5  # likewise; where none flows
-_EXACT = 0.02  # a rounded exposure may be wrong by that much before the current makes up for it
-_LONGER = 1.5  # times; more than a step, and the current makes up for it
-_LEAST_CONTRAST = 0.2  # of the level; with less it is not the lamp's light that fills
-_HOPELESS = 2.0  # times beyond reach: no need to try
+_FIRST_S = 10.0  # longest first exposure
+_LEAST_CURRENT = 1e-3  # of the maximum; below it a light is dark or unsteady
+_FIRST_CURRENT = 0.5  # of the maximum; used if the current is zero
+_EXACT = 0.02  # relative rounding of the exposure that the current need not compensate
+_LONGER = 1.5  # factor above one exposure step; the current compensates
+_LEAST_CONTRAST = 0.2  # of the level; with less the light is not the lamp's
+_HOPELESS = 2.0  # factor beyond reach at which trying is useless
 
 
 @dataclass(frozen=True, slots=True)
 class AutoExposure:
-    """What was found; exposure and current are in force."""
+    """Exposure and current, as set, and how they were found."""
 
     exposure_s: float
     current_a: float
     fill: float  # of full scale, in the last frame
-    frames: int  # that were needed
+    frames: int  # test frames
 
 
 def auto_expose(
-    devices: Devices, cell_px: float, *, fill: float = FILL, progress: Progress, should_stop: ShouldStop
+    devices: Devices, cell_px: float, *, fill: float = FILL, progress: FrameProgress, should_stop: ShouldStop
 ) -> AutoExposure:
-    """Find the exposure, and if need be the current, at which the brightest lenslets fill `fill` of full scale.
+    """Set the exposure, and if necessary the current, so that the brightest lenslets fill `fill` of full scale.
 
-    `cell_px` is the pitch of the lenslets on the camera. The light is on meanwhile, and then as it was found.
-    `RoutineError` says what to do where the goal cannot be reached; then everything is as it was found.
+    `cell_px` is the lenslet pitch on the camera. The light is on during the search and then restored. A `RoutineError`
+    says what to do if the goal cannot be reached; then everything is restored.
     """
     if not 2 * TOLERANCE <= fill <= SATURATED - 2 * TOLERANCE:
         raise BadValue(f"fill = {fill:g} is outside {2 * TOLERANCE:g} ... {SATURATED - 2 * TOLERANCE:g}")
-    with as_found(devices) as found:
+    with restored(devices) as state:
         camera = devices.camera
         camera.stop()
         full_scale = camera.capabilities.full_scale
-        bench = _Handles(devices, found.current_a)
+        control = _LightControl(devices, state.current_a)
         shots: list[Shot] = []
-        taken = bench.set(bench.first(found.exposure_s))
+        taken = control.set(control.first(state.exposure_s))
         devices.light.set_on(True)
         while True:
             camera.start()
@@ -70,21 +69,21 @@ def auto_expose(
                     raise RoutineError(
                         "light falls on the camera, but shows no subimages: is the room dark, the lamp on?"
                     )
-                found.exposure_s, found.current_a = camera.exposure_s, devices.light.current_a
-                return AutoExposure(found.exposure_s, found.current_a, seen.level / full_scale, len(shots))
-            light = bench.possible(next_light(shots, fill * full_scale, full_scale, bench.reach), shots)
+                state.exposure_s, state.current_a = camera.exposure_s, devices.light.current_a
+                return AutoExposure(state.exposure_s, state.current_a, seen.level / full_scale, len(shots))
+            light = control.possible(next_light(shots, fill * full_scale, full_scale, control.reach), shots)
             if len(shots) == MOST_FRAMES:
                 raise RoutineError(
                     f"after {MOST_FRAMES} frames the brightest lenslets fill {seen.level / full_scale:.0%} of the"
                     " camera's scale: they do not follow exposure and current; is the light steady, the beam still?"
                 )
-            taken = bench.set(light)
+            taken = control.set(light)
 
 
-class _Handles:
-    """Exposure and current as one: the light in A s."""
+class _LightControl:
+    """Exposure and current controlled together, as light in A s."""
 
-    def __init__(self, devices: Devices, found_current_a: float) -> None:
+    def __init__(self, devices: Devices, initial_current_a: float) -> None:
         self._devices = devices
         self._exposures_s: Range = devices.camera.capabilities.exposure_range_s
         allowed = devices.light.current_range_a
@@ -92,20 +91,20 @@ class _Handles:
             raise RoutineError("the light may have no current at all: raise its limit, or look at its head")
         least_a = max(allowed.minimum, _LEAST_CURRENT * allowed.maximum)
         self._currents_a = Range(least_a, max(least_a, allowed.maximum))
-        is_of_use = found_current_a >= least_a
-        self._current_a = found_current_a if is_of_use else _BEGINNING_CURRENT * allowed.maximum
+        is_usable = initial_current_a >= least_a
+        self._current_a = initial_current_a if is_usable else _FIRST_CURRENT * allowed.maximum
         self.reach = Reach(
             lowest=self._exposures_s.minimum * least_a,
             lowest_by_exposure=self._exposures_s.minimum * self._current_a,
             highest=self._exposures_s.maximum * allowed.maximum,
         )
 
-    def first(self, found_exposure_s: float) -> float:
-        """Return the light to begin with: as it was found, but for what would take too long or not shine at all."""
-        return self._current_a * min(found_exposure_s, _FIRST_S)
+    def first(self, initial_exposure_s: float) -> float:
+        """Return the light of the first frame: the initial one, unless too slow or dark."""
+        return self._current_a * min(initial_exposure_s, _FIRST_S)
 
     def possible(self, light: float, shots: list[Shot]) -> float:
-        """Return the light, or the last that is in reach; `RoutineError` where that cannot help."""
+        """Return the light, limited to the reach; `RoutineError` if that is useless."""
         reach = self.reach
         nearest = min(max(light, reach.lowest), reach.highest)
         is_tried = any(abs(shot.light / nearest - 1) < _EXACT for shot in shots)
@@ -128,11 +127,13 @@ class _Handles:
         return nearest
 
     def set(self, light: float) -> float:
-        """Set the exposure for that light, and the current where it has to help; return the light in force."""
+        """Set the exposure for a light, and the current if necessary; return the light as set."""
         camera, lamp = self._devices.camera, self._devices.light
         wanted_s, current_a = light / self._current_a, self._current_a
         exposure_s = camera.set_exposure(_within(self._exposures_s, wanted_s))
-        if exposure_s * self._currents_a.maximum < light * (1 - _EXACT):  # by a step too short, and no current left
+        if exposure_s * self._currents_a.maximum < light * (
+            1 - _EXACT
+        ):  # one exposure step too short at the maximum current
             exposure_s = camera.set_exposure(_within(self._exposures_s, _LONGER * wanted_s))
         if abs(exposure_s * current_a / light - 1) > _EXACT:
             current_a = _within(self._currents_a, light / exposure_s)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.routines.as_found import as_found
-from app.measurement.routines.frames import Progress, ShouldStop, next_frame
+from app.measurement.routines.device_state import restored
+from app.measurement.routines.frames import FrameProgress, ShouldStop, next_frame
 from drivers.interface import BadValue, Camera, Devices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Average:
-    """The mean of some frames, with what they were taken with."""
+    """Mean and variance of some frames, with their camera settings."""
 
     mean: NDArray[np.float32]  # counts, (row, column)
     variance: NDArray[np.float32]  # of a single frame, counts^2, (row, column); zero for one frame
@@ -24,10 +24,10 @@ class Average:
     amplifier: str
 
 
-def average(camera: Camera, frames: int, *, progress: Progress, should_stop: ShouldStop) -> Average:
-    """Restart the camera, so that no frame from before counts, and average `frames` frames.
+def average(camera: Camera, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> Average:
+    """Restart the camera, to exclude earlier frames, and average `frames` frames.
 
-    By the recurrence of B. P. Welford (Technometrics 4, 419, 1962), in which no large numbers cancel.
+    Recurrence of B. P. Welford (Technometrics 4, 419, 1962), which avoids cancellation.
     """
     _check(frames)
     camera.stop()
@@ -50,18 +50,18 @@ def average(camera: Camera, frames: int, *, progress: Progress, should_stop: Sho
     )
 
 
-def take_dark(devices: Devices, frames: int, *, progress: Progress, should_stop: ShouldStop) -> Average:
+def take_dark(devices: Devices, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> Average:
     """Average frames with the light off."""
     _check(frames)
-    with as_found(devices):
+    with restored(devices):
         devices.light.set_on(False)
         return average(devices.camera, frames, progress=progress, should_stop=should_stop)
 
 
-def take_reference(devices: Devices, frames: int, *, progress: Progress, should_stop: ShouldStop) -> Average:
+def take_reference(devices: Devices, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> Average:
     """Average frames with the light on and the sample out."""
     _check(frames)
-    with as_found(devices):
+    with restored(devices):
         devices.stage.set_sample_in(False)
         devices.light.set_on(True)
         return average(devices.camera, frames, progress=progress, should_stop=should_stop)

@@ -1,4 +1,4 @@
-"""Whether the background is still that of the dark: drift of its level, and pixels that have become hot."""
+"""Background check: drift of the level since the dark, and new hot pixels."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.measurement.routines.averages import Average, take_dark
-from app.measurement.routines.frames import Progress, ShouldStop
+from app.measurement.routines.frames import FrameProgress, ShouldStop
 from drivers.interface import Devices, Frame
 
 _SIGNIFICANT = 5.0  # standard errors
-_RELEVANT = 0.1  # of a dark pixel's noise in one frame; less is lost in it
-_HOT_NOISES = 5.0  # likewise; a pixel that has changed by more shows in every frame
-_HOT_ERRORS = 7.0  # standard errors of a pixel: of a million pixels, none by chance
+_RELEVANT = 0.1  # of a dark pixel's noise in one frame; smaller drifts do not matter
+_HOT_NOISES = 5.0  # pixel noises; larger changes show in every frame
+_HOT_ERRORS = 7.0  # standard errors of a pixel: no false alarm among a million pixels
 
 
 @dataclass(frozen=True, slots=True)
 class BackgroundCheck:
-    """The background of now beside the dark in force."""
+    """Current background compared with the dark."""
 
-    drift_counts: float  # of the level: median over the pixels of their differences
-    drift_error_counts: float  # standard error: of the pixels' noise, and of the level from frame to frame
+    drift_counts: float  # median over the pixels of the differences
+    drift_error_counts: float  # standard error from pixel noise and from frame-to-frame jitter
     noise_counts: float  # of a pixel in one frame
-    hot_pixels: int  # that have become brighter than all others since
-    cooled_pixels: int  # that were so in the dark, and are no longer
+    hot_pixels: int  # brighter than all others, but not in the dark
+    cooled_pixels: int  # hot in the dark, but no longer
     frames: int
 
     @property
@@ -34,13 +34,13 @@ class BackgroundCheck:
 
     @property
     def is_good(self) -> bool:
-        """Whether the dark may be used on."""
+        """Whether the dark is still usable."""
         has_drifted = self.significance > _SIGNIFICANT and abs(self.drift_counts) > _RELEVANT * self.noise_counts
         return not has_drifted and self.hot_pixels == self.cooled_pixels == 0
 
     @property
     def verdict(self) -> str:
-        """One sentence for the person at the bench."""
+        """One sentence for the user."""
         drift = f"{self.drift_counts:+.2f} counts ({self.significance:.1f} standard errors)"
         pixels = f"{self.hot_pixels} new hot pixels, {self.cooled_pixels} no longer hot"
         if self.is_good:
@@ -49,7 +49,7 @@ class BackgroundCheck:
 
 
 def check_background(
-    devices: Devices, dark: Average, frames: int, *, progress: Progress, should_stop: ShouldStop
+    devices: Devices, dark: Average, frames: int, *, progress: FrameProgress, should_stop: ShouldStop
 ) -> BackgroundCheck:
     """Compare `frames` frames without light with the dark, which must be of the same exposure and mode."""
     levels: list[float] = []
@@ -63,26 +63,26 @@ def check_background(
 
 
 def compare_backgrounds(dark: Average, now: Average, levels: list[float]) -> BackgroundCheck:
-    """Compare two averages of frames without light; `levels` are the means of the later one's frames, counts."""
+    """Compare two averages without light; `levels` are the mean counts of the frames of `now`."""
     difference = now.mean.astype(np.float64) - dark.mean
     drift = float(np.median(difference))
     per_frame = 1 / dark.frames + 1 / now.frames
-    # A hot pixel's noise is more than the others'; of few frames its own scatter says little, hence the common floor.
+    # Hot pixels are noisier; the scatter of few frames is uncertain, hence the common floor.
     known = [each for each in (dark, now) if each.frames > 1]
     weights = [each.frames - 1 for each in known]
     if known:
         variance = np.average([each.variance.astype(np.float64) for each in known], axis=0, weights=weights)
         usual = float(np.mean(np.minimum(variance, np.percentile(variance, 99))))
-    else:  # what differs between two frames has the noise of both
+    else:  # two single frames: their difference has the noise of both
         spread = 1.4826 * float(np.median(np.abs(difference - drift)))
         variance = np.full(difference.shape, spread**2 / per_frame)
         usual = float(variance[0, 0])
-    usual = max(usual, 1 / 12)  # the converter's steps
+    usual = max(usual, 1 / 12)  # quantisation
     variance = np.maximum(variance, usual)
     error = np.sqrt(variance * per_frame)
     changed = np.abs(difference - drift) > np.maximum(_HOT_ERRORS * error, _HOT_NOISES * np.sqrt(usual))
     jitter = float(np.std(levels, ddof=1)) if len(levels) > 1 else 0.0
-    of_pixels = np.sqrt(np.pi / 2 * usual / difference.size)  # of a median
+    of_pixels = np.sqrt(np.pi / 2 * usual / difference.size)  # standard error of a median
     return BackgroundCheck(
         drift_counts=drift,
         drift_error_counts=float(np.sqrt(per_frame) * max(jitter, of_pixels)),

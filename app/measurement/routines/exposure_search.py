@@ -1,8 +1,8 @@
-"""Which light to try next, when some have been tried: bisection as long as nothing was seen, then proportion.
+"""Search for the right light: bisection until a frame shows signal, then proportion.
 
-`light` is exposure times current, A s. A frame that is neither black nor saturated says within a few percent which
-light is the right one, over some three orders of magnitude. One that is saturated says only that it was too much, a
-black one that it was too little by more than what the noise hides.
+`light` is exposure times current, A s. A frame that is neither black nor saturated gives the right light within a few
+percent, over three orders of magnitude. A saturated frame gives an upper bound, a black one a lower bound from its
+noise.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from dataclasses import dataclass
 from app.measurement.routines.brightness import Brightness
 
 MOST_FRAMES = 6
-SATURATED = 0.95  # of full scale; above it the pixels may be full before the converter is
-_SEEN = 5.0  # noises above what noise alone makes of the brightest pixels
-_BRIGHTEST_NOISE = 4.0  # noises that the brightest of a dark cell's pixels lies above the background
-_CLEAR = 50.0  # noises; above it that hardly matters, and what looks like noise may be the image
-_BRIGHT = 0.25  # of full scale; a level above it is light, and
-_MOST_BACKGROUND = 0.05  # of full scale is what a camera has without; more lies as light between the subimages
-_FAINT = 3.0  # times what can just be seen: enough to go by
-_USUAL_SPAN = 1000.0  # of light between just seen and the goal, as long as no frame has shown the noise
-_USUAL_NOISE = 0.8  # counts, of a camera with few bits, likewise
-_TO_REFINE = 2  # frames, from one that shows a little
-_LITTLE = 10.0  # times the least that exposure alone allows
-_MISJUDGED = 1.5  # times, usually, the goal was missed by what a faint frame had let expect
-_FAR = 3.0  # times the light that was seen; less is no leap in the dark
+SATURATED = 0.95  # of full scale; above it pixels may saturate before the converter
+_SEEN = 5.0  # noises; a signal above this is detected
+_BRIGHTEST_NOISE = 4.0  # noises by which a dark cell's brightest pixel exceeds the background
+_CLEAR = 50.0  # noises; above this the noise hardly matters, and apparent noise may be the image
+_BRIGHT = 0.25  # of full scale; a level above this is light
+_MOST_BACKGROUND = 0.05  # of full scale; a camera's background is less, more is light between the subimages
+_FAINT = 3.0  # times the detection limit: enough for an estimate
+_USUAL_SPAN = 1000.0  # ratio of the goal to the detection limit until a frame has shown the noise
+_USUAL_NOISE = 0.8  # counts of a camera with few bits, until a frame has shown the noise
+_TO_REFINE = 2  # frames needed after the first detection
+_LITTLE = 10.0  # times the least light that exposure alone allows
+_MISJUDGED = 1.5  # typical error factor of an estimate from a faint frame
+_FAR = 3.0  # times the best light so far; smaller steps are safe extrapolations
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A frame that was tried."""
+    """A test frame."""
 
     light: float  # A s
     brightness: Brightness
@@ -39,25 +39,25 @@ class Shot:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """What light there can be, A s."""
+    """Range of possible light, A s."""
 
     lowest: float
-    lowest_by_exposure: float  # at the current that was found: what is tried before the current is lowered
+    lowest_by_exposure: float  # at the initial current, tried before lowering the current
     highest: float
 
 
 def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) -> float:
-    """Light with which the level is expected to be `goal` counts, or from which more can be learnt.
+    """Return the light expected to give the level `goal` (counts), or one that tells more.
 
-    It may lie out of reach: that is how much would be needed; 0 where any is too much, infinity where none was seen.
+    It may exceed `reach`: so much would be needed; 0 if any light is too much, infinity if none was detected.
     """
     dim = [shot for shot in shots if not shot.is_saturated]
     too_much = min((shot.light for shot in shots if shot.is_saturated), default=math.inf)
     background = min((shot.brightness.background for shot in dim), default=0.0)
     signals = [_signal(shot.brightness, background, full_scale) for shot in dim]
     seen = [(shot, signal) for shot, signal in zip(dim, signals, strict=True) if signal > _SEEN * shot.brightness.noise]
-    enough = too_much * goal / (SATURATED * full_scale)  # or more than that
-    # What a frame hardly shows and one with more light does not, was noise.
+    enough = too_much * goal / (SATURATED * full_scale)  # or more
+    # A weak signal that a frame with more light does not show was noise.
     seen = [
         (shot, signal)
         for shot, signal in seen
@@ -65,7 +65,7 @@ def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) 
         or all(other > signal for brighter, other in zip(dim, signals, strict=True) if brighter.light > shot.light)
     ]
     if not seen:
-        return _where_to_look(shots, goal - background, enough, reach)
+        return _next_in_the_dark(shots, goal - background, enough, reach)
     best, signal = min(seen, key=lambda each: abs(each[0].brightness.level - goal))
     wanted = goal - (best.brightness.level - signal)
     if wanted <= 0:
@@ -73,7 +73,7 @@ def next_light(shots: list[Shot], goal: float, full_scale: float, reach: Reach) 
     light = best.light * wanted / signal
     if light < _FAR * best.light:
         return light if light < too_much else math.sqrt(best.light * too_much)
-    light /= 1 + 2 * best.brightness.noise / signal  # rather too little than saturated
+    light /= 1 + 2 * best.brightness.noise / signal  # better too dark than saturated
     return light if light < enough else max(math.sqrt(best.light * too_much), enough / _MISJUDGED)
 
 
@@ -85,12 +85,12 @@ def _signal(seen: Brightness, background: float, full_scale: float) -> float:
     return signal if signal > _CLEAR * seen.noise else signal - _BRIGHTEST_NOISE * seen.noise
 
 
-def _where_to_look(shots: list[Shot], wanted: float, highest: float, reach: Reach) -> float:
-    """Light that halves what is left, when all frames were black or saturated; infinity when nothing is left above.
+def _next_in_the_dark(shots: list[Shot], wanted: float, highest: float, reach: Reach) -> float:
+    """Bisect while all frames were black or saturated; infinity if no more light is possible.
 
-    A frame shows any light down to that which is `span` times too weak, so that so many spans are left, counted from
-    the `highest`. The shorter exposure is tried before the lower current, unless little is left of it after two
-    saturated frames, or there are too few frames for one after the other.
+    A frame detects light down to 1 / `span` of the goal; the remaining range below `highest` is counted in spans.
+    Shorter exposures are tried before lower currents, unless two saturated frames leave little of them, or too few
+    frames remain for both.
     """
     span, too_little = min(_USUAL_SPAN, wanted / (_SEEN * _USUAL_NOISE)), 0.0
     black = [shot for shot in shots if not shot.is_saturated]

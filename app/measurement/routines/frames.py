@@ -1,4 +1,4 @@
-"""Waiting for frames, and how a routine ends early."""
+"""Waiting for frames, and the ways a routine ends early."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from collections.abc import Callable
 from app.errors import RunError
 from drivers.interface import Camera, DeviceTimeout, Frame, FrameLost
 
-Progress = Callable[[Frame, float], None]  # the frame that has come, and how much is done, 0 ... 1
+FrameProgress = Callable[[Frame, float], None]  # newest frame, fraction done 0 ... 1
 ShouldStop = Callable[[], bool]
 
-WAIT_SLICE_S = 0.1  # no wait is longer, so that a stop takes effect at once even in a long exposure
-_MARGIN_S = 3.0  # beyond the exposure, before a missing frame counts as a fault
+WAIT_SLICE_S = 0.1  # longest wait, so that a stop takes effect at once even in a long exposure
+_MARGIN_S = 3.0  # timeout beyond the exposure
 
 
 class Cancelled(Exception):
-    """Somebody asked the routine to stop."""
+    """The routine was asked to stop."""
 
 
 class RoutineError(RunError):
-    """A routine cannot reach its goal though no device is at fault; the text says what to do at the bench."""
+    """A routine cannot reach its goal, although no device failed; the text says what to do."""
 
 
 def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
-    """Wait for the next frame in slices; raise `Cancelled` when asked to stop, `DeviceTimeout` when none comes.
+    """Wait for the next frame in slices; raise `Cancelled` on a stop, `DeviceTimeout` if none arrives.
 
-    One that was lost on its way is passed over: the gap in the numbers tells of it.
+    Lost frames are skipped; they show as a gap in the frame index.
     """
     deadline_s = time.monotonic() + camera.exposure_s + _MARGIN_S
     while True:
@@ -39,4 +39,4 @@ def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
                 raise
         except FrameLost as error:
             if time.monotonic() > deadline_s:
-                raise DeviceTimeout(f"no whole frame has come for long: {error}") from error
+                raise DeviceTimeout(f"no complete frame has arrived for too long: {error}") from error

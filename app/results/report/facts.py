@@ -9,7 +9,7 @@ from typing import Any
 
 from app.bench.config import Bench
 from app.measurement.calibration import Calibration
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from app.recording.frame_line import FrameLine
 from app.results.report.summary import Summary
 

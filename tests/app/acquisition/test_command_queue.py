@@ -19,7 +19,7 @@ def _fail_with(error: Exception) -> NoReturn:
 
 
 @pytest.mark.parametrize("error", [None, BadValue("no such exposure")])
-def test_what_follows_is_done_before_anybody_hears(error: Exception | None) -> None:
+def test_afterwards_runs_before_future_resolves(error: Exception | None) -> None:
     was_told: list[bool] = []
     commands = CommandQueue(lambda _: was_told.append(future.done()))
     future: Future[int] = commands.submit(lambda _: 7 if error is None else _fail_with(error))
@@ -34,7 +34,7 @@ def test_what_follows_is_done_before_anybody_hears(error: Exception | None) -> N
 
 
 @pytest.mark.parametrize("fails", ["command", "afterwards"])
-def test_who_waits_hears_of_what_ends_the_thread(fails: str) -> None:
+def test_fatal_error_reaches_waiting_future(fails: str) -> None:
     gone = Disconnected("the camera was unplugged")
     commands = CommandQueue(lambda _: _fail_with(gone))
     future = commands.submit(lambda _: _fail_with(gone) if fails == "command" else 7)
@@ -45,7 +45,7 @@ def test_who_waits_hears_of_what_ends_the_thread(fails: str) -> None:
     assert future.exception(0) is gone
 
 
-def test_a_closed_queue_refuses() -> None:
+def test_closed_queue_refuses_commands() -> None:
     commands = CommandQueue(lambda _: None)
     waiting = commands.submit(lambda _: 7)
     commands.close("the acquisition has ended")

@@ -34,7 +34,7 @@ def _scene(bench: Bench) -> Scene:
 
 
 @pytest.mark.usefixtures("no_hurry")
-def test_live_wavefronts_are_the_true_ones_and_nothing_is_lost() -> None:
+def test_live_wavefronts_match_truth_without_loss() -> None:
     bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0"))
     with closing(simulated_bench(bench, lambda _: None)) as ahead:  # else it has its turn only when we need none
         wait_until(lambda: ahead.current_state(ahead.clock.now()) >= 0 and ahead.states_rendered > 1)

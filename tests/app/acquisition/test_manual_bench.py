@@ -40,7 +40,7 @@ class Noted(ManualStage):
         super()._set_sample_in(sample_in=sample_in)
 
 
-def test_the_stage_does_nothing_by_itself() -> None:
+def test_manual_stage_never_moves() -> None:
     stage = ManualStage("square")
     stage.set_sample_in(False)
     with pytest.raises(WrongState, match="put the sample into the beam"):
@@ -52,7 +52,7 @@ def test_the_stage_does_nothing_by_itself() -> None:
         stage.set_sample_in(False)
 
 
-def test_measure_asks_for_what_a_person_must_do(
+def test_measure_asks_for_manual_steps(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:
     person = Person(camera, presses=2)
@@ -80,7 +80,7 @@ class Mender(Person):
         return super().readline()
 
 
-def test_measure_tells_at_once_of_a_reference_of_no_use_and_takes_another(
+def test_measure_by_hand_retakes_unusable_reference(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
 ) -> None:
     person = Mender(camera, presses=4)
@@ -97,9 +97,7 @@ def test_measure_tells_at_once_of_a_reference_of_no_use_and_takes_another(
     assert last.startswith("put the sample into the beam")
 
 
-def test_measure_on_a_bench_with_motors_ends_with_a_reference_of_no_use(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_measure_with_motors_fails_on_unusable_reference(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     camera = FakeCamera()
     camera._images[0] = np.zeros_like(camera._images[0])
     monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
@@ -110,7 +108,7 @@ def test_measure_on_a_bench_with_motors_ends_with_a_reference_of_no_use(
 
 
 @pytest.mark.parametrize("presses", [0, 1])
-def test_measure_ends_where_nobody_answers(
+def test_measure_fails_if_terminal_is_closed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, camera: FakeCamera, presses: int
 ) -> None:
     monkeypatch.setattr("sys.stdin", Person(camera, presses))
@@ -128,7 +126,7 @@ def test_measure_needs_a_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
 
 
-def test_the_window_starts_without_a_reference(camera: FakeCamera) -> None:
+def test_window_starts_without_reference(camera: FakeCamera) -> None:
     acquisition = Acquisition(MANUAL, opener(camera))
     acquisition.start()
     for step in start_up(acquisition, frames=3):

@@ -71,7 +71,7 @@ def started(bench: Bench) -> Acquisition:
     return acquisition
 
 
-def test_a_bench_file_opens_real_devices(bench: Bench, lamp: DC4100Wire) -> None:
+def test_bench_file_opens_real_devices(bench: Bench, lamp: DC4100Wire) -> None:
     with open_devices(bench, lambda _: None) as devices:
         assert "C9100-23B" in devices.camera.name
         assert "DC4100" in devices.light.name
@@ -92,9 +92,7 @@ def test_a_bench_file_opens_real_devices(bench: Bench, lamp: DC4100Wire) -> None
         ("light.current_a=0.2", r"light: current_a = 0\.2 is outside 0 \.\.\. 0\.15"),
     ],
 )
-def test_settings_that_a_device_refuses_are_the_benchs_fault(
-    bench: Bench, lamp: DC4100Wire, change: str, sentence: str
-) -> None:
+def test_settings_refused_by_device_are_input_error(bench: Bench, lamp: DC4100Wire, change: str, sentence: str) -> None:
     wrong = parse_bench(write_bench(bench), "real.toml", (change,))
     with pytest.raises(InputError, match=sentence):
         open_devices(wrong, lambda _: None)
@@ -102,7 +100,7 @@ def test_settings_that_a_device_refuses_are_the_benchs_fault(
     open_devices(bench, lambda _: None).close()  # all was let go of
 
 
-def test_a_light_whose_first_current_is_refused_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_light_with_refused_current_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     light = FakeLight()
     monkeypatch.setattr("app.acquisition.devices._light", lambda _: light)
     with pytest.raises(BadValue):
@@ -111,13 +109,13 @@ def test_a_light_whose_first_current_is_refused_is_closed(monkeypatch: pytest.Mo
         light.set_on(True)
 
 
-def test_a_light_that_is_not_there_lets_go_of_the_camera(bench: Bench, port: PtyServer) -> None:
+def test_missing_light_closes_camera(bench: Bench, port: PtyServer) -> None:
     port.close()
     with pytest.raises(DeviceError, match=port.port):
         open_devices(bench, lambda _: None)
 
 
-def test_frames_come_by_the_software_trigger(bench: Bench) -> None:
+def test_software_trigger_yields_frames(bench: Bench) -> None:
     """Nobody fires it but whoever reads."""
     acquisition = started(parse_bench(write_bench(bench), "real.toml", ("camera.trigger=software",)))
     seen = acquisition.counts.acquired
@@ -126,7 +124,7 @@ def test_frames_come_by_the_software_trigger(bench: Bench) -> None:
     assert acquisition.failure == ""
 
 
-def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path) -> None:
+def test_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path) -> None:
     acquisition = started(bench)
     assert lamp.is_lit
     acquisition.start_recording(tmp_path / "r", command="test").result(HANG_S)
@@ -152,7 +150,7 @@ def test_a_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp:
 
 
 @pytest.mark.parametrize("exposure_s", [0.03, 60.0])
-def test_a_light_unplugged_while_measuring(bench: Bench, port: PtyServer, exposure_s: float) -> None:
+def test_unplugged_light_ends_measuring(bench: Bench, port: PtyServer, exposure_s: float) -> None:
     """Also when no frame will come for long."""
     slow = parse_bench(write_bench(bench), "real.toml", ("camera.readout_speed=2", "camera.exposure_s=0.03"))
     acquisition = started(slow)

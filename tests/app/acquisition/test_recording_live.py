@@ -81,7 +81,7 @@ def assert_made_again(recording: Recording) -> None:
         np.testing.assert_array_equal(made.wavefront.solution.coefficients, recording.coefficients(index))  # type: ignore[attr-defined] # modal
 
 
-def test_every_frame_is_recorded_and_made_again_bit_for_bit(make_live: Callable[..., Live], tmp_path: Path) -> None:
+def test_recorded_frames_are_reproduced_bit_by_bit(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live("reconstruction.refine=true")
     live.until_refined()
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
@@ -127,7 +127,7 @@ def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Instrument, "measure", slowly)
 
 
-def test_gaps_and_frames_that_were_passed_over_are_recorded(
+def test_gaps_and_skipped_frames_are_recorded(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = make_live("camera.exposure_s=0.0139")
@@ -147,7 +147,7 @@ def test_gaps_and_frames_that_were_passed_over_are_recorded(
     assert all(made.wavefront is not None for made in repeated(recording))  # those passed over, too
 
 
-def test_frames_that_were_passed_over_are_refined_later_as_the_one_before(
+def test_skipped_frames_keep_previous_refinement(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = make_live("camera.exposure_s=0.0139", "reconstruction.refine=true")
@@ -170,9 +170,7 @@ def test_frames_that_were_passed_over_are_refined_later_as_the_one_before(
             before = line
 
 
-def test_a_lost_camera_leaves_a_readable_recording_that_says_why(
-    make_live: Callable[..., Live], tmp_path: Path
-) -> None:
+def test_lost_camera_leaves_readable_recording(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live()
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     wait_until(lambda: live.recording.frames > 5)
@@ -186,7 +184,7 @@ def test_a_lost_camera_leaves_a_readable_recording_that_says_why(
     assert_made_again(recording)
 
 
-def test_the_last_seconds_can_be_kept_while_it_records(make_live: Callable[..., Live], tmp_path: Path) -> None:
+def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live], tmp_path: Path) -> None:
     live = make_live()
     wait_until(lambda: len(live.measurements) > 20)
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
@@ -205,7 +203,7 @@ def test_the_last_seconds_can_be_kept_while_it_records(make_live: Callable[..., 
 
 
 @pytest.mark.soak
-def test_killed_at_random_moments_it_leaves_all_but_the_last_frames(small_toml: Path, tmp_path: Path) -> None:
+def test_kill_at_random_moment_keeps_all_but_last_frames(small_toml: Path, tmp_path: Path) -> None:
     """How many are missing is for `recording_crash.py` on a quiet computer: here anything may hold a program up."""
     random = np.random.default_rng()
     for kill in range(2):

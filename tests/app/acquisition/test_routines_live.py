@@ -17,7 +17,8 @@ from app.acquisition.instrument import Instrument, Status
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.measurement.routines import AutoExposure, Cancelled, RoutineError, auto_expose
+from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
+from app.measurement.routines.frames import Cancelled, RoutineError
 from drivers.interface import Devices, DeviceTimeout, Region
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -57,7 +58,7 @@ def started(live: Live) -> None:
     assert live.status.warning == ""
 
 
-def test_the_exposure_is_found_by_command(live: Live) -> None:
+def test_auto_expose_by_command(live: Live) -> None:
     started(live)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
     texts = set[str]()
@@ -76,7 +77,7 @@ def test_the_exposure_is_found_by_command(live: Live) -> None:
     assert (status.dark, status.reference) == ("doubtful", "doubtful")
 
 
-def test_an_exposure_that_cannot_be_found_is_told_and_the_loop_goes_on(small_toml: Path) -> None:
+def test_failed_auto_exposure_keeps_loop_running(small_toml: Path) -> None:
     dim = Live(small_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
     try:
         with pytest.raises(RoutineError, match="lamp plugged in"):
@@ -88,7 +89,7 @@ def test_an_exposure_that_cannot_be_found_is_told_and_the_loop_goes_on(small_tom
         dim.acquisition.close()
 
 
-def test_a_search_can_be_cancelled(small_toml: Path) -> None:
+def test_auto_exposure_can_be_cancelled(small_toml: Path) -> None:
     live = Live(small_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
     try:
         future = live.acquisition.auto_expose()
@@ -103,9 +104,7 @@ def test_a_search_can_be_cancelled(small_toml: Path) -> None:
         live.acquisition.close()
 
 
-def test_a_camera_that_stalls_in_a_search_ends_all_with_the_light_off(
-    live: Live, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_camera_stalled_in_auto_exposure_ends_loop_dark(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.2)
     started(live)
     assert live.devices is not None
@@ -124,7 +123,7 @@ def _no_frame(_timeout_s: float) -> None:
     raise DeviceTimeout("no frame came")
 
 
-def test_the_background_is_checked_by_command(live: Live) -> None:
+def test_background_check_by_command(live: Live) -> None:
     with pytest.raises(RoutineError, match="no dark yet"):
         live.acquisition.check_background(4).result(HANG_S)
     started(live)
@@ -137,7 +136,7 @@ def test_the_background_is_checked_by_command(live: Live) -> None:
         live.acquisition.check_background(4).result(HANG_S)
 
 
-def test_start_up_finds_the_exposure_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_up_auto_exposes_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     with_sample: list[bool] = []
 
     def watched(devices: Devices, *arguments: Any, **how: Any) -> AutoExposure:
@@ -189,7 +188,7 @@ def paused(change: Callable[[Instrument], object]) -> Callable[[Instrument], Non
         (lambda instrument: instrument.devices.light.set_current(0.2), "good", "good", ""),
     ],
 )
-def test_what_makes_dark_and_reference_stale(
+def test_changes_that_make_dark_and_reference_stale(
     live: Live, change: Callable[[Instrument], object], dark: str, reference: str, warning: str
 ) -> None:
     started(live)
@@ -201,7 +200,7 @@ def test_what_makes_dark_and_reference_stale(
 
 
 @pytest.mark.parametrize("level", [0.03, 0.5, 2.0])
-def test_a_reference_serves_at_any_brightness(small_bench: SmallBench, level: float) -> None:
+def test_reference_is_valid_at_any_brightness(small_bench: SmallBench, level: float) -> None:
     """So a changed current makes it not stale, and an exposure only because its dark is."""
     frame, truth_px = small_bench.tilted(4000.0, 1500.0)
     reconstructor = small_bench.reconstructor(registration=RegistrationSettings(warp="quadratic"))
@@ -211,7 +210,7 @@ def test_a_reference_serves_at_any_brightness(small_bench: SmallBench, level: fl
     assert np.abs(at_views(brighter) - truth_px).max() < 0.05
 
 
-def test_a_reference_of_few_frames_enters_the_covariance(small_bench: SmallBench) -> None:
+def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
     """Frames and references with noise of their own: the displacements scatter as their covariance says."""
     random = np.random.default_rng(8)
     per_electron = float(small_bench.reference.max()) / 4000

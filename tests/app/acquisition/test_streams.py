@@ -31,7 +31,7 @@ from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.live_refinement import RefinementState
 from app.measurement.measurement import Counts, Measurement
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from app.recording.reader import Recording
 from drivers.interface import Frame
 from reconstruction.settings import ReconstructionSettings
@@ -131,7 +131,7 @@ def _until_heard(publisher: Publisher, subscriber: Subscriber, measurement: Meas
     raise AssertionError
 
 
-def test_a_subscriber_receives_what_was_measured_bit_by_bit(
+def test_subscriber_receives_exact_arrays(
     publisher: Publisher, port: int, measurement: Measurement, bench: Bench, small_bench: SmallBench
 ) -> None:
     wavefront = measurement.wavefront
@@ -173,7 +173,7 @@ def test_a_subscriber_receives_what_was_measured_bit_by_bit(
         assert header["pupil_y_m"] == pytest.approx(np.arange(-3, 4) * 500e-6)
 
 
-def test_only_what_was_subscribed_to_comes(publisher: Publisher, port: int, measurement: Measurement) -> None:
+def test_subscriber_receives_only_its_topics(publisher: Publisher, port: int, measurement: Measurement) -> None:
     with closing(Subscriber(port, "slopes")) as subscriber:
         _until_heard(publisher, subscriber, measurement)
         publisher.take(measurement)
@@ -181,7 +181,7 @@ def test_only_what_was_subscribed_to_comes(publisher: Publisher, port: int, meas
         assert subscriber.is_waiting()
 
 
-def test_what_nobody_wants_is_not_computed(
+def test_unsubscribed_topics_are_not_computed(
     publisher: Publisher, port: int, measurement: Measurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Wavefront, "sigma", lambda _: pytest.fail("computed for nobody"))
@@ -190,7 +190,7 @@ def test_what_nobody_wants_is_not_computed(
         assert _until_heard(publisher, subscriber, measurement) == 1
 
 
-def test_a_frame_without_a_wavefront_is_told(publisher: Publisher, port: int, measurement: Measurement) -> None:
+def test_frame_without_wavefront_is_published(publisher: Publisher, port: int, measurement: Measurement) -> None:
     with closing(Subscriber(port, "views")) as subscriber:
         _until_heard(publisher, subscriber, measurement)
         publisher.take(_measured(None, 6, "the frame is saturated"))
@@ -199,7 +199,7 @@ def test_a_frame_without_a_wavefront_is_told(publisher: Publisher, port: int, me
     assert (header["refinement"], header["bias_age_s"], header["lattice"]) == ("off", None, None)
 
 
-def test_the_zonal_method_has_no_coefficients(
+def test_zonal_method_publishes_no_coefficients(
     publisher: Publisher, port: int, small_bench: SmallBench, measurement: Measurement
 ) -> None:
     zonal = _measured(small_bench.reconstructor(method="zonal")(small_bench.reference), 8)
@@ -210,7 +210,7 @@ def test_the_zonal_method_has_no_coefficients(
         assert subscriber.is_waiting()
 
 
-def test_a_subscriber_that_stalls_holds_nothing_up(publisher: Publisher, port: int, measurement: Measurement) -> None:
+def test_stalled_subscriber_blocks_nothing(publisher: Publisher, port: int, measurement: Measurement) -> None:
     """More is published than is kept for it; another subscriber goes on hearing every measurement."""
     with closing(Subscriber(port, "views", keeps_little=True)) as stalled, closing(Subscriber(port, "slopes")) as other:
         _until_heard(publisher, stalled, measurement)
@@ -228,7 +228,7 @@ def test_a_subscriber_that_stalls_holds_nothing_up(publisher: Publisher, port: i
         assert len(sequences) < 400  # it has missed the others, and the numbers say so
 
 
-def test_what_the_publisher_cannot_follow_it_leaves_out_oldest_first(
+def test_publisher_drops_oldest_measurements(
     publisher: Publisher, port: int, measurement: Measurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     is_busy, may_go_on = threading.Event(), threading.Event()
@@ -251,7 +251,7 @@ def test_what_the_publisher_cannot_follow_it_leaves_out_oldest_first(
     assert sequences == [1, 198, 199, 200, 201]
 
 
-def test_closing_sends_what_waits(bench: Bench, port: int, measurement: Measurement) -> None:
+def test_close_sends_waiting_messages(bench: Bench, port: int, measurement: Measurement) -> None:
     publisher = Publisher(replace(bench, streams=StreamSettings(port=port)))
     with closing(Subscriber(port, "slopes")) as subscriber:
         before = _until_heard(publisher, subscriber, measurement)
@@ -263,7 +263,7 @@ def test_closing_sends_what_waits(bench: Bench, port: int, measurement: Measurem
         free.bind(("127.0.0.1", port))
 
 
-def test_nothing_is_open_unless_it_is_asked_for(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_socket_without_port(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zmq, "Context", lambda: pytest.fail("a socket was made"))
     with stream_sinks(bench) as sinks:
         assert sinks == ()
@@ -281,7 +281,7 @@ def _listening(port: int) -> list[str]:
     return [socket.inet_ntoa(bytes.fromhex(host)[::-1]) for host, at in local if int(at, 16) == port]
 
 
-def test_a_port_that_is_taken_is_one_sentence(bench: Bench, port: int) -> None:
+def test_taken_port_is_one_sentence(bench: Bench, port: int) -> None:
     streams = StreamSettings(port=port)
     with (
         stream_sinks(replace(bench, streams=streams)),
@@ -291,7 +291,7 @@ def test_a_port_that_is_taken_is_one_sentence(bench: Bench, port: int) -> None:
         pass
 
 
-def test_an_address_of_another_computer_is_one_sentence(bench: Bench, port: int) -> None:
+def test_foreign_address_is_one_sentence(bench: Bench, port: int) -> None:
     elsewhere = replace(bench, streams=StreamSettings(port=port, address="192.0.2.1"))
     with pytest.raises(RunError, match="assign"), stream_sinks(elsewhere):
         pass
@@ -309,13 +309,13 @@ def test_an_address_of_another_computer_is_one_sentence(bench: Bench, port: int)
         ("publish=5560", "streams: unknown key publish; known are port, address"),
     ],
 )
-def test_what_cannot_be_is_one_line(setting: str, sentence: str, small_toml: Path) -> None:
+def test_invalid_settings_are_one_line(setting: str, sentence: str, small_toml: Path) -> None:
     with pytest.raises(InputError, match=re.escape(sentence)) as error:
         load_bench(small_toml, (f"streams.{setting}",))
     assert "\n" not in str(error.value)
 
 
-def test_the_section_survives_writing_and_reading(small_toml: Path) -> None:
+def test_streams_section_round_trip(small_toml: Path) -> None:
     bench = load_bench(small_toml, ("streams.port=5560", "streams.address=0.0.0.0"))
     assert parse_bench(write_bench(bench), "again") == bench
     assert load_bench(small_toml).streams.port is None
@@ -343,7 +343,7 @@ def test_measure_publishes_what_it_records(
         np.testing.assert_array_equal(coefficients, recording.coefficients(index))
 
 
-def test_a_port_that_is_taken_ends_the_command(
+def test_taken_port_ends_command(
     publisher: Publisher,
     port: int,
     small_toml: Path,
@@ -358,7 +358,7 @@ def test_a_port_that_is_taken_ends_the_command(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_documented_subscriber_runs(publisher: Publisher, port: int, measurement: Measurement) -> None:
+def test_documented_subscriber_runs(publisher: Publisher, port: int, measurement: Measurement) -> None:
     example = re.search(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
     assert example is not None
     program = example[1].replace("5560", str(port))

@@ -20,7 +20,7 @@ from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.measurement import PASSED_OVER
-from app.measurement.routines import Cancelled
+from app.measurement.routines.frames import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
 from simulated_devices.light import SimulatedLight
@@ -69,7 +69,7 @@ def _is_dark(instrument: Instrument) -> bool:
 
 
 @pytest.mark.usefixtures("no_hurry")
-def test_from_start_to_wavefronts(running: Running) -> None:
+def test_start_up_yields_wavefronts(running: Running) -> None:
     running.begin()
     wait_until(lambda: len(running.measurements) >= 10)
     running.acquisition.close()
@@ -82,7 +82,7 @@ def test_from_start_to_wavefronts(running: Running) -> None:
     assert running.acquisition.failure == ""
 
 
-def test_a_command_is_executed_between_frames_and_its_result_comes_back(running: Running) -> None:
+def test_command_runs_between_frames_and_returns_result(running: Running) -> None:
     running.begin()
     setting = running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(0.040004))
     set_to = setting.result(HANG_S)
@@ -92,7 +92,7 @@ def test_a_command_is_executed_between_frames_and_its_result_comes_back(running:
     wait_until(lambda: running.measurements[-1].frame.exposure_s == set_to)
 
 
-def test_a_refused_setting_is_the_callers_business_and_the_loop_goes_on(running: Running) -> None:
+def test_refused_setting_keeps_loop_running(running: Running) -> None:
     running.begin()
     with pytest.raises(BadValue, match=r"exposure_s = 99 is outside 0.0139 ... 1"):
         running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(99.0)).result(HANG_S)
@@ -100,7 +100,7 @@ def test_a_refused_setting_is_the_callers_business_and_the_loop_goes_on(running:
     wait_until(lambda: len(running.measurements) > before + 2)
 
 
-def test_routines_leave_the_devices_as_they_found_them(running: Running) -> None:
+def test_routines_restore_devices(running: Running) -> None:
     running.begin()
     running.acquisition.take_dark(3).result(HANG_S)
     running.acquisition.take_reference(3).result(HANG_S)
@@ -110,7 +110,7 @@ def test_routines_leave_the_devices_as_they_found_them(running: Running) -> None
     assert (status.dark, status.reference, status.warning) == ("good", "good", "")
 
 
-def test_a_cancelled_routine_leaves_the_devices_as_it_found_them(running: Running) -> None:
+def test_cancelled_routine_restores_devices(running: Running) -> None:
     running.begin()
     long = running.acquisition.take_dark(10_000)
     wait_until(lambda: running.newest.problem == "taking the dark, 10000 frames")
@@ -126,7 +126,7 @@ def test_a_cancelled_routine_leaves_the_devices_as_it_found_them(running: Runnin
     assert running.acquisition.activity.text == ""
 
 
-def test_a_routine_can_be_cancelled_before_it_begins(running: Running) -> None:
+def test_cancel_affects_only_running_routine(running: Running) -> None:
     running.begin()
     first, second = running.acquisition.take_dark(10_000), running.acquisition.take_dark(2)
     wait_until(lambda: "dark" in running.acquisition.activity.text)
@@ -136,7 +136,7 @@ def test_a_routine_can_be_cancelled_before_it_begins(running: Running) -> None:
     second.result(HANG_S)
 
 
-def test_the_dark_is_dark_and_the_reference_is_lit(running: Running) -> None:
+def test_dark_is_dark_and_reference_lit(running: Running) -> None:
     running.begin()
     averages = running.acquisition.submit(lambda instrument: (instrument.dark, instrument.reference)).result(HANG_S)
     dark, reference = averages
@@ -147,7 +147,7 @@ def test_the_dark_is_dark_and_the_reference_is_lit(running: Running) -> None:
     assert np.sqrt(np.median(dark.variance)) == pytest.approx(37 / 5.8, rel=0.7)  # read noise in counts, three frames
 
 
-def test_stopping_takes_effect_within_a_long_exposure(small_toml: Path) -> None:
+def test_stop_interrupts_long_exposure(small_toml: Path) -> None:
     running = Running(load_bench(small_toml, ("camera.readout_speed=2", "camera.exposure_s=30.0")))
     running.acquisition.start()
     running.acquisition.submit(lambda instrument: instrument.devices.light.set_on(True)).result(HANG_S)
@@ -161,7 +161,7 @@ def test_stopping_takes_effect_within_a_long_exposure(small_toml: Path) -> None:
         _ = running.devices.light.is_on
 
 
-def test_a_saturated_frame_is_told_and_the_loop_goes_on(running: Running) -> None:
+def test_saturated_frame_keeps_loop_running(running: Running) -> None:
     running.begin()
     running.acquisition.submit(lambda instrument: instrument.devices.camera.set_em_gain(400.0)).result(HANG_S)
     wait_until(lambda: "saturated" in running.measurements[-1].problem)
@@ -169,7 +169,7 @@ def test_a_saturated_frame_is_told_and_the_loop_goes_on(running: Running) -> Non
     wait_until(lambda: running.measurements[-1].wavefront is not None)
 
 
-def test_a_reference_without_light_becomes_a_warning(running: Running) -> None:
+def test_reference_without_light_is_a_warning(running: Running) -> None:
     running.begin()
     running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)
     running.acquisition.take_reference(2).result(HANG_S)
@@ -187,7 +187,7 @@ def test_a_reference_without_light_becomes_a_warning(running: Running) -> None:
         (lambda instrument: instrument.devices.stage.set_mask("stars"), "taken with the mask square"),
     ],
 )
-def test_a_stale_dark_or_reference_is_told(
+def test_stale_dark_or_reference_is_a_warning(
     running: Running, change: Callable[[Instrument], object], warning: str
 ) -> None:
     running.begin()
@@ -204,7 +204,7 @@ def test_lost_frames_are_counted(running: Running) -> None:
     assert last.counts.acquired + last.counts.lost == last.frame.index + 1
 
 
-def test_an_unplugged_camera_ends_the_loop_with_the_light_off(running: Running) -> None:
+def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
     running.begin()
     running.camera.inject(Unplug())
     wait_until(lambda: not running.acquisition.is_alive)
@@ -217,7 +217,7 @@ def test_an_unplugged_camera_ends_the_loop_with_the_light_off(running: Running) 
         running.acquisition.submit(_is_dark).result(HANG_S)
 
 
-def test_a_camera_that_stalls_is_given_up(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stalled_camera_ends_loop(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     running.begin()
     monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.3)
     running.camera.inject(Stall())
@@ -225,7 +225,7 @@ def test_a_camera_that_stalls_is_given_up(running: Running, monkeypatch: pytest.
     assert "no frame" in running.acquisition.failure
 
 
-def test_a_bench_that_cannot_be_is_an_input_error(small_toml: Path) -> None:
+def test_impossible_bench_is_input_error(small_toml: Path) -> None:
     running = Running(load_bench(small_toml, ("simulation.screen.file=/nowhere/screen.npy",)))
     running.acquisition.start()
     wait_until(lambda: not running.acquisition.is_alive)
@@ -233,7 +233,7 @@ def test_a_bench_that_cannot_be_is_an_input_error(small_toml: Path) -> None:
     assert "screen.npy" in running.acquisition.failure
 
 
-def test_settings_can_be_changed_while_it_runs(running: Running) -> None:
+def test_settings_change_while_running(running: Running) -> None:
 
     running.begin()
     running.acquisition.submit(
@@ -249,15 +249,13 @@ def test_settings_can_be_changed_while_it_runs(running: Running) -> None:
     )
 
 
-def test_closing_before_starting_and_twice_is_allowed(small_toml: Path) -> None:
+def test_close_before_start_and_twice(small_toml: Path) -> None:
     acquisition = Acquisition(load_bench(small_toml), open_devices)
     acquisition.close()
     acquisition.close()
 
 
-def test_when_frames_come_too_fast_the_newest_is_taken_and_the_others_are_counted(
-    small_toml: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure = Instrument.measure
 
     def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
@@ -290,9 +288,7 @@ def test_when_frames_come_too_fast_the_newest_is_taken_and_the_others_are_counte
     assert running.newest is last
 
 
-def test_when_frames_cannot_even_be_passed_over_some_are_measured_and_a_stop_is_heard(
-    small_toml: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     measure, pass_over = Instrument.measure, Instrument.pass_over
 
     def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
@@ -317,9 +313,7 @@ def test_when_frames_cannot_even_be_passed_over_some_are_measured_and_a_stop_is_
     assert not running.acquisition.is_alive
 
 
-def test_devices_that_are_slow_to_answer_are_asked_less_often(
-    running: Running, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     status, asked_s, answered_s = Instrument.status, [], []
 
     def slowly(instrument: Instrument) -> Status:
@@ -335,9 +329,7 @@ def test_devices_that_are_slow_to_answer_are_asked_less_often(
     assert min(asked - answered for asked, answered in zip(asked_s[1:], answered_s, strict=False)) >= 1.8
 
 
-def test_what_a_light_says_while_frames_are_passed_over_is_not_taken_for_the_cameras(
-    small_toml: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pass_over, status = Instrument.pass_over, Instrument.status
     has_passed_over = threading.Event()
 
@@ -370,7 +362,7 @@ def test_what_a_light_says_while_frames_are_passed_over_is_not_taken_for_the_cam
     assert running.acquisition.failure == "the light did not answer"
 
 
-def test_a_light_that_somebody_turns_off_by_hand_is_seen(running: Running) -> None:
+def test_light_switched_off_by_hand_is_detected(running: Running) -> None:
     running.begin()
     assert running.devices is not None
     light = running.devices.light

@@ -16,12 +16,12 @@ MINIMAL = (FOREIGN_FRAMES / "bench.toml").read_text()
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_presets_survive_writing_and_reading(preset: str) -> None:
+def test_presets_round_trip(preset: str) -> None:
     bench = load_bench(preset)
     assert parse_bench(write_bench(bench), "again") == bench
 
 
-def test_the_contracts_example_means_what_it_says() -> None:
+def test_documented_bench_is_read() -> None:
     bench = parse_bench(MINIMAL, "bench.toml")
     assert bench.sensor.lenslet_focal_length_m == 46.7e-3
     assert bench.lattice is not None
@@ -30,11 +30,11 @@ def test_the_contracts_example_means_what_it_says() -> None:
     assert (bench.reconstruction.method, bench.reconstruction.pupil_modes) == ("modal", 66)
 
 
-def test_a_whole_number_may_stand_for_a_length() -> None:
+def test_integer_is_accepted_as_float() -> None:
     assert parse_bench(MINIMAL.replace("center_x_px = 255.5", "center_x_px = 255"), "b").lattice is not None
 
 
-def test_the_lattice_may_be_left_out() -> None:
+def test_lattice_is_optional() -> None:
     start, end = MINIMAL.index("[lattice]"), MINIMAL.index("[field]")
     assert parse_bench(MINIMAL[:start] + MINIMAL[end:], "b").lattice is None
 
@@ -58,7 +58,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_is_one_line_that_names_the_key(name: str) -> None:
+def test_invalid_bench_error_names_key(name: str) -> None:
     right, wrong, sentence = FAULTS[name]
     assert right in MINIMAL
     with pytest.raises(InputError) as fault:
@@ -68,7 +68,7 @@ def test_a_fault_is_one_line_that_names_the_key(name: str) -> None:
     assert "\n" not in str(fault.value)
 
 
-def test_an_unknown_driver_says_what_there_is() -> None:
+def test_unknown_driver_error_lists_drivers() -> None:
     with pytest.raises(InputError, match=r"b: camera: driver = 'no such' is not known; known are \"simulated\", "):
         parse_bench(MINIMAL + '\n[camera]\ndriver = "no such"\n', "b")
 
@@ -90,13 +90,13 @@ BAD_DEVICES = {
 
 
 @pytest.mark.parametrize(("text", "sentence"), BAD_DEVICES.values(), ids=BAD_DEVICES)
-def test_what_is_wrong_with_a_device_is_one_line(text: str, sentence: str) -> None:
+def test_device_error_is_one_line(text: str, sentence: str) -> None:
     with pytest.raises(InputError, match=sentence) as refused:
         parse_bench((MINIMAL if text else "camera = 3\n" + MINIMAL) + text, "b")
     assert "\n" not in str(refused.value)
 
 
-def test_a_real_bench_survives_writing_and_reading() -> None:
+def test_real_bench_round_trip() -> None:
     bench = parse_bench(MINIMAL + GENICAM + DC4100, "b")
     assert (bench.camera.driver, bench.light.driver) == ("genicam", "thorlabs_dc4100")
     assert isinstance(bench.camera, GenicamSettings)
@@ -107,7 +107,7 @@ def test_a_real_bench_survives_writing_and_reading() -> None:
     assert changed.binning == 2
 
 
-def test_settings_can_be_changed_from_the_command_line() -> None:
+def test_overrides_change_settings() -> None:
     changes = ("registration.warp=affine", "reconstruction.pupil_modes=21", "simulation.seed = 4")
     bench = load_bench("live_demo", changes)
     assert bench.registration.warp == "affine"
@@ -116,12 +116,12 @@ def test_settings_can_be_changed_from_the_command_line() -> None:
 
 
 @pytest.mark.parametrize("override", ["warp=affine", "registration.warp", "=", "sensor.wavelength_m.x=1", ""])
-def test_a_change_without_sense_is_refused(override: str) -> None:
+def test_malformed_override_is_refused(override: str) -> None:
     with pytest.raises(InputError, match="--set"):
         load_bench("live_demo", (override,))
 
 
-def test_missing_and_binary_files_are_told(tmp_path: Path) -> None:
+def test_missing_and_binary_files_raise_input_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere.toml: No such file.*preset .live_demo"):
         load_bench(tmp_path / "nowhere.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
@@ -129,7 +129,7 @@ def test_missing_and_binary_files_are_told(tmp_path: Path) -> None:
         load_bench(tmp_path / "binary.toml")
 
 
-def test_automatic_is_the_word_for_what_is_left_out() -> None:
+def test_automatic_equals_omitted_setting() -> None:
     bench = load_bench("paper_simulation", ("registration.warp=automatic", "reconstruction.pupil_modes=automatic"))
     assert bench.registration.warp is None
     assert bench.reconstruction.pupil_modes is None

@@ -48,7 +48,7 @@ def reconstruct_foreign(out: Path, *more: str | Path) -> tuple[str | Path, ...]:
         (("registration.warp=affine", "reconstruction.method=zonal"), 0.21),
     ],
 )
-def test_reconstruct(
+def test_reconstruct_matches_truth(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
@@ -65,7 +65,7 @@ def test_reconstruct(
     assert picture.stat().st_size > 10_000
 
 
-def test_simulate_then_reconstruct_gives_the_truth(
+def test_reconstructing_simulated_frame_gives_truth(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
 ) -> None:
     assert run(monkeypatch, "simulate", "--bench", small_toml, "--out", tmp_path) == 0
@@ -80,15 +80,13 @@ def test_simulate_then_reconstruct_gives_the_truth(
         assert residual.mean() < 0.1 * rms(truth["wavefront"].to_numpy()).mean()
 
 
-def test_noise_free_images_are_photons_as_floats(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
-) -> None:
+def test_noise_free_images_are_float_photons(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path) -> None:
     assert run(monkeypatch, "simulate", "--bench", small_toml, "--out", tmp_path, "--noise-free") == 0
     assert tifffile.imread(tmp_path / "frame.tif").dtype == np.float32
     assert tifffile.imread(tmp_path / "dark.tif").max() == 0
 
 
-def test_measure(
+def test_measure_writes_results(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m") == 0
@@ -108,7 +106,7 @@ def test_measure(
 
 
 @pytest.mark.usefixtures("no_hurry")
-def test_measure_leaves_a_recording_that_is_not_written_over(
+def test_measure_never_overwrites_recording(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
     command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
@@ -121,7 +119,7 @@ def test_measure_leaves_a_recording_that_is_not_written_over(
     assert "holds no recording" in capsys.readouterr().err
 
 
-def test_measure_says_where_the_frames_are_when_its_results_are_not_waited_for(
+def test_interrupted_measure_names_folder_of_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
     def interrupt(*_: object, **__: object) -> None:
@@ -133,7 +131,7 @@ def test_measure_says_where_the_frames_are_when_its_results_are_not_waited_for(
     assert not (tmp_path / "m" / "results.nc").exists()
 
 
-def test_measure_on_a_full_disk_says_where_the_frames_are(
+def test_measure_on_full_disk_names_folder_of_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
@@ -153,7 +151,7 @@ def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         assert np.all(results["bias_age"].to_numpy() >= 0)
 
 
-def test_reconstruct_refines_in_at_most_so_many_rounds(
+def test_reconstruct_refine_limits_rounds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     files = (
@@ -171,7 +169,7 @@ def test_reconstruct_refines_in_at_most_so_many_rounds(
     assert residual.std(axis=(2, 3)).mean() < 0.03  # another simulator's frames: 0.061 in one pass
 
 
-def test_ctrl_c_writes_what_was_measured_and_says_so(tmp_path: Path, small_toml: Path) -> None:
+def test_ctrl_c_saves_measured_frames(tmp_path: Path, small_toml: Path) -> None:
     command = [sys.executable, "-c", "from app.cli import main; main()", "measure", "--bench", str(small_toml)]
     process = subprocess.Popen(  # noqa: S603 - our own program
         [*command, "--frames", "100000", "--out", str(tmp_path / "m")], stderr=subprocess.PIPE, text=True
@@ -187,7 +185,7 @@ def test_ctrl_c_writes_what_was_measured_and_says_so(tmp_path: Path, small_toml:
         assert results.sizes["frame"] == int(said[1]) > 0
 
 
-def test_a_camera_that_is_unplugged_ends_measuring_with_what_there_is(
+def test_unplugged_camera_keeps_measured_frames(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
     def open_then_unplug(bench: Bench, progress: Callable[[float], None]) -> Devices:
@@ -246,7 +244,7 @@ BAD_FRAMES = {
 
 
 @pytest.mark.parametrize("sentence", BAD_FRAMES)
-def test_a_bad_frame_is_one_line_and_status_2(
+def test_bad_frame_exits_with_status_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, sentence: str
 ) -> None:
     path, make = tmp_path / "bad.tif", BAD_FRAMES[sentence]
@@ -270,7 +268,7 @@ def test_a_bad_frame_is_one_line_and_status_2(
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_dark_reference_is_named(
+def test_dark_reference_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     path = tmp_path / "dark_reference.tif"
@@ -289,7 +287,7 @@ def test_a_dark_reference_is_named(
         (("nonsense",), "No such command"),
     ],
 )
-def test_bad_words_are_status_2(
+def test_bad_arguments_exit_with_status_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: tuple[str, ...], sentence: str
 ) -> None:
     assert run(monkeypatch, *command) == 2

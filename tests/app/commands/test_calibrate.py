@@ -46,7 +46,7 @@ def command(reference: Path, *more: str | Path) -> tuple[str | Path, ...]:
     return "calibrate", reference, "--bench", BENCH, *more
 
 
-def test_the_bench_that_is_written_has_the_lattice_and_keeps_the_comments(
+def test_written_bench_has_lattice_and_comments(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
 ) -> None:
     source, out, plot = tmp_path / "bench.toml", tmp_path / "new" / "bench.toml", tmp_path / "p.png"
@@ -66,9 +66,7 @@ def test_the_bench_that_is_written_has_the_lattice_and_keeps_the_comments(
     assert "pitch is -1.8 % off the design" in said.err
 
 
-def test_json_is_for_another_program(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reference: Path
-) -> None:
+def test_json_output(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reference: Path) -> None:
     assert run(monkeypatch, *command(reference, "--json", "--set", "sensor.lenslet_rows=13")) == 0
     said = capsys.readouterr()
     figures = json.loads(said.out)
@@ -79,7 +77,7 @@ def test_json_is_for_another_program(
     assert any("lenslet_rows = 13" in sentence for sentence in figures["differences"])
 
 
-def test_what_is_there_is_not_lost(
+def test_existing_bench_is_not_overwritten(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
 ) -> None:
     out = tmp_path / "b.toml"
@@ -91,7 +89,7 @@ def test_what_is_there_is_not_lost(
     assert load_bench(out).lattice is not None
 
 
-def test_the_dark_is_subtracted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reference: Path) -> None:
+def test_dark_is_subtracted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reference: Path) -> None:
     pattern = 3000 * np.sin(2 * np.pi * np.indices((512, 512))[1] / 30.7) ** 2
     spoilt, dark, out = tmp_path / "r.tif", tmp_path / "d.tif", tmp_path / "b.toml"
     tifffile.imwrite(spoilt, (tifffile.imread(reference) + pattern).astype(np.float32))
@@ -111,7 +109,7 @@ def test_the_dark_is_subtracted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
         (lambda image: np.where(image > 0, np.float32(np.nan), 0), "not finite"),
     ],
 )
-def test_a_reference_without_a_lattice_is_one_line_and_status_2(
+def test_reference_without_lattice_exits_with_status_2(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
@@ -129,7 +127,7 @@ def test_a_reference_without_a_lattice_is_one_line_and_status_2(
     assert {path.name for path in tmp_path.iterdir()} == {"bad.tif"}
 
 
-def test_a_dark_of_another_size_is_named(
+def test_dark_of_other_size_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
 ) -> None:
     dark = tmp_path / "dark.npy"
@@ -138,7 +136,7 @@ def test_a_dark_of_another_size_is_named(
     assert capsys.readouterr().err.startswith(f"svwfs: {dark}: the dark has another size")
 
 
-def test_a_pitch_that_no_bench_allows_is_explained(
+def test_impossible_pitch_is_explained(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, reference: Path
 ) -> None:
     text, bench = BENCH.read_text(), tmp_path / "bench.toml"
@@ -151,7 +149,7 @@ def test_a_pitch_that_no_bench_allows_is_explained(
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_preset_takes_a_lattice_and_keeps_its_text(preset: str) -> None:
+def test_every_preset_accepts_lattice_and_keeps_text(preset: str) -> None:
     text, before = PRESETS[preset].read_text(), load_bench(preset)
     bench = parse_bench(text, preset, ("lattice.rotation_rad=0.0125",))
     edited = bench_text(text, bench)
@@ -161,7 +159,7 @@ def test_every_preset_takes_a_lattice_and_keeps_its_text(preset: str) -> None:
     assert all(line in edited.splitlines() for line in kept)
 
 
-def test_text_that_says_it_in_another_way_is_written_anew() -> None:
+def test_unusual_lattice_notation_is_rewritten() -> None:
     text = BENCH.read_text()
     start, end = text.index("[lattice]"), text.index("[field]")
     inline = "lattice = { center_x_px = 1.0, center_y_px = 2.0, pitch_px = 31.0 }\n" + text[:start] + text[end:]
@@ -173,7 +171,7 @@ def test_text_that_says_it_in_another_way_is_written_anew() -> None:
     assert parse_bench(bench_text(text, changed), "new") == changed
 
 
-def test_a_preset_is_written_with_its_lattice(tmp_path: Path) -> None:
+def test_preset_is_written_with_lattice(tmp_path: Path) -> None:
     found = calibrate(FRAMES / "square_reference.tif", dark=None, bench=load_bench("live_demo"))
     write_calibrated(found, "live_demo", tmp_path / "b.toml")
     assert load_bench(tmp_path / "b.toml") == found.bench
@@ -182,7 +180,7 @@ def test_a_preset_is_written_with_its_lattice(tmp_path: Path) -> None:
     assert "-0.000" not in " ".join((said, *findings(found)))
 
 
-def test_a_lattice_that_fills_the_frame_has_no_cut_cells() -> None:
+def test_full_frame_lattice_has_no_cut_cells() -> None:
     """Whether its outermost edges lie a millionth of a pixel inside or outside says nothing."""
     lattice = Lattice(center_x_px=232.0, center_y_px=232.0, pitch_px=31.0 - 1e-6, rotation_rad=1e-7)
     assert len(cell_index(lattice, (465, 465))) == 15 * 15
@@ -190,7 +188,7 @@ def test_a_lattice_that_fills_the_frame_has_no_cut_cells() -> None:
     assert len(cell_index(lattice, (475, 465), partial=True)) == 15
 
 
-def test_the_picture_marks_what_is_lit_dark_beside_and_cut(reference: Path) -> None:
+def test_lattice_plot_marks_lit_dark_outside_and_cut_lenslets(reference: Path) -> None:
     found = calibrate(reference, dark=None, bench=load_bench(str(BENCH), ("sensor.lenslet_rows=12",)))
     figure = lattice_figure(found.reference, found.survey)
     labels = [str(text.get_text()) for text in figure.legends[0].get_texts()]

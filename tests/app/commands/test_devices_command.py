@@ -60,9 +60,7 @@ class _Module:
         self.discover = lambda: discover(next(search for search in SEARCHES if search.module == module))
 
 
-def test_lists_what_is_found_with_the_lines_of_a_bench(
-    bench: SimulatedBench, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_devices_lists_bench_sections(bench: SimulatedBench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.change(is_light_on=False)
     device_report.print_devices()
     told = capsys.readouterr().out
@@ -72,7 +70,7 @@ def test_lists_what_is_found_with_the_lines_of_a_bench(
     assert not bench.condition.is_light_on
 
 
-def test_says_why_it_could_not_look(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def fail() -> None:
         raise Unsupported("the library is missing: install it")
 
@@ -83,7 +81,7 @@ def test_says_why_it_could_not_look(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert capsys.readouterr().out.count("  not looked for: the library is missing: install it\n") == len(SEARCHES)
 
 
-def test_every_search_is_there_and_its_driver_can_be_named_in_a_bench() -> None:
+def test_every_searched_driver_exists_in_bench() -> None:
     for search in SEARCHES:
         outcome = look(search)
         assert outcome.found == () or outcome.found[0].driver == search.driver
@@ -100,7 +98,7 @@ def test_every_search_is_there_and_its_driver_can_be_named_in_a_bench() -> None:
 
 
 @pytest.mark.usefixtures("bench")
-def test_a_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
     device_report.check_and_print("dcam:S/N 1")
     told = capsys.readouterr().out
     assert "Simulated C9100-23B" in told
@@ -108,7 +106,7 @@ def test_a_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
     assert "FAILED" not in told
 
 
-def test_a_good_light_passes_and_is_never_brighter_than_was_told(
+def test_good_light_passes_within_announced_current(
     bench: SimulatedBench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     brightest_a: list[float] = []
@@ -128,7 +126,7 @@ def test_a_good_light_passes_and_is_never_brighter_than_was_told(
     assert not bench.condition.is_light_on
 
 
-def test_a_device_is_checked_as_a_bench_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str]) -> None:
     lamp = DC4100Wire()  # at a port that is never found, with its second head in use, which bears 200 mA
     with PtyServer(lamp) as server:
         light = DC4100Settings(port=server.port, channel=1, current_a=0.15)
@@ -145,16 +143,14 @@ def test_a_device_is_checked_as_a_bench_says(capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.usefixtures("bench")
-def test_a_camera_that_breaks_its_word_fails(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_contract_breaking_camera_fails(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SimulatedCamera, "_set_em_gain", lambda self, em_gain: em_gain)  # says so, and does nothing
     with pytest.raises(RunError, match="dcam:S/N 1 fails 1 of 15 checks"):
         device_report.check_and_print("dcam:S/N 1")
     assert "  FAILED The gain stays in its range, and a refused one leaves the one before" in capsys.readouterr().out
 
 
-def test_a_light_that_is_lost_on_the_way_ends_the_check(bench: SimulatedBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_light_ends_check(bench: SimulatedBench, monkeypatch: pytest.MonkeyPatch) -> None:
     def lose(_: LightSource, *, on: bool) -> None:
         if on:
             raise Disconnected("the light is gone")
@@ -166,7 +162,7 @@ def test_a_light_that_is_lost_on_the_way_ends_the_check(bench: SimulatedBench, m
 
 
 @pytest.mark.usefixtures("bench")
-def test_what_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unconnected_device_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RunError, match=r"dcam:2 is not connected; `svwfs devices` shows what is"):
         device_report.check_and_print("dcam:2")
     with pytest.raises(InputError, match="it begins with one of dcam, genicam"):

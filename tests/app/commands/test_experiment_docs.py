@@ -50,7 +50,7 @@ def quick(command: str) -> str:
     return command
 
 
-def test_every_command_does_what_it_says(
+def test_every_documented_command_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "paper_experiment.toml").write_text(SMALL)
@@ -81,7 +81,7 @@ def test_every_command_does_what_it_says(
     assert made == reports | {"bench.toml", "lattice.png", "square.csv", "psf.tif"}
 
 
-def test_the_exposures_are_the_cameras() -> None:
+def test_documented_exposures_match_camera() -> None:
     rows = re.findall(
         r"^\| (em|normal) \| (\d).*? \| ([\d.]+) ms \.\.\. ([\d.]+) s \|(.*?)\|(.*?)\|$", TEXT, re.MULTILINE
     )
@@ -96,7 +96,7 @@ def test_the_exposures_are_the_cameras() -> None:
     assert (camera.amplifier, camera.readout_speed, camera.exposure_s) == ("em", 2, 0.15)
 
 
-def test_the_real_bench_is_one() -> None:
+def test_documented_real_bench_loads() -> None:
     (sections,) = re.findall(r"^```toml\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
     preset = app.bench.presets.PRESETS["paper_experiment"].read_text("utf-8")
     rest = re.sub(r"^\[(camera|light)\]\n(?:(?!\[).*\n)*", "", preset, flags=re.MULTILINE)
@@ -105,7 +105,7 @@ def test_the_real_bench_is_one() -> None:
     assert (bench.camera.driver, bench.light.driver) == ("dcam", "thorlabs_dc4100")
 
 
-def test_a_person_is_asked_in_the_words_of_the_text(
+def test_prompts_match_documentation(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     camera = FakeCamera()
@@ -120,13 +120,13 @@ def test_a_person_is_asked_in_the_words_of_the_text(
     assert all(f"    {line}\n" in TEXT for line in asked)
 
 
-def test_pictures_and_pages_are_there() -> None:
+def test_linked_pictures_and_pages_exist() -> None:
     for name in re.findall(r"\]\((\w+\.(?:md|png))\)", TEXT):
         assert (DOCS / name).is_file()
         assert not name.endswith("png") or (DOCS / name).stat().st_size < 200_000
 
 
-def test_mask_average_and_exposure_of_a_measurement(
+def test_measure_options_mask_average_auto_expose(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "bench.toml").write_text(SMALL)
@@ -156,7 +156,7 @@ def test_mask_average_and_exposure_of_a_measurement(
     assert f"{FRAMES} unless said" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
-def test_a_folder_that_holds_a_recording_is_refused_before_a_device_is_opened(
+def test_used_folder_is_refused_before_opening_devices(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     def opened(*_: object) -> None:

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement.routines import AutoExposure, Cancelled, RoutineError, auto_expose
+from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
 from app.measurement.routines.brightness import brightness
+from app.measurement.routines.frames import Cancelled, RoutineError
 from drivers.interface import BadValue, Devices, Frame, Range
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
@@ -57,7 +58,7 @@ def true_fill(scene: Scene, found: AutoExposure) -> float:
 @example(allowed=WIDEST, right=1.0, start=0.0, current_a=0.35, image="spots", noise=40.0, is_on=False, seed=1)
 @example(allowed=WIDEST, right=0.999, start=1.0, current_a=0.35, image="spots", noise=40.0, is_on=False, seed=1)
 @example(allowed=WIDEST, right=0.5, start=1.0, current_a=0.0, image="broad", noise=40.0, is_on=False, seed=1)
-def test_from_any_start_within_six_frames(
+def test_exposure_is_found_within_six_frames(
     *,
     allowed: Range,
     right: float,
@@ -89,7 +90,7 @@ def test_from_any_start_within_six_frames(
     assert not camera.is_running
 
 
-def test_what_is_right_already_stays_and_takes_one_frame() -> None:
+def test_correct_exposure_is_kept_after_one_frame() -> None:
     scene = Scene(counts_per_a_s=44_000 / (0.35 * 0.15), exposure_range_s=C9100["em3"])
     devices, *_ = exposure_bench(scene, exposure_s=0.15)
     found = expose(devices)
@@ -97,7 +98,7 @@ def test_what_is_right_already_stays_and_takes_one_frame() -> None:
     assert (found.current_a, found.frames) == (0.35, 1)
 
 
-def test_the_current_helps_only_where_the_exposure_does_not_suffice() -> None:
+def test_current_changes_only_if_exposure_is_not_enough() -> None:
     for right_s, begin_s in [(0.2, 1.0), (0.2, 0.0139)]:
         scene = Scene(counts_per_a_s=45_000 / (0.35 * right_s), exposure_range_s=C9100["em3"])
         assert expose(exposure_bench(scene, exposure_s=begin_s)[0]).current_a == 0.35
@@ -111,14 +112,14 @@ def test_the_current_helps_only_where_the_exposure_does_not_suffice() -> None:
     assert found.current_a == pytest.approx(0.7, rel=0.1)
 
 
-def test_less_current_makes_up_for_an_exposure_between_two_steps() -> None:
+def test_current_compensates_exposure_step() -> None:
     scene = Scene(counts_per_a_s=45_000 / 1.4e-5, exposure_range_s=WIDEST)  # at full current, steps of 10 us
     found = expose(exposure_bench(scene, exposure_s=1e-5, current_a=1.0)[0])
     assert found.exposure_s == pytest.approx(2e-5)
     assert found.current_a == pytest.approx(0.7, rel=0.05)
 
 
-def test_an_led_that_droops_and_a_light_that_flickers_are_no_obstacle() -> None:
+def test_auto_exposure_with_drooping_or_flickering_light() -> None:
     for scene in (
         Scene(counts_per_a_s=45_000 / 0.001, exposure_range_s=C9100["em3"], droop=0.8),
         Scene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], flicker=0.01),
@@ -126,19 +127,19 @@ def test_an_led_that_droops_and_a_light_that_flickers_are_no_obstacle() -> None:
         assert expose(exposure_bench(scene, exposure_s=1.0)[0]).frames <= 6
 
 
-def test_hot_pixels_in_one_of_ten_lenslets_do_not_count() -> None:
+def test_hot_pixels_in_ten_percent_of_lenslets_are_ignored() -> None:
     for seed in range(8):
         scene = Scene(counts_per_a_s=45_000 / 0.05, exposure_range_s=C9100["em3"], hot_pixels=10, seed=seed)
         assert true_fill(scene, expose(exposure_bench(scene, exposure_s=1.0)[0])) == pytest.approx(0.7, abs=0.06)
 
 
-def test_a_large_offset_is_no_light() -> None:
+def test_large_offset_is_no_light() -> None:
     for begin_s in (0.0139, 1.0):
         scene = Scene(counts_per_a_s=39_000 / 0.2, exposure_range_s=C9100["em3"], offset_counts=6000.0)
         assert true_fill(scene, expose(exposure_bench(scene, exposure_s=begin_s)[0])) == pytest.approx(0.7, abs=0.06)
 
 
-def test_light_that_fills_without_subimages_is_told() -> None:
+def test_light_without_subimages_raises() -> None:
     scene = Scene(counts_per_a_s=0.0, exposure_range_s=C9100["em3"], ambient_counts_per_s=4.5e5)
     devices, camera, lamp = exposure_bench(scene, exposure_s=0.1)
     with pytest.raises(RoutineError, match="no subimages"):
@@ -146,7 +147,7 @@ def test_light_that_fills_without_subimages_is_told() -> None:
     assert (camera.exposure_s, lamp.is_on) == (0.1, False)
 
 
-def test_cameras_of_fewer_bits() -> None:
+def test_auto_exposure_with_8_bits() -> None:
     eight = Scene(
         counts_per_a_s=175 / 0.05,
         exposure_range_s=C9100["em3"],
@@ -177,7 +178,7 @@ def test_cameras_of_fewer_bits() -> None:
         ),
     ],
 )
-def test_where_there_is_none_that_is_said_and_all_is_as_found(
+def test_impossible_exposure_raises_and_restores_devices(
     scene: Scene, sentence: str, begin_s: float, is_on: bool
 ) -> None:
     current_a = min(0.35, scene.current_range_a.maximum)
@@ -191,7 +192,7 @@ def test_where_there_is_none_that_is_said_and_all_is_as_found(
     assert (lamp.current_a, lamp.is_on) == (current_a, is_on)
 
 
-def test_no_light_is_known_without_exposing_for_hours() -> None:
+def test_missing_light_is_detected_without_long_exposures() -> None:
     scene = Scene(counts_per_a_s=0.0, exposure_range_s=WIDEST)
     for begin_s in (1e-5, 0.1, 7200.0):
         devices, camera, _ = exposure_bench(scene, exposure_s=begin_s)
@@ -201,19 +202,19 @@ def test_no_light_is_known_without_exposing_for_hours() -> None:
 
 
 @pytest.mark.parametrize("fill", [math.nan, 0.0, 0.9, 1.0, -1.0])
-def test_a_fill_must_leave_room_on_both_sides(fill: float) -> None:
+def test_fill_must_be_within_tolerances(fill: float) -> None:
     devices, camera, _ = exposure_bench(Scene(counts_per_a_s=1e5, exposure_range_s=WIDEST), exposure_s=0.1)
     with pytest.raises(BadValue, match="fill"):
         expose(devices, fill)
     assert not camera.exposed_s
 
 
-def test_another_fill_can_be_wanted() -> None:
+def test_fill_is_adjustable() -> None:
     scene = Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"])
     assert expose(exposure_bench(scene, exposure_s=0.0139)[0], 0.4).fill == pytest.approx(0.4, abs=0.05)
 
 
-def test_the_level_is_that_of_the_brightest_lenslets() -> None:
+def test_level_is_that_of_brightest_lenslets() -> None:
     random = np.random.default_rng(1)
     row = np.linspace(-1, 1, SIDE_PX)
     uneven = np.exp(-2 * (row[:, None] ** 2 + row**2))  # a beam that is as wide as the array
@@ -243,7 +244,7 @@ def simulated(small_toml: Path) -> Iterator[tuple[Devices, ManualClock]]:
 @pytest.mark.parametrize("begin_s", [0.02713, 0.3, 7200.0])
 @pytest.mark.parametrize("em_gain", [1.0, 8.0, 200.0])
 @pytest.mark.parametrize("current_a", [0.0, 0.35, 1.0])
-def test_on_the_simulated_bench(
+def test_auto_exposure_on_simulated_bench(
     simulated: tuple[Devices, ManualClock], begin_s: float, em_gain: float, current_a: float
 ) -> None:
     devices, clock = simulated
@@ -271,7 +272,7 @@ def test_on_the_simulated_bench(
     assert not np.any(pixels == FULL_SCALE)
 
 
-def test_can_be_cancelled_within_hours_of_exposure(simulated: tuple[Devices, ManualClock]) -> None:
+def test_cancelling_interrupts_long_exposure(simulated: tuple[Devices, ManualClock]) -> None:
     devices, clock = simulated
     devices.camera.set_exposure(100.0)
     with pytest.raises(Cancelled):

@@ -40,7 +40,7 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
 
 @pytest.mark.parametrize("refine", ["false", "true"])
 @pytest.mark.parametrize("lattice", ["lattice.center_x_px=121.3", "found"])
-def test_every_frame_is_made_again_bit_for_bit(small_toml: Path, tmp_path: Path, refine: str, lattice: str) -> None:
+def test_calibration_reproduces_frames_bit_by_bit(small_toml: Path, tmp_path: Path, refine: str, lattice: str) -> None:
     toml = tmp_path / "bench.toml"
     text = small_toml.read_text()
     toml.write_text(

@@ -46,9 +46,7 @@ def until(refinement: LiveRefinement, reconstructor: Reconstructor, frame: NDArr
     return time.monotonic() - begin_s
 
 
-def test_frames_are_corrected_while_the_wavefront_is_near(
-    small_bench: SmallBench, reconstructor: Reconstructor
-) -> None:
+def test_bias_applies_only_near_its_wavefront(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
     refinement = LiveRefinement(bench_of(small_bench), reconstructor)
     try:
         frame = bowl(small_bench, 1.0)
@@ -80,7 +78,7 @@ def test_frames_are_corrected_while_the_wavefront_is_near(
         refinement.close()
 
 
-def test_a_nearly_flat_wavefront_keeps_its_correction(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
+def test_nearly_flat_wavefront_keeps_bias(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
     refinement = LiveRefinement(bench_of(small_bench), reconstructor)
     until(refinement, reconstructor, small_bench.reference, "applied")
     noise = np.random.default_rng(0).normal(0, 0.002 * small_bench.reference.max(), small_bench.frame_shape)
@@ -89,7 +87,7 @@ def test_a_nearly_flat_wavefront_keeps_its_correction(small_bench: SmallBench, r
     refinement.close()
 
 
-def test_its_thread_ends(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
+def test_refinement_thread_ends(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
     refinement = LiveRefinement(bench_of(small_bench), reconstructor)
     until(refinement, reconstructor, small_bench.reference, "applied")
     refinement.close()
@@ -97,7 +95,7 @@ def test_its_thread_ends(small_bench: SmallBench, reconstructor: Reconstructor) 
 
 
 @pytest.mark.parametrize("closes", [True, False])
-def test_a_round_that_the_programs_end_cuts_short_is_no_fault(
+def test_round_cut_short_by_exit_is_no_error(
     small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch, *, closes: bool
 ) -> None:
     def cut_short(*_: object) -> None:
@@ -114,7 +112,7 @@ def test_a_round_that_the_programs_end_cuts_short_is_no_fault(
     assert len(raised) == (0 if closes else 1)
 
 
-def test_a_model_that_cannot_be_made_is_told(
+def test_impossible_model_is_reported(
     small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
@@ -126,7 +124,7 @@ def test_a_model_that_cannot_be_made_is_told(
     assert refinement.refine(reconstructor.register(small_bench.reference), 0.0)[1].problem == "no such source"
 
 
-def test_without_it_frames_say_so() -> None:
+def test_refinement_is_off_by_default() -> None:
     state = RefinementState()
     assert state.stage == "off"
     assert math.isnan(state.age_s)

@@ -1,4 +1,4 @@
-"""Routines leave the devices as found, or dark after a fault, whichever call of a device it is that ends them."""
+"""Routines restore the devices, or turn the light off after a fault, at whichever call they end."""
 
 from __future__ import annotations
 
@@ -13,16 +13,10 @@ from scipy import stats
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement.routines import (
-    Average,
-    Cancelled,
-    auto_expose,
-    average,
-    check_background,
-    take_dark,
-    take_reference,
-)
-from app.measurement.routines.background import BackgroundCheck, compare_backgrounds
+from app.measurement.routines.auto_exposure import auto_expose
+from app.measurement.routines.averages import Average, average, take_dark, take_reference
+from app.measurement.routines.background import BackgroundCheck, check_background, compare_backgrounds
+from app.measurement.routines.frames import Cancelled
 from drivers.interface import (
     BadValue,
     Camera,
@@ -173,7 +167,7 @@ def calls_of(routine: Routine, devices: Devices, standing: Standing) -> int:
 
 @pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
 @pytest.mark.parametrize("name", ROUTINES)
-def test_left_as_found(devices: Devices, name: str, standing: Standing) -> None:
+def test_routine_restores_devices(devices: Devices, name: str, standing: Standing) -> None:
     standing.set(devices)
     ROUTINES[name](devices, never)
     left = Standing.of(devices)
@@ -185,7 +179,7 @@ def test_left_as_found(devices: Devices, name: str, standing: Standing) -> None:
     assert name == "exposure" or left == standing
 
 
-def test_light_and_sample_while_frames_are_averaged(devices: Devices) -> None:
+def test_light_and_sample_states_during_averages(devices: Devices) -> None:
     seen: set[tuple[bool, bool]] = set()
 
     def note(*_: object) -> None:
@@ -200,7 +194,7 @@ def test_light_and_sample_while_frames_are_averaged(devices: Devices) -> None:
 
 @pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
 @pytest.mark.parametrize("name", ROUTINES)
-def test_cancelled_at_every_call_of_a_device_all_is_as_found(devices: Devices, name: str, standing: Standing) -> None:
+def test_cancelling_at_any_call_restores_devices(devices: Devices, name: str, standing: Standing) -> None:
     calls = calls_of(ROUTINES[name], devices, standing)
     assert calls > 15
     cancelled = 0
@@ -218,7 +212,7 @@ def test_cancelled_at_every_call_of_a_device_all_is_as_found(devices: Devices, n
 @pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
 @pytest.mark.parametrize("fault", [Disconnected, DeviceTimeout])
 @pytest.mark.parametrize("name", ROUTINES)
-def test_a_fault_at_any_call_of_a_device_leaves_the_light_off(
+def test_device_fault_at_any_call_turns_light_off(
     devices: Devices, name: str, fault: type[DeviceError], standing: Standing
 ) -> None:
     calls, survived = calls_of(ROUTINES[name], devices, standing), 0
@@ -239,8 +233,10 @@ def test_a_fault_at_any_call_of_a_device_leaves_the_light_off(
 
 @pytest.mark.parametrize("refusal", [BadValue, WrongState, RuntimeError, KeyboardInterrupt])
 @pytest.mark.parametrize("name", ROUTINES)
-def test_refused_at_any_call_all_is_as_found_or_dark(devices: Devices, name: str, refusal: type[BaseException]) -> None:
-    calls, as_found = calls_of(ROUTINES[name], devices, LIVE), 0
+def test_refusal_at_any_call_restores_devices_or_darkens(
+    devices: Devices, name: str, refusal: type[BaseException]
+) -> None:
+    calls, restored = calls_of(ROUTINES[name], devices, LIVE), 0
 
     def refuse() -> None:
         raise refusal
@@ -249,13 +245,13 @@ def test_refused_at_any_call_all_is_as_found_or_dark(devices: Devices, name: str
         LIVE.set(devices)
         with pytest.raises(refusal):
             ROUTINES[name](counted(devices, Counter(at, refuse)), never)
-        as_found += (left := Standing.of(devices)) == LIVE
+        restored += (left := Standing.of(devices)) == LIVE
         assert left == LIVE or not left.is_light_on
-    assert as_found > calls / 4  # what is refused while things are put back leaves them dark
+    assert restored > calls / 4  # a refusal during the restoration leaves them dark
 
 
 @pytest.mark.parametrize("name", ROUTINES)
-def test_what_fails_in_showing_progress_leaves_all_as_found(devices: Devices, name: str) -> None:
+def test_failing_progress_callback_restores_devices(devices: Devices, name: str) -> None:
     def fail(_frame: Frame, _fraction: float) -> None:
         raise KeyError("a window that is gone")
 
@@ -272,7 +268,7 @@ def test_what_fails_in_showing_progress_leaves_all_as_found(devices: Devices, na
 
 
 @pytest.mark.parametrize("frames", [0, -1])
-def test_no_frames_are_no_average(devices: Devices, frames: int) -> None:
+def test_average_needs_at_least_one_frame(devices: Devices, frames: int) -> None:
     LIVE.set(devices)
     for take in (take_dark, take_reference):
         with pytest.raises(BadValue, match="at least 1"):
@@ -299,7 +295,7 @@ class Played:
 
 
 @pytest.mark.parametrize("frames", [1, 2, 50])
-def test_mean_and_variance_are_those_of_numpy(frames: int) -> None:
+def test_mean_and_variance_match_numpy(frames: int) -> None:
     random = np.random.default_rng(3)
     stack = (50_000 + random.integers(-3, 4, (frames, 4, 5))).astype(np.uint16)
     made = average(cast("Camera", Played(stack)), frames, progress=quiet, should_stop=never)
@@ -326,7 +322,7 @@ def compared(before: np.ndarray, now: np.ndarray) -> BackgroundCheck:
 
 @pytest.mark.parametrize("now_frames", [1, 2, 8])
 @pytest.mark.parametrize("before_frames", [1, 4, 20])
-def test_a_background_that_stays_is_good_and_one_that_drifts_is_not(before_frames: int, now_frames: int) -> None:
+def test_background_check_detects_drift(before_frames: int, now_frames: int) -> None:
     random = np.random.default_rng(before_frames * 100 + now_frames)
     before = dark_like(before_frames, random)
     for _ in range(5):
@@ -342,7 +338,7 @@ def test_a_background_that_stays_is_good_and_one_that_drifts_is_not(before_frame
     assert "take the dark again" in check.verdict
 
 
-def test_a_level_that_jumps_from_frame_to_frame_is_no_drift() -> None:
+def test_frame_to_frame_jitter_is_no_drift() -> None:
     random = np.random.default_rng(5)
     significance = [
         compared(dark_like(20, random, jitter=2.0)[:, :30], dark_like(8, random, jitter=2.0)[:, :30]).significance
@@ -353,7 +349,7 @@ def test_a_level_that_jumps_from_frame_to_frame_is_no_drift() -> None:
     assert np.mean(np.array(significance) > 5) < 0.02
 
 
-def test_pixels_that_became_hot_or_cool_are_counted() -> None:
+def test_new_hot_and_cooled_pixels_are_counted() -> None:
     random = np.random.default_rng(6)
     before, now = dark_like(20, random), dark_like(8, random)
     now[:, 3, 4] += 200
@@ -366,7 +362,7 @@ def test_pixels_that_became_hot_or_cool_are_counted() -> None:
     assert "2 new hot pixels, 1 no longer hot" in check.verdict
 
 
-def test_the_simulated_background_is_that_of_its_dark(devices: Devices) -> None:
+def test_simulated_background_matches_its_dark(devices: Devices) -> None:
     AT_REST.set(devices)
     before = take_dark(devices, 12, progress=quiet, should_stop=never)
     check = check_background(devices, before, 6, progress=quiet, should_stop=never)

@@ -52,7 +52,7 @@ regions = st.builds(Region, *[st.integers(-50, 750)] * 2, *[st.integers(1, 900)]
 @given(regions, st.sampled_from([1, 2, 4, 7, 16, 128]))
 @example(Region(-40, 20, 10, 30), 16)  # above the sensor
 @example(Region(20, 740, 10, 30), 16)  # beside it
-def test_regions_are_enlarged_to_whole_steps_and_stay_on_the_sensor(region: Region, step_px: int) -> None:
+def test_regions_grow_to_whole_steps_on_sensor(region: Region, step_px: int) -> None:
     got = in_steps(region, SENSOR, step_px)
     if got != SENSOR:
         assert not any(number % step_px for number in (got.top, got.left, got.rows, got.columns))
@@ -71,13 +71,13 @@ def test_regions_are_enlarged_to_whole_steps_and_stay_on_the_sensor(region: Regi
             assert end - start < len(wanted) + 2 * step_px  # and no more than that
 
 
-def test_all_of_a_sensor_is_had_whatever_the_steps() -> None:
+def test_whole_sensor_is_available_with_any_steps() -> None:
     assert in_steps(Region(-3, 0, 600, 700), SENSOR, 128) == SENSOR
     assert in_steps(Region(0, 0, 500, 699), SENSOR, 128) == Region(0, 0, 384, 640)
 
 
 @pytest.mark.parametrize("binning", [1, 2])
-def test_the_lattice_stays_where_it_is_on_the_sensor(binning: int) -> None:
+def test_lattice_keeps_its_place_on_the_sensor(binning: int) -> None:
     """A pixel of the frame has the light of those of the sensor under it: found by averaging a picture of positions."""
     area = SensorArea(Region(16, 48, 160, 192), binning)
     there = moved_lattice(LATTICE, SensorArea(SENSOR, 1), area)
@@ -96,7 +96,7 @@ def test_the_lattice_stays_where_it_is_on_the_sensor(binning: int) -> None:
     )
 
 
-def test_lenslets_outside_are_counted() -> None:
+def test_lenslets_outside_frame_are_counted() -> None:
     upright = replace(LATTICE, rotation_rad=0.0, center_x_px=109.0, center_y_px=77.75, pitch_px=31.0)
     # Cells begin at 109 - 3.5 * 31 = 0.5 along x, and at 77.75 - 2.5 * 31 = 0.25 along y.
     assert lenslets_outside(upright, LENSLETS, SensorArea(Region(0, 0, 172, 240), 1)) == 0
@@ -106,7 +106,7 @@ def test_lenslets_outside_are_counted() -> None:
 
 
 @pytest.mark.parametrize("binning", [1, 2])
-def test_the_region_around_the_lattice_holds_every_lenslet(binning: int) -> None:
+def test_region_around_lattice_contains_every_lenslet(binning: int) -> None:
     wide = replace(LATTICE, center_x_px=300.2, center_y_px=250.7)
     area = SensorArea(Region(32, 64, 400, 600), binning)
     seen = moved_lattice(wide, SensorArea(SENSOR, 1), area)
@@ -117,7 +117,7 @@ def test_the_region_around_the_lattice_holds_every_lenslet(binning: int) -> None
     assert region.columns == pytest.approx(8 * 31.25, abs=4)
 
 
-def test_a_bench_that_is_saved_reads_out_the_same() -> None:
+def test_saved_bench_restores_area() -> None:
     bench = replace(load_bench("live_demo"), lattice=LATTICE, sensor=LENSLETS)
     before, after = SensorArea(SENSOR, 1), SensorArea(Region(16, 32, 160, 192), 1)
     small = moved(bench, before, after, SENSOR)
@@ -173,20 +173,20 @@ class Binning(FakeCamera):
         return region
 
 
-def test_the_camera_is_asked_for_what_its_steps_allow() -> None:
+def test_camera_gets_regions_in_whole_steps() -> None:
     camera = Binning()
     assert set_area(camera, SensorArea(Region(20, 20, 100, 100), 1)) == SensorArea(Region(16, 16, 112, 112), 1)
     assert set_area(camera, SensorArea(Region(20, 20, 100, 100), 2)) == SensorArea(Region(0, 0, 128, 128), 2)
     assert set_area(camera, SensorArea(Region(0, 0, 480, 640), 2)) == SensorArea(Region(0, 0, 480, 640), 2)
 
 
-def test_the_region_that_is_read_out_need_not_fit_the_steps_of_another_binning() -> None:
+def test_region_need_not_fit_steps_of_other_binning() -> None:
     camera = Binning()
     set_area(camera, SensorArea(Region(16, 16, 112, 112), 1))
     assert set_area(camera, SensorArea(Region(32, 32, 64, 64), 2)) == SensorArea(Region(32, 32, 64, 64), 2)
 
 
-def test_a_camera_that_is_unplugged_is_asked_for_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unplugged_camera_gets_no_more_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     camera, asked = Binning(), []
 
     def unplugged(region: Region) -> Region:
@@ -199,7 +199,7 @@ def test_a_camera_that_is_unplugged_is_asked_for_nothing_more(monkeypatch: pytes
     assert asked == [Region(32, 32, 64, 64)]
 
 
-def test_a_refusal_leaves_what_was_before() -> None:
+def test_refused_area_restores_previous_one() -> None:
     camera = Binning()
     before = set_area(camera, SensorArea(Region(32, 32, 64, 64), 1))
     camera.refused = Region(64, 64, 32, 32)
@@ -211,7 +211,7 @@ def test_a_refusal_leaves_what_was_before() -> None:
     assert SensorArea.of(camera) == before
 
 
-def test_a_real_driver_reads_out_what_the_area_says() -> None:
+def test_real_driver_uses_configured_area() -> None:
     """Of the DCAM-API's stand-in, whose counts tell the pixel of the sensor they come from."""
     with dcam_stand_in() as stand_in, open_camera(stand_in) as camera:
         before = SensorArea.of(camera)
@@ -240,7 +240,7 @@ def live_small(small_toml: Path) -> Iterator[tuple[Acquisition, list[Measurement
     acquisition.close()
 
 
-def test_a_part_shows_the_same_lenslets_after_dark_and_reference_are_taken_again(
+def test_smaller_area_shows_same_lenslets_after_recalibration(
     live_small: tuple[Acquisition, list[Measurement]],
 ) -> None:
     acquisition, measurements = live_small
@@ -278,7 +278,7 @@ def test_a_part_shows_the_same_lenslets_after_dark_and_reference_are_taken_again
     assert acquisition.submit(lambda instrument: instrument.bench).result(HANG_S) == acquisition.bench
 
 
-def test_the_area_before_finds_its_dark_and_reference_again(
+def test_restored_area_makes_dark_and_reference_valid_again(
     live_small: tuple[Acquisition, list[Measurement]],
 ) -> None:
     acquisition, measurements = live_small
@@ -291,7 +291,7 @@ def test_the_area_before_finds_its_dark_and_reference_again(
     wait_until(lambda: measurements[-1].wavefront is not None)
 
 
-def test_the_camera_goes_back_when_the_bench_refuses_what_is_left(
+def test_camera_area_is_restored_if_bench_rejects_it(
     live_small: tuple[Acquisition, list[Measurement]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
@@ -307,14 +307,16 @@ def test_the_camera_goes_back_when_the_bench_refuses_what_is_left(
     assert measurements[-1].problem == ""
 
 
-def test_a_lattice_beside_the_frame_is_told(live_small: tuple[Acquisition, list[Measurement]]) -> None:
+def test_lattice_outside_frame_is_reported(live_small: tuple[Acquisition, list[Measurement]]) -> None:
     acquisition, measurements = live_small
     acquisition.set_area(SensorArea(Region(0, 0, 64, 64), 1)).result(HANG_S)
     acquisition.take_reference(3).result(HANG_S)
     wait_until(lambda: "most lenslets lie beside the frame of 64 x 64" in measurements[-1].problem)
 
 
-def test_a_recording_has_frames_of_one_kind(live_small: tuple[Acquisition, list[Measurement]], tmp_path: Path) -> None:
+def test_area_change_is_refused_during_recording(
+    live_small: tuple[Acquisition, list[Measurement]], tmp_path: Path
+) -> None:
     acquisition, measurements = live_small
     area = SensorArea(Region(0, 0, 160, 160), 1)
     acquisition.start_recording(tmp_path / "whole").result(HANG_S)
@@ -333,7 +335,7 @@ def test_a_recording_has_frames_of_one_kind(live_small: tuple[Acquisition, list[
     assert kept.bench.camera.rows == 160  # type: ignore[union-attr] # simulated
 
 
-def test_a_camera_of_one_area_says_so(make_fixed: Instrument) -> None:
+def test_fixed_camera_refuses_area(make_fixed: Instrument) -> None:
     with pytest.raises(BadValue, match="no binning 2"):
         make_fixed.set_area(SensorArea(Region(0, 0, 300, 430), 2))
     assert make_fixed.set_area(SensorArea(Region(0, 0, 16, 16), 1)) == SensorArea(Region(0, 0, 300, 430), 1)

@@ -16,7 +16,7 @@ from support.records import FACTS, RANDOM, SHAPE, make_chain, make_record, noisy
 from app.bench.config import write_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.routines import Average
+from app.measurement.routines.averages import Average
 from app.recording import frame_array
 from app.recording.reader import Recording
 from app.recording.recover import recover

@@ -22,7 +22,7 @@ from app.commands.measure import measure
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Counts, Measurement
-from app.measurement.routines import Average, average, take_dark, take_reference
+from app.measurement.routines.averages import Average, average, take_dark, take_reference
 from app.recording.averaged import AveragedFrames
 from app.recording.camera import RecordedCamera
 from app.recording.devices import recorded_devices

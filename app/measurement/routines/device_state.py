@@ -1,0 +1,119 @@
+"""Device states: restored after a routine, or compared with those of a dark or reference."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.interface import REFUSALS, DeviceError, Devices, Region
+
+_SAME_EXPOSURE = 1e-3  # relative
+
+
+@dataclass(slots=True)
+class DeviceState:
+    """State to which a routine restores the devices; the routine may change it."""
+
+    is_light_on: bool
+    current_a: float
+    is_sample_in: bool
+    is_running: bool
+    exposure_s: float
+
+    @classmethod
+    def of(cls, devices: Devices) -> DeviceState:
+        """Query the devices."""
+        camera, light, stage = devices.camera, devices.light, devices.stage
+        return cls(light.is_on, light.current_a, stage.is_sample_in, camera.is_running, camera.exposure_s)
+
+    def restore(self, devices: Devices) -> None:
+        """Restore the devices; the light is turned off before anything moves, and on afterwards."""
+        camera, light, stage = devices.camera, devices.light, devices.stage
+        if not self.is_light_on:
+            light.set_on(False)
+        camera.stop()
+        if stage.is_sample_in != self.is_sample_in:
+            stage.set_sample_in(self.is_sample_in)
+        if light.current_a != self.current_a:
+            light.set_current(self.current_a)
+        if self.is_light_on:
+            light.set_on(True)
+        if camera.exposure_s != self.exposure_s:
+            camera.set_exposure(self.exposure_s)
+        if self.is_running:
+            camera.start()
+
+
+@contextmanager
+def restored(devices: Devices) -> Iterator[DeviceState]:
+    """Restore light, current, stage, exposure and a running camera after a `with`, also on an error.
+
+    After a device fault only the light is turned off; the owner of the devices closes them.
+    """
+    is_restored = False
+    try:
+        state = DeviceState.of(devices)
+        try:
+            yield state
+        except BaseException as error:
+            if not isinstance(error, DeviceError) or isinstance(error, REFUSALS):
+                state.restore(devices)
+                is_restored = True
+            raise
+        state.restore(devices)
+        is_restored = True
+    finally:
+        if not is_restored:
+            with suppress(DeviceError):  # the light itself may have failed
+                devices.light.set_on(False)
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """Settings that must agree between a dark or reference and the frames it is used for.
+
+    The light's current is not among them: the registration is independent of brightness.
+    """
+
+    exposure_s: float
+    amplifier: str
+    em_gain: float
+    readout_speed: int
+    binning: int
+    region: Region
+    mask: str
+
+    @classmethod
+    def of(cls, devices: Devices) -> Circumstances:
+        """Query camera and stage."""
+        camera = devices.camera
+        return cls(
+            exposure_s=camera.exposure_s,
+            amplifier=camera.amplifier,
+            em_gain=camera.em_gain,
+            readout_speed=camera.readout_speed,
+            binning=camera.binning,
+            region=camera.region,
+            mask=devices.stage.mask,
+        )
+
+    def shows_same_pixels(self, now: Circumstances) -> bool:
+        """Whether frames show the same pixels of the sensor as now."""
+        return (self.region, self.binning) == (now.region, now.binning)
+
+    def differs(self, now: Circumstances, *, is_lit: bool) -> str:
+        """Return the worst difference, as words after "was taken"; a mask matters only if `is_lit`."""
+        if not self.shows_same_pixels(now):
+            return "of another part of the sensor, or with another binning"
+        if is_lit and self.mask != now.mask:
+            return f"with the mask {self.mask}"
+        if (self.amplifier, self.em_gain) != (now.amplifier, now.em_gain):
+            return "with another amplifier or gain"
+        if self.readout_speed != now.readout_speed:
+            return f"with readout speed {self.readout_speed}"
+        if not np.isclose(self.exposure_s, now.exposure_s, rtol=_SAME_EXPOSURE):
+            return f"at {self.exposure_s * 1e3:.1f} ms"
+        return ""
