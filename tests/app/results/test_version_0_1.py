@@ -1,0 +1,164 @@
+"""Files written by version 0.1 still open and mean the same."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding  # type: ignore[import-untyped] # ships no types
+import numpy as np
+import pytest
+import tifffile
+import xarray as xr
+from support.command_line import run
+
+from app.acquisition.devices import open_devices
+from app.bench.config import load_bench, parse_bench, write_bench
+from app.bench.recording_settings import RecordingSettings
+from app.recording.reader import Recording
+from app.recording.repeat import repeated
+from app.results.dataset import result_dataset
+from app.run_facts import software_facts
+from reconstruction.runtime.threads import one_blas_thread
+
+FILES = Path(__file__).parents[2] / "support" / "version_0_1"
+RECORDING = FILES / "recording"
+FRAMES = 4
+
+
+def has_same_rounding(recording: Recording) -> bool:
+    """Whether this processor and its libraries round as those of the recording."""
+    then, now = recording.run["versions"], software_facts()["versions"]
+    same = all(then[name] == now[name] for name in ("numpy", "scipy", "numba"))
+    return same and llvmlite.binding.get_host_cpu_name() == "znver4"
+
+
+def test_bench_of_0_1_loads_with_all_its_settings() -> None:
+    bench = load_bench(FILES / "bench.toml")
+    assert (bench.sensor.lenslet_rows, bench.sensor.lenslet_columns) == (3, 4)
+    assert bench.lattice is not None
+    assert bench.lattice.rotation_rad == 0.003
+    assert bench.reconstruction.refine
+    then, now = tomllib.loads((FILES / "bench.toml").read_text()), tomllib.loads(write_bench(bench))
+    for table, settings in then.items():
+        assert now[table] == now[table] | settings
+
+
+def test_recording_of_0_1_opens() -> None:
+    recording = Recording(RECORDING)
+    assert (len(recording), recording.is_complete, recording.ended_early) == (FRAMES, True, "")
+    assert recording.bench == load_bench(FILES / "bench.toml")
+    lines = [recording.line(index) for index in range(FRAMES)]
+    assert [(line.camera_index, line.start, line.bias) for line in lines] == [
+        (5, -1, 0),
+        (6, 0, 0),
+        (7, 1, 1),
+        (8, 2, 1),
+    ]
+    assert {(line.is_light_on, line.light_current_a, line.problem, line.valid) for line in lines} == {
+        (True, 0.35, "", 12)
+    }
+    start, displacement = recording.start(0), recording.displacement(3)
+    assert start is not None
+    assert displacement is not None
+    assert start.shape == displacement.shape == recording.bias(1).shape == (3, 4, 6, 2)
+    frame = recording.frame(2)
+    assert (frame.pixels.shape, frame.exposure_s, frame.em_gain, frame.index) == ((84, 108), 0.02, 4.0, 7)
+    np.testing.assert_array_equal(
+        frame.pixels, np.fromfile(RECORDING / "frames.zarr/0/c/2/0/0", "<u2").reshape(84, 108)
+    )
+
+
+def test_replay_repeats_the_results_of_0_1() -> None:
+    recording = Recording(RECORDING)
+    with one_blas_thread():
+        for made in repeated(recording):
+            assert made.registered is not None
+            assert made.wavefront is not None
+            now = made.registered.coefficients, made.wavefront.coefficients
+            then = recording.displacement(made.line.index), recording.coefficients(made.line.index)
+            for value, expected in zip(now, then, strict=True):
+                assert value is not None
+                assert expected is not None
+                np.testing.assert_allclose(value, expected, rtol=0, atol=1e-9)
+
+
+def test_replay_verifies_0_1_bit_by_bit(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    if not has_same_rounding(Recording(RECORDING)):
+        pytest.skip("another processor or library rounds differently: compared to 1e-9 above")
+    assert run(monkeypatch, "replay", RECORDING, "--verify") == 0
+    assert f"{FRAMES} frames, each bit-identical to what was recorded" in capsys.readouterr().out
+
+
+def test_recording_of_0_1_plays_as_a_camera() -> None:
+    camera = RecordingSettings(folder=str(RECORDING), pace="fastest")
+    recording = Recording(RECORDING)
+    with open_devices(replace(load_bench(FILES / "bench.toml"), camera=camera), lambda _: None) as devices:
+        devices.camera.start()
+        dark = devices.camera.read(1).pixels
+        devices.light.set_on(True)
+        reference = devices.camera.read(1).pixels
+        devices.stage.set_sample_in(True)
+        frames = [devices.camera.read(1).pixels for _ in range(FRAMES)]
+    assert dark.mean() == pytest.approx(recording.calibration(0).dark.mean.mean(), abs=2)  # type: ignore[union-attr]
+    assert reference.mean() == pytest.approx(recording.calibration(0).reference.mean.mean(), abs=2)
+    np.testing.assert_array_equal(frames, [recording.pixels(index) for index in range(FRAMES)])
+
+
+def test_recording_of_0_1_is_exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    recording = Recording(RECORDING)
+    for form, name in (("tiff", "r.tif"), ("csv", "r.csv"), ("netcdf", "r.nc"), ("psf", "psf.tif")):
+        assert run(monkeypatch, "export", RECORDING, "--to", form, "--out", tmp_path / name) == 0
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "r.tif"), [recording.pixels(at) for at in range(FRAMES)])
+    assert tifffile.imread(tmp_path / "psf.tif").sum(axis=(1, 2)) == pytest.approx(np.ones(9), rel=1e-5)
+    with (tmp_path / "r.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    with xr.open_dataset(tmp_path / "r.nc") as results:
+        for at, row in enumerate(rows):
+            expected = recording.coefficients(at)
+            assert expected is not None
+            assert float(row["e_5_2_rad"]) == float(results["coefficients"][at, 5, 2])
+            np.testing.assert_allclose(results["coefficients"][at], expected, rtol=0, atol=1e-9)
+
+
+def test_recording_of_0_1_is_reported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert run(monkeypatch, "report", RECORDING, "--out", tmp_path / "r.pdf") == 0
+    assert f"the report of {FRAMES} frames is in" in capsys.readouterr().out
+    assert (tmp_path / "r.pdf").read_bytes().count(b"/Type /Page ") == 2
+
+
+def test_damage_in_a_recording_of_0_1_is_found(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    shutil.copytree(RECORDING, tmp_path / "r")
+    (tmp_path / "r/frames.zarr/0/c/1/0/0").unlink()
+    assert run(monkeypatch, "recover", tmp_path / "r") == 0
+    assert "frame 1: the pixels are missing" in capsys.readouterr().out
+
+
+def schema(dataset: xr.Dataset) -> dict[Any, Any]:
+    """Dimensions, type and attributes of each variable."""
+    return {name: (each.dims, each.dtype.kind, each.attrs) for name, each in dataset.variables.items()}
+
+
+def test_result_of_0_1_has_the_names_dimensions_and_units_of_today() -> None:
+    with one_blas_thread():
+        wavefront = next(iter(repeated(Recording(RECORDING)))).wavefront
+    assert wavefront is not None
+    today = result_dataset(wavefront, with_psf=True)
+    with xr.open_dataset(FILES / "result.nc") as result:
+        assert result.attrs["software"] == "svwfs 0.1.0"
+        assert (result.attrs["frame"], result.attrs["dark"]) == ("frame.tif", "dark.tif")
+        assert parse_bench(result.attrs["bench"], "result.nc").field.view_columns == 2
+        assert {name: (dims, units) for name, (dims, _, units) in schema(result).items()} == {
+            name: (dims, units) for name, (dims, _, units) in schema(today).items()
+        }
+        np.testing.assert_allclose(
+            result["rms"], result["wavefront"].std(dim=("lenslet_row", "lenslet_column")), rtol=1e-12
+        )
