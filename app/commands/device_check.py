@@ -65,9 +65,9 @@ def _check_camera(reopen: Callable[[], Camera], begin: Callable[..., None]) -> I
         for check in camera_contract.CAMERA_CHECKS:
             yield _verdict(check, camera)
             camera.stop()
-        yield _verdict(camera_contract.check_closes_for_good, camera)
+        yield _verdict(camera_contract.check_closes, camera)
     with reopen() as camera:
-        yield _verdict(camera_contract.check_opens_anew, camera, reopen)
+        yield _verdict(camera_contract.check_reopens, camera, reopen)
 
 
 def _check_light(settings: Any, warn: Warn, begin: Callable[..., None]) -> Iterator[Verdict]:
@@ -81,9 +81,9 @@ def _check_light(settings: Any, warn: Warn, begin: Callable[..., None]) -> Itera
         for check in light_contract.LIGHT_CHECKS:
             yield _verdict(check, light)
             light.set_on(False)
-        yield _verdict(light_contract.check_closes_for_good, light)
+        yield _verdict(light_contract.check_closes, light)
     with reopen() as light:
-        yield _verdict(light_contract.check_opens_anew, light, reopen)
+        yield _verdict(light_contract.check_reopens, light, reopen)
 
 
 def _verdict(check: Callable[..., None], device: Camera | LightSource, *more: Any) -> Verdict:

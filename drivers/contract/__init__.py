@@ -1,1 +1,1 @@
-"""Contract checks that every device must pass."""
+"""Checks that every device must pass, in the tests and in `svwfs devices --check`."""

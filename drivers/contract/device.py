@@ -1,31 +1,31 @@
-"""What a device promises, as checks that can be run on any of them.
+"""Contract of all devices, and helpers of the contract checks.
 
-The tests run them on every device, simulated or real over its stand-in; `svwfs devices --check` on the one that is
-connected. A check takes a device that is open and at rest, and leaves it so.
+A check takes a device that is open and at rest, leaves it so, and raises `ContractBroken` if the device fails.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from drivers.device import Device, Property
 from drivers.errors import DeviceError
 
-Calls = Mapping[str, Callable[[], object]]  # by what they are called
+Calls = Mapping[str, Callable[[], object]]  # by name
 
 
 class ContractBroken(AssertionError):
-    """A device does not do what it promised; the text says what."""
+    """A device failed a check; the message says how."""
 
 
-def require(holds: bool, sentence: str) -> None:
-    """Raise `ContractBroken` with that sentence unless it holds."""
+def require(holds: bool, message: str) -> None:
+    """Raise `ContractBroken` unless the condition holds."""
     if not holds:
-        raise ContractBroken(sentence)
+        raise ContractBroken(message)
 
 
 def require_raises(kind: type[DeviceError], what: str, call: Callable[..., object], *arguments: object) -> None:
-    """Require that the call ends with an error of that kind."""
+    """Require that the call raises an error of this kind."""
     try:
         call(*arguments)
     except kind:
@@ -36,20 +36,26 @@ def require_raises(kind: type[DeviceError], what: str, call: Callable[..., objec
 
 
 def require_all_raise(kind: type[DeviceError], calls: Calls) -> None:
-    """Require that each of the calls ends with an error of that kind."""
+    """Require that each call raises an error of this kind."""
     for what, call in calls.items():
         require_raises(kind, what, call)
 
 
+def calls(device: Device, queries: tuple[str, ...], commands: Mapping[str, tuple[object, ...]]) -> Calls:
+    """Calls that read the queries and execute the commands with their arguments."""
+    reading: Calls = {name: partial(getattr, device, name) for name in queries}
+    return {**reading, **{name: partial(getattr(device, name), *given) for name, given in commands.items()}}
+
+
 def check_properties(device: Device) -> None:
-    """All it tells of itself can be written down: plain values by their names, its own name among them."""
-    told = device.properties()
+    """All properties are plain values, its name among them."""
+    properties = device.properties()
     require(bool(device.name.strip()), "it has no name")
-    require(told.get("name") == device.name, "its name is not among its properties")
-    for key, value in told.items():
+    require(properties.get("name") == device.name, "its name is not among its properties")
+    for key, value in properties.items():
         require(isinstance(value, Property), f"property {key} = {value!r} is no plain value")
 
 
 def describe(check: Callable[..., None]) -> str:
-    """First sentence of what the check says of itself."""
+    """First sentence of the check's docstring."""
     return (check.__doc__ or check.__name__).split(".\n")[0].split("\n\n")[0].strip().rstrip(".")

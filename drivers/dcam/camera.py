@@ -1,6 +1,6 @@
-"""A camera behind the DCAM-API: Hamamatsu's C9100-23B, and others as far as they offer the same properties.
+"""Hamamatsu cameras behind the DCAM-API: the C9100-23B, and others with the same properties.
 
-Whatever can be asked is asked, and asked again after each change of mode: nothing of a camera is tabulated here.
+Limits and modes are queried after each change of mode; nothing about a camera is tabulated here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from drivers.frame import Frame, Region
 
 
 class DcamCamera(Camera):
-    """One camera, open. The clock is that of the frames' host time and of all waiting."""
+    """An open camera; `clock` gives the host time of frames and measures timeouts."""
 
     def __init__(
         self,
@@ -41,26 +41,26 @@ class DcamCamera(Camera):
         self._settings = settings
         self._library = library or load_library(settings.library)
         self._clock = clock
-        self._capture: Capture | None = None  # while it runs
-        self._remains: Capture | None = None  # what a failed start or stop has left to be given back
+        self._capture: Capture | None = None  # while running
+        self._unreleased: Capture | None = None  # not yet released by a failed start or stop
         with ExitStack() as undo:
             cameras = session.begin(self._library)
-            undo.callback(self._leave, session.end, self._library)
-            found = session.choose(self._library, cameras, settings.device)
-            self._name = found.name
-            self._handle = _opened(self._library, found)
-            undo.callback(self._leave, self._library.call, "dcamdev_close", self._handle)
+            undo.callback(self._try, session.end, self._library)
+            camera = session.choose(self._library, cameras, settings.device)
+            self._name = camera.name
+            self._handle = _opened(self._library, camera)
+            undo.callback(self._try, self._library.call, "dcamdev_close", self._handle)
             self._values = Properties(self._library, self._handle)
             self._set_up(settings)
             self._undo = undo.pop_all()
 
     @property
     def name(self) -> str:
-        """Maker, model and serial number, as a person would say them."""
+        """Maker, model and serial number."""
         return self._name
 
     def properties(self) -> dict[str, Property]:
-        """All settings, every property that the camera has by Hamamatsu's own name, and what to beware of."""
+        """All settings, every DCAM property by Hamamatsu's name, and warnings."""
         common = super().properties()
         with self._access():
             strings: dict[str, Property] = {
@@ -69,7 +69,7 @@ class DcamCamera(Camera):
             return common | strings | self._values.readable() | {"warnings": "; ".join(self.warnings())}
 
     def warnings(self) -> tuple[str, ...]:
-        """Sentences about settings and states in which the pixels are not what a photon count should be."""
+        """Settings and states in which the pixels are not proportional to photons, in words."""
         with self._access():
             return pixel_warnings(self._values, has_em_gain=has_em_gain(self._values))
 
@@ -93,22 +93,21 @@ class DcamCamera(Camera):
         if settings.em_gain is not None:
             self.set_em_gain(settings.em_gain)
         with self._access():
-            for identifier, value in _wishes(settings).items():
+            for identifier, value in _simple_settings(settings).items():
                 if value is not None:
                     self._values.set(identifier, value)
 
     def _close(self) -> None:
-        capture = self._capture
-        if capture is not None:
-            capture.abort()
-        with self._lock:  # a reader in another thread has left
-            self._leave(self._stop)
-            self._leave(self._give_back)
+        if self._capture is not None:
+            self._capture.abort()
+        with self._lock:  # after a reader in another thread
+            self._try(self._stop)
+            self._try(self._release_ring)
             self._undo.close()
 
     @staticmethod
-    def _leave(step: Callable[..., object], *arguments: object) -> None:
-        """Take one step of letting go; there is nothing to be done where it fails, and the next is to be taken."""
+    def _try(step: Callable[..., object], *arguments: object) -> None:
+        """Take a step of closing, ignoring a failure."""
         with suppress(DeviceError):
             step(*arguments)
 
@@ -116,30 +115,29 @@ class DcamCamera(Camera):
         return read_capabilities(self._values, self._settings.pixel_pitch_m)
 
     def _prepare_em_gain(self) -> None:
-        """Let the EM gain be what it says, where the camera knows it, and protect the register."""
-        if self._values.has(Id.DIRECTEMGAIN_MODE) and self._values.get(Id.DIRECTEMGAIN_MODE) != ids.ON:
+        """Select the true EM gain scale, if available, and the register protection."""
+        if self._values.get_or(Id.DIRECTEMGAIN_MODE, ids.ON) != ids.ON:
             self._values.set(Id.DIRECTEMGAIN_MODE, ids.ON)
-        if self._values.has(Id.EMGAINPROTECT_MODE):
-            self._values.set(Id.EMGAINPROTECT_MODE, ids.ON if self._settings.em_gain_protection else ids.OFF)
+        self._values.set_if_present(Id.EMGAINPROTECT_MODE, ids.ON if self._settings.em_gain_protection else ids.OFF)
 
     @contextmanager
     def _changing_mode(self) -> Iterator[None]:
-        """Modes can be changed only where there is no ring."""
+        """Release the ring first, which blocks changes of mode."""
         with super()._changing_mode():
-            self._give_back()
+            self._release_ring()
             try:
                 yield
             finally:
-                self._values.look_again()
+                self._values.forget_list()
 
     @contextmanager
     def _restored_on_failure(self, identifier: Id) -> Iterator[None]:
-        """A refusal, at whichever step, leaves the value that was there before."""
+        """Restore the former value after a failure at any step."""
         before = self._values.get(identifier)
         try:
             yield
         except DeviceError:
-            self._leave(self._values.set, identifier, before)
+            self._try(self._values.set, identifier, before)
             raise
 
     def _read_exposure(self) -> float:
@@ -168,7 +166,7 @@ class DcamCamera(Camera):
         return AMPLIFIERS[round(self._values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL))]
 
     def _set_amplifier(self, amplifier: str) -> None:
-        if amplifier == self._read_amplifier():  # else the camera would begin with its defaults
+        if amplifier == self._read_amplifier():  # setting it again would reset the camera to its defaults
             return
         with self._restored_on_failure(Id.CCDMODE):
             self._values.set(Id.CCDMODE, ids.CCDMODE_EM if amplifier == "em" else ids.CCDMODE_NORMAL)
@@ -179,22 +177,19 @@ class DcamCamera(Camera):
         return round(self._values.get_or(Id.READOUTSPEED, 1))
 
     def _set_readout_speed(self, readout_speed: int) -> None:
-        if self._values.has(Id.READOUTSPEED):
-            self._values.set(Id.READOUTSPEED, readout_speed)
+        self._values.set_if_present(Id.READOUTSPEED, readout_speed)
 
     def _read_binning(self) -> int:
         return round(self._values.get_or(Id.BINNING, 1))
 
     def _set_binning(self, binning: int) -> None:
-        if self._values.has(Id.BINNING):
-            self._values.set(Id.BINNING, binning)
+        self._values.set_if_present(Id.BINNING, binning)
 
     def _read_trigger(self) -> str:
         return TRIGGERS.get(round(self._values.get_or(Id.TRIGGERSOURCE, 1)), "internal")
 
     def _set_trigger(self, trigger: str) -> None:
-        if self._values.has(Id.TRIGGERSOURCE):
-            self._values.set(Id.TRIGGERSOURCE, ids.TRIGGER_SOURCES[trigger])
+        self._values.set_if_present(Id.TRIGGERSOURCE, ids.TRIGGER_SOURCES[trigger])
 
     def _read_region(self) -> Region:
         whole = self.capabilities.sensor
@@ -208,7 +203,7 @@ class DcamCamera(Camera):
         return self._capture is not None
 
     def _start(self) -> None:
-        self._give_back()
+        self._release_ring()
         allowed = self.capabilities
         capture = Capture(
             self._values,
@@ -221,8 +216,8 @@ class DcamCamera(Camera):
         try:
             capture.begin()
         except DeviceError:
-            self._remains = capture
-            self._leave(self._give_back)
+            self._unreleased = capture
+            self._try(self._release_ring)
             raise
         self._capture = capture
 
@@ -230,18 +225,18 @@ class DcamCamera(Camera):
         if self._capture is None:
             return
         self._capture.stop()
-        self._capture, self._remains = None, self._capture
+        self._capture, self._unreleased = None, self._capture
         try:
-            self._give_back()
+            self._release_ring()
         except Disconnected:
             raise
-        except DeviceError:  # it takes no more frames; the rest is tried again before it is needed
+        except DeviceError:  # stopped; the release is tried again before the next use
             pass
 
-    def _give_back(self) -> None:
-        if self._remains is not None:
-            self._remains.end()
-            self._remains = None
+    def _release_ring(self) -> None:
+        if self._unreleased is not None:
+            self._unreleased.end()
+            self._unreleased = None
 
     def _read(self, timeout_s: float) -> Frame:
         if self._capture is None:
@@ -249,7 +244,7 @@ class DcamCamera(Camera):
         try:
             frame = self._capture.read(timeout_s)
         except WrongState:
-            self._leave(self._stop)
+            self._try(self._stop)
             raise
         if not frame.pixels[0].any() and not frame.pixels.any() and self._is_protected():
             raise DeviceError(
@@ -259,21 +254,20 @@ class DcamCamera(Camera):
         return frame
 
     def _is_protected(self) -> bool:
-        """Whether the black frame is the camera's own doing."""
         return (
             has_em_gain(self._values) and self._values.get_or(Id.EMGAINWARNING_STATUS, 0) == ids.EMGAINWARNING_PROTECTED
         )
 
 
-def _opened(library: DcamLibrary, found: ListedCamera) -> int:
-    asked = sized(DeviceOpen, index=found.index)
-    library.call("dcamdev_open", byref(asked))
-    handle: int = asked.hdcam
+def _opened(library: DcamLibrary, camera: ListedCamera) -> int:
+    request = sized(DeviceOpen, index=camera.index)
+    library.call("dcamdev_open", byref(request))
+    handle: int = request.hdcam
     return handle
 
 
-def _wishes(settings: DcamSettings) -> dict[Id, float | None]:
-    """Properties that nothing else depends on; what is None is left as it is."""
+def _simple_settings(settings: DcamSettings) -> dict[Id, float | None]:
+    """Independent properties; None leaves the camera's value."""
     return {
         Id.TRIGGERACTIVE: ids.TRIGGER_ACTIVE.get(settings.trigger_active or ""),
         Id.TRIGGERPOLARITY: ids.POLARITIES.get(settings.trigger_polarity or ""),

@@ -1,4 +1,4 @@
-"""What a camera allows in its present mode: asked, never tabulated."""
+"""Capabilities of a DCAM camera in its present mode."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from drivers.range import Range
 
 AMPLIFIERS = {ids.CCDMODE_NORMAL: "normal", ids.CCDMODE_EM: "em"}
 TRIGGERS = {number: name for name, number in ids.TRIGGER_SOURCES.items()}
-_SQUARE = 100  # binnings above this number are oblong: 102 is 1 x 2
+_SQUARE = 100  # larger numbers are oblong: 102 is 1 x 2
 
 
 def read_capabilities(values: Properties, pixel_pitch_m: float | None) -> CameraCapabilities:
-    """Ask the camera; the pixel pitch of the sensor overrides its own."""
+    """Query the camera; `pixel_pitch_m` of the sensor overrides the camera's value."""
     whole, step_px = sensor(values)
     speeds = values.limits(Id.READOUTSPEED).range if values.has(Id.READOUTSPEED) else Range(1, 1)
     return CameraCapabilities(
@@ -36,12 +36,12 @@ def read_capabilities(values: Properties, pixel_pitch_m: float | None) -> Camera
 
 
 def has_em_gain(values: Properties) -> bool:
-    """Whether the amplifier in use multiplies electrons."""
+    """True if the amplifier in use multiplies electrons."""
     return values.get_or(Id.CCDMODE, ids.CCDMODE_NORMAL) == ids.CCDMODE_EM
 
 
 def _modes(values: Properties, identifier: Id) -> tuple[int, ...]:
-    """The values of a mode; where the camera does not have it, the first is what all cameras do."""
+    """Values of a mode; (1,), the common default, if the camera lacks it."""
     return values.values(identifier) if values.has(identifier) else (1,)
 
 

@@ -1,4 +1,4 @@
-"""Frames on their way out of the DCAM-API's ring, from the start of a capture to its end."""
+"""Capture of frames through the DCAM-API's ring buffer."""
 
 from __future__ import annotations
 
@@ -18,18 +18,16 @@ from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitSta
 from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
 from drivers.frame import Frame
 
-_SLICE_S = (
-    0.1  # the longest wait in the library, and how long silence lasts before the camera is asked whether it lives
-)
+_SLICE_S = 0.1  # longest wait in the library; after that much silence the camera's status is polled
 _SEQUENCE = -1
 _FRAMEREADY, _STOPPED = 0x2, 0x10
 _BUSY = 1
-_STAMPS = 2**16  # some interfaces carry no more bits of the camera's own count
+_STAMPS = 2**16  # some interfaces carry only 16 bits of the camera's frame number
 
 
 @dataclass(frozen=True, slots=True)
 class InForce:
-    """Exposure and gain of all frames from this index on."""
+    """Exposure and gain from this frame index on."""
 
     first_index: int
     exposure_s: float
@@ -37,10 +35,10 @@ class InForce:
 
 
 class Capture:
-    """A capture: begun, read from, stopped, ended.
+    """One capture, from `begin` to `end`.
 
-    The number of a frame is the library's count of transferred frames, and those lost before their transfer, which
-    the camera's own count of its frames tells. With the software trigger, whoever waits for a frame lets it begin.
+    A frame's index is the library's count of transferred frames plus those lost before transfer, which follow from the
+    camera's own frame numbers. With the software trigger, `read` fires the trigger.
     """
 
     def __init__(
@@ -60,12 +58,12 @@ class Capture:
         self._ring_frames = ring_frames
         self._clock = clock
         self._is_fired_here = trigger == "software"
-        self._is_exposing = trigger == "internal"  # a frame is under way, as far as is known
+        self._is_exposing = trigger == "internal"  # as far as known
         self._in_force = deque([InForce(0, *in_force)])
-        self._next = 0  # in the library's count
-        self._lost = 0  # before their transfer
-        self._last: tuple[int, int] | None = None  # the library's and the camera's count of the last frame
-        self._is_loss_told = False
+        self._next = 0  # library's number of the next frame
+        self._lost = 0  # before transfer
+        self._last: tuple[int, int] | None = None  # library's and camera's number of the last frame
+        self._is_loss_reported = False
         self._is_aborted = False
         self._has_stamps = self._values.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
         self._seen_alive_s = clock()
@@ -73,7 +71,7 @@ class Capture:
         self._to_undo: list[Callable[[], None]] = []
 
     def begin(self) -> None:
-        """Have frames taken; when a step fails, it is to be ended."""
+        """Start the capture; after a failure call `end`."""
         call = self._library.call
         opened = sized(WaitOpen, hdcam=self._handle)
         call("dcamwait_open", byref(opened))
@@ -84,26 +82,26 @@ class Capture:
         call("dcamcap_start", self._handle, _SEQUENCE)
 
     def stop(self) -> None:
-        """Take no more frames; what is left is to be ended."""
-        with suppress(WrongState):  # it has stopped by itself
+        """Stop taking frames; `end` is still needed."""
+        with suppress(WrongState):  # it had stopped on its own
             self._library.call("dcamcap_stop", self._handle)
 
     def end(self) -> None:
-        """Give the ring back; when a step fails, it can be tried again from there."""
+        """Release the ring; after a failure it can be called again."""
         while self._to_undo:
             self._to_undo[-1]()
             self._to_undo.pop()
 
     def abort(self) -> None:
-        """Let `read` in another thread come back at once with `WrongState`; the capture can only be ended then."""
+        """Make `read` in another thread raise `WrongState` at once; only `end` may follow."""
         self._is_aborted = True
-        with suppress(DeviceError):  # then it waits for the rest of its slice
+        with suppress(DeviceError):  # then `read` finishes its slice
             self._library.call("dcamwait_abort", self._wait_handle)
 
     def change(self, exposure_s: float, em_gain: float) -> None:
-        """Note settings that were changed just now: they hold from the frame after the one that is being exposed.
+        """Record changed settings; they hold from the frame after the one being exposed, if any.
 
-        The DCAM-API does not tell what each frame was taken with. Where a trigger is awaited, none is being exposed.
+        The DCAM-API does not report the settings of a frame.
         """
         first = self._transferred().nFrameCount + self._lost + self._is_exposing
         if self._in_force[-1].first_index == first:
@@ -111,9 +109,9 @@ class Capture:
         self._in_force.append(InForce(first, exposure_s, em_gain))
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the oldest frame not yet read, or wait for it; the software trigger is fired for it, once.
+        """Return the oldest unread frame, firing the software trigger for it once.
 
-        Raises `WrongState` when the capture has ended by itself or was aborted: it is to be ended then.
+        Raises `WrongState` if the capture has stopped or was aborted; `end` must follow.
         """
         deadline_s = self._clock() + timeout_s
         while not self._is_aborted:
@@ -130,41 +128,37 @@ class Capture:
         raise WrongState("the camera is being closed")
 
     def _fire(self) -> None:
-        """Let an exposure begin; a camera that cannot take the trigger yet is asked again."""
+        """Fire the software trigger; if the camera is not ready, the next call tries again."""
         try:
             self._library.call("dcamcap_firetrigger", self._handle, 0)
         except WrongState:
-            self._ask_at_once()
+            self._check_alive(at_once=True)
         else:
             self._is_exposing = True
 
-    def _ask_at_once(self) -> None:
-        """Ask the camera whether it lives, however short its silence was."""
-        self._seen_alive_s = -math.inf
-        self._check_alive()
-
     def _wait(self, duration_s: float) -> None:
-        """Wait for the next event, at most so long."""
-        asked = sized(WaitStart, eventmask=_FRAMEREADY | _STOPPED, timeout=math.ceil(1e3 * duration_s))
+        """Wait for the next event."""
+        request = sized(WaitStart, eventmask=_FRAMEREADY | _STOPPED, timeout=math.ceil(1e3 * duration_s))
         try:
-            self._library.call("dcamwait_start", self._wait_handle, byref(asked))
+            self._library.call("dcamwait_start", self._wait_handle, byref(request))
         except DeviceTimeout:
             self._check_alive()
         except FrameLost:
-            self._is_loss_told = True
-            self._note_end()
+            self._is_loss_reported = True
+            self._note_exposure_end()
         else:
-            if asked.eventhappened & _STOPPED:
-                self._ask_at_once()
+            if request.eventhappened & _STOPPED:
+                self._check_alive(at_once=True)
 
-    def _note_end(self) -> None:
-        """Note that the exposure is over that was begun here."""
+    def _note_exposure_end(self) -> None:
         if self._is_fired_here:
             self._is_exposing = False
 
-    def _check_alive(self) -> None:
-        """Ask a camera that has been silent whether it is there and capturing."""
+    def _check_alive(self, *, at_once: bool = False) -> None:
+        """Raise if a camera, silent for a slice, is gone or has stopped."""
         now_s = self._clock()
+        if at_once:
+            self._seen_alive_s = -math.inf
         if now_s - self._seen_alive_s < 0.9 * _SLICE_S:
             return
         if self._values.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
@@ -176,25 +170,25 @@ class Capture:
         self._seen_alive_s = now_s
 
     def _oldest(self) -> Frame | None:
-        """The oldest frame that is whole in the ring, if any; what was overwritten is skipped, and shows as a gap."""
-        told = self._transferred()
-        waiting = told.nFrameCount - self._next
+        """The oldest intact frame in the ring, if any; overwritten ones are skipped."""
+        transferred = self._transferred()
+        waiting = transferred.nFrameCount - self._next
         if waiting <= 0:
             return None
-        if waiting >= self._ring_frames:  # half of the ring is given up, so that the next are not overwritten, too
-            self._next = told.nFrameCount - self._ring_frames // 2
+        if waiting >= self._ring_frames:  # skip half of the ring, so that the next frames are not overwritten, too
+            self._next = transferred.nFrameCount - self._ring_frames // 2
         number = self._next
-        self._next += 1  # also when its copying fails
-        self._note_end()
-        slot = (told.nNewestFrameIndex - (told.nFrameCount - 1 - number)) % self._ring_frames
+        self._next += 1  # also if its copy fails
+        self._note_exposure_end()
+        slot = (transferred.nNewestFrameIndex - (transferred.nFrameCount - 1 - number)) % self._ring_frames
         pixels, copied = self._copy(slot)
         host_time_s = self._clock()
-        if self._transferred().nFrameCount - number >= self._ring_frames:  # overwritten meanwhile
+        if self._transferred().nFrameCount - number >= self._ring_frames:  # overwritten during the copy
             return None
         return self._frame(number, pixels, copied, host_time_s)
 
     def _copy(self, slot: int) -> tuple[NDArray[np.uint16], BufferFrame]:
-        """Copy a frame out of the ring into an array of its own."""
+        """Copy a frame out of the ring."""
         rows, columns = self._shape
         pixels = np.empty(self._shape, np.uint16)
         copied = sized(
@@ -220,25 +214,25 @@ class Capture:
         return Frame(
             pixels,
             index,
-            camera_time_s or host_time_s,  # 0 where nobody stamps the frames
+            camera_time_s or host_time_s,  # 0 without time stamps
             host_time_s,
             in_force.exposure_s,
             in_force.em_gain,
         )
 
     def _count_lost(self, number: int, stamp: int) -> None:
-        """Count the frames that the camera has taken but the library has never seen."""
+        """Count the frames that the camera took but the library never received."""
         if self._has_stamps and self._last is not None:
             last_number, last_stamp = self._last
             missing = (stamp - last_stamp - (number - last_number)) % _STAMPS
-            if missing < _STAMPS // 2:  # else the stamps began anew
+            if missing < _STAMPS // 2:  # else the camera restarted its numbers
                 self._lost += missing
-        elif not self._has_stamps and self._is_loss_told:  # at least one
+        elif not self._has_stamps and self._is_loss_reported:  # at least one
             self._lost += 1
-        self._is_loss_told = False
+        self._is_loss_reported = False
         self._last = number, stamp
 
     def _transferred(self) -> TransferInfo:
-        told = sized(TransferInfo)
-        self._library.call("dcamcap_transferinfo", self._handle, byref(told))
-        return told
+        answer = sized(TransferInfo)
+        self._library.call("dcamcap_transferinfo", self._handle, byref(answer))
+        return answer

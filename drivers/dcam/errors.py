@@ -1,4 +1,4 @@
-"""What each error of the DCAM-API means at the bench: one table."""
+"""Translation of DCAM-API error codes to device errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from drivers.errors import (
 
 
 class NotThere(Unsupported):
-    """The camera has no such property, or no further one."""
+    """The camera has no such property, or no next one."""
 
 
 _GONE = "the camera is gone: check its power and cable, then connect again"
@@ -23,14 +23,14 @@ _NOT_NOW = "the camera cannot do this in its present state"
 _TAKEN = "the camera cannot be opened: another program holds it (close it), or the camera is switched off"
 _NO_DRIVER = "Hamamatsu's driver for the camera's interface is missing or damaged: install the DCAM-API again"
 _NO_CAMERA = "no Hamamatsu camera was found: check its power and cable, and that no other program holds it"
-_DAMAGED = "a frame was lost or damaged on its way"
+_DAMAGED = "a frame was lost or damaged in transfer"
 _REFUSED = "the camera refused the value"
 _NOT_THERE = "this camera cannot do this, or not in its present mode"
 
 # Codes as in Hamamatsu's header, unsigned; the library returns them as negative numbers.
 ERRORS: dict[int, tuple[str, type[DeviceError], str]] = {
     0x80000101: ("BUSY", WrongState, _NOT_NOW),
-    0x80000102: ("ABORT", WrongState, "the waiting for a frame was broken off"),
+    0x80000102: ("ABORT", WrongState, "the wait for a frame was aborted"),
     0x80000103: ("NOTREADY", WrongState, _NOT_NOW),
     0x80000104: ("NOTSTABLE", WrongState, _NOT_NOW),
     0x80000105: ("UNSTABLE", WrongState, _NOT_NOW),
@@ -38,11 +38,7 @@ ERRORS: dict[int, tuple[str, type[DeviceError], str]] = {
     0x80000107: ("NOTBUSY", WrongState, _NOT_NOW),
     0x80000110: ("EXCLUDED", Busy, _TAKEN),
     0x80000201: ("NORESOURCE", DeviceError, "the computer lacks a resource that the camera needs"),
-    0x80000203: (
-        "NOMEMORY",
-        DeviceError,
-        "the computer lacks the memory for the frames: ask for a smaller ring_frames",
-    ),
+    0x80000203: ("NOMEMORY", DeviceError, "the computer lacks memory for the frames: lower camera.ring_frames"),
     0x80000204: ("NOMODULE", Unsupported, _NO_DRIVER),
     0x80000205: ("NODRIVER", Unsupported, _NO_DRIVER),
     0x80000206: ("NOCAMERA", Disconnected, _NO_CAMERA),
@@ -81,7 +77,7 @@ ERRORS: dict[int, tuple[str, type[DeviceError], str]] = {
 
 
 def error_of(code: int, what: str) -> DeviceError:
-    """Return the error for a code, signed or not, that came back from `what`."""
+    """Return the error for a code, signed or not, that `what` returned."""
     unsigned = code & 0xFFFFFFFF
     name, kind, sentence = ERRORS.get(unsigned, ("unknown", DeviceError, "the camera reports an error"))
     return kind(f"{sentence} ({what}: {name}, {unsigned:08x})")

@@ -1,4 +1,4 @@
-"""Hamamatsu's library, loaded: its functions with their prototypes, and every failure as one of our errors."""
+"""Hamamatsu's DCAM-API library: functions with prototypes, failures as device errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.errors import Disconnected, Unsupported
 
 FILE = "dcamapi.dll" if sys.platform == "win32" else "libdcamapi.so"
 
-_HANDLE = c_void_p  # without a prototype, 64 bits would be cut to 32
+_HANDLE = c_void_p  # without prototypes ctypes would pass 32 bits
 PROTOTYPES: dict[str, tuple[type, ...]] = {
     "dcamapi_init": (POINTER(s.Init),),
     "dcamapi_uninit": (),
@@ -44,7 +44,7 @@ PROTOTYPES: dict[str, tuple[type, ...]] = {
 
 
 class DcamLibrary:
-    """The DCAM-API's functions, by their names."""
+    """The DCAM-API's functions by name."""
 
     def __init__(self, path: str) -> None:
         try:
@@ -57,7 +57,7 @@ class DcamLibrary:
             ) from error
 
     def call(self, name: str, *arguments: object) -> None:
-        """Call a function; raise what its error code means."""
+        """Call a function; raise the error for its code."""
         try:
             code = self._functions[name](*arguments)
         except OSError as error:  # Windows: the library crashed
@@ -68,11 +68,11 @@ class DcamLibrary:
 
 @cache
 def load_library(path: str = "") -> DcamLibrary:
-    """Return the library at this path; "" takes it from where it is installed. A process loads it once."""
+    """Return the library at this path, "" for the installed one; loaded once per process."""
     return DcamLibrary(path or FILE)
 
 
 def _typed(function: Callable[..., int], types: tuple[type, ...]) -> Callable[..., int]:
-    function.argtypes = types  # type: ignore[attr-defined] # a function of ctypes
-    function.restype = c_int32  # type: ignore[attr-defined] # likewise
+    function.argtypes = types  # type: ignore[attr-defined] # a ctypes function
+    function.restype = c_int32  # type: ignore[attr-defined] # the same
     return function

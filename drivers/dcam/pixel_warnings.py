@@ -1,4 +1,4 @@
-"""In which settings and states a camera's pixels are not proportional to photons, in words."""
+"""Warnings about settings and states in which pixels are not proportional to photons."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from drivers.dcam import property_ids as ids
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 
-# The value at which it does nothing, and what it does otherwise.
+# Harmless value, and the effect of any other.
 _FILTERS = {
     Id.RECURSIVEFILTER: (
         ids.OFF,
@@ -23,31 +23,31 @@ _FILTERS = {
 
 
 def pixel_warnings(values: Properties, *, has_em_gain: bool) -> tuple[str, ...]:
-    """Ask the camera for everything that a person should know before trusting its pixels; nothing is the rule."""
-    found = [
+    """Query the camera and return the warnings, normally none."""
+    warnings = [
         sentence
         for identifier, (harmless, sentence) in _FILTERS.items()
         if values.get_or(identifier, harmless) != harmless
     ]
     triggered = values.get_or(Id.TRIGGERSOURCE, 1) == ids.TRIGGER_SOURCES["external"]
     if triggered and values.get_or(Id.TRIGGERACTIVE, 1) != ids.TRIGGER_ACTIVE["edge"]:
-        found.append("the trigger's pulses make the exposure, not the time that is set")
+        warnings.append("the trigger pulses determine the exposure, not the set time")
     if has_em_gain:
-        found += _of_em_gain(values)
+        warnings += _of_em_gain(values)
     cooler = values.get_or(Id.SENSORCOOLERSTATUS, 0)
     if cooler < 0 or cooler == ids.COOLERSTATUS_WARNING:
         temperature = values.get(Id.SENSORTEMPERATURE)
-        found.append(f"the sensor's cooler is in trouble at {temperature:g} degC: dark current is high")
-    return tuple(found)
+        warnings.append(f"the sensor's cooler reports a fault at {temperature:g} degC: dark current is high")
+    return tuple(warnings)
 
 
 def _of_em_gain(values: Properties) -> list[str]:
-    found = []
+    warnings = []
     if values.get_or(Id.DIRECTEMGAIN_MODE, ids.OFF) != ids.ON:
-        found.append("the EM gain is a number on the camera's own scale, not the true multiplication")
+        warnings.append("the EM gain is a number on the camera's own scale, not the true multiplication")
     match values.get_or(Id.EMGAINWARNING_STATUS, 1):
         case ids.EMGAINWARNING_WARNING:
-            found.append("too much light for this EM gain: it ages the multiplication register")
+            warnings.append("too much light for this EM gain: it ages the multiplication register")
         case ids.EMGAINWARNING_PROTECTED:
-            found.append("the camera protects its EM register from too much light: its frames are black")
-    return found
+            warnings.append("the camera protects its EM register from too much light: its frames are black")
+    return warnings

@@ -1,4 +1,4 @@
-"""The properties of an open camera: read, written, and asked for their limits."""
+"""Properties of an open DCAM camera."""
 
 from __future__ import annotations
 
@@ -20,61 +20,61 @@ _KNOWN_ATTRIBUTES = sum(Attribute)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a property is and allows at this moment."""
+    """Type and present limits of a property."""
 
     range: Range
-    step: float  # 0 where there is none
-    kind: int  # of value
+    step: float  # 0 if none
+    kind: int  # value type
     attribute: Attribute
-    elements: int  # the property that tells how many elements an array has, 0 where it is none
+    elements: int  # property with the number of array elements; 0 for a scalar
     element_step: int
 
 
 class Properties:
-    """Reads and writes the properties of one open camera by their numbers; every value is a float on the wire."""
+    """Reads and writes properties by number; DCAM passes every value as a float."""
 
     def __init__(self, library: DcamLibrary, handle: int) -> None:
         self.library = library
         self.handle = handle
-        self._known: frozenset[int] | None = None
+        self._known: frozenset[int] | None = None  # all properties in the present mode
 
-    def look_again(self) -> None:
-        """Ask anew which properties there are, as after a change of mode."""
+    def forget_list(self) -> None:
+        """Query the list of properties again, as needed after a change of mode."""
         self._known = None
 
     def limits(self, identifier: int) -> Limits:
-        """What the property allows in the present mode."""
-        told = sized(PropertyAttribute, iProp=identifier)
-        self.library.call("dcamprop_getattr", self.handle, byref(told))
-        unsigned = told.attribute & 0xFFFFFFFF
+        """Limits in the present mode."""
+        answer = sized(PropertyAttribute, iProp=identifier)
+        self.library.call("dcamprop_getattr", self.handle, byref(answer))
+        unsigned = answer.attribute & 0xFFFFFFFF
         attribute = Attribute(unsigned & _KNOWN_ATTRIBUTES)
         return Limits(
-            Range(told.valuemin, told.valuemax),
-            told.valuestep if attribute & Attribute.HASSTEP else 0.0,
+            Range(answer.valuemin, answer.valuemax),
+            answer.valuestep if attribute & Attribute.HASSTEP else 0.0,
             unsigned & TYPE_MASK,
             attribute,
-            told.iProp_NumberOfElement,
-            told.iPropStep_Element,
+            answer.iProp_NumberOfElement,
+            answer.iPropStep_Element,
         )
 
     def has(self, identifier: int) -> bool:
-        """Whether the camera has the property at all, in its present mode."""
+        """True if the camera has the property in its present mode."""
         if self._known is None:
             self._known = frozenset(self._identifiers())
         return identifier in self._known
 
     def get(self, identifier: int) -> float:
-        """The value in force."""
+        """Value in force."""
         value = c_double()
         self.library.call("dcamprop_getvalue", self.handle, identifier, byref(value))
         return value.value
 
     def get_or(self, identifier: int, default: float) -> float:
-        """The value in force, or the default where the camera does not have the property."""
+        """Value in force, or the default if the camera lacks the property."""
         return self.get(identifier) if self.has(identifier) else default
 
     def set(self, identifier: int, value: float) -> float:
-        """Write a value; return the one that the camera took."""
+        """Write a value, rounded to its step; return the one in force."""
         allowed = self.limits(identifier)
         if allowed.step > 0 and not allowed.attribute & Attribute.AUTOROUNDING:
             steps = round((value - allowed.range.minimum) / allowed.step)
@@ -87,47 +87,52 @@ class Properties:
             raise BadValue(f"{name} = {value:g}, allowed are {least:g} ... {most:g}: {error}") from error
         return taken.value
 
+    def set_if_present(self, identifier: int, value: float) -> None:
+        """Write a value if the camera has the property."""
+        if self.has(identifier):
+            self.set(identifier, value)
+
     def values(self, identifier: int) -> tuple[int, ...]:
-        """All values that a mode or a whole number can take now."""
+        """All present values of a mode or an integer."""
         allowed = self.limits(identifier).range
         value = c_double(allowed.minimum)
-        found = [round(value.value)]
+        values = [round(value.value)]
         while value.value < allowed.maximum:
             try:
                 self.library.call("dcamprop_queryvalue", self.handle, identifier, byref(value), OPTION_NEXT)
-            except (BadValue, NotThere):  # there is no next
+            except (BadValue, NotThere):  # no next one
                 break
-            found.append(round(value.value))
-        return tuple(found)
+            values.append(round(value.value))
+        return tuple(values)
 
     def name(self, identifier: int) -> str:
-        """Hamamatsu's own name of the property."""
+        """Hamamatsu's name of the property."""
         text = create_string_buffer(_TEXT_BYTES)
         self.library.call("dcamprop_getname", self.handle, identifier, text, _TEXT_BYTES)
         return text.value.decode(errors="replace")
 
     def text(self, identifier: int, value: float) -> str:
-        """Hamamatsu's own word for a value of a mode."""
+        """Hamamatsu's text for a value of a mode."""
         text = create_string_buffer(_TEXT_BYTES)
-        asked = sized(PropertyValueText, iProp=identifier, value=value, textbytes=_TEXT_BYTES)
-        asked.text = cast(text, c_char_p)
-        self.library.call("dcamprop_getvaluetext", self.handle, byref(asked))
+        request = sized(PropertyValueText, iProp=identifier, value=value, textbytes=_TEXT_BYTES)
+        request.text = cast(text, c_char_p)
+        self.library.call("dcamprop_getvaluetext", self.handle, byref(request))
         return text.value.decode(errors="replace")
 
     def readable(self) -> dict[str, Property]:
-        """Every property that can be read, by Hamamatsu's names; one that refuses says why in its place."""
-        found: dict[str, Property] = {}
+        """All readable properties by Hamamatsu's names; one that fails holds the error message."""
+        readable: dict[str, Property] = {}
         for identifier in self._identifiers():
             allowed = self.limits(identifier)
             if allowed.attribute & Attribute.READABLE:
                 name = self.name(identifier)
                 try:
-                    found[name] = self._worded(identifier, allowed)
+                    readable[name] = self._worded(identifier, allowed)
                 except Disconnected:
                     raise
                 except DeviceError as error:
-                    found[name] = str(error)
-        return found
+                    readable[name] = str(error)
+        return readable
 
     def _worded(self, identifier: int, allowed: Limits) -> Property:
         value = self.get(identifier)
@@ -136,7 +141,7 @@ class Properties:
         return value if allowed.kind == TYPE_REAL else round(value)
 
     def _identifiers(self) -> Iterator[int]:
-        """All properties, and behind each array its further elements, which are not enumerated."""
+        """All properties, with the array elements, which DCAM does not enumerate."""
         identifier = c_int32(0)
         while self._advance(identifier):
             yield identifier.value
@@ -148,6 +153,6 @@ class Properties:
     def _advance(self, identifier: c_int32) -> bool:
         try:
             self.library.call("dcamprop_getnextid", self.handle, byref(identifier), 0)
-        except NotThere:  # there is no other
+        except NotThere:  # no next one
             return False
         return identifier.value != 0

@@ -1,4 +1,4 @@
-"""Numbers of those DCAM properties, and of their values, that the driver itself uses."""
+"""DCAM properties and values that the driver uses, by number."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum, IntFlag
 
 
 class Id(IntEnum):
-    """Properties."""
+    """Property numbers."""
 
     TRIGGERSOURCE = 0x00100110
     TRIGGERACTIVE = 0x00100120
@@ -64,7 +64,7 @@ OUTPUTS = {"low": 1, "exposure": 2, "programmable": 3, "trigger ready": 4, "high
 
 
 class Attribute(IntFlag):
-    """What can be done with a property."""
+    """Attributes of a property."""
 
     HASSTEP = 0x40000000
     HASVALUETEXT = 0x10000000

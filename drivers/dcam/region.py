@@ -1,4 +1,4 @@
-"""The part of the sensor that is read out, in the properties of the camera."""
+"""Sensor region of a DCAM camera (its subarray properties)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.frame import Region
 
 
 def sensor(values: Properties) -> tuple[Region | None, int]:
-    """Return the whole sensor, None where no part of it can be chosen, and the steps (px) of a part."""
+    """Return the whole sensor, None if it has no subarrays, and their step in pixels."""
     if not values.has(Id.SUBARRAYMODE):
         return None, 1
     rows, columns, top, left = (
@@ -23,7 +23,7 @@ def sensor(values: Properties) -> tuple[Region | None, int]:
 
 
 def read_region(values: Properties, whole: Region) -> Region:
-    """Return the part of the whole sensor that is in force."""
+    """Return the region in force."""
     if values.get(Id.SUBARRAYMODE) != ON:
         return whole
     top, left, rows, columns = (
@@ -34,7 +34,7 @@ def read_region(values: Properties, whole: Region) -> Region:
 
 
 def set_region(values: Properties, region: Region, whole: Region) -> Region:
-    """Read out another part; return the one in force. A refusal, at whichever step, leaves the one before."""
+    """Change the region and return the one in force; a failure restores the former one."""
     before = read_region(values, whole)
     try:
         _write_region(values, region, whole)
@@ -46,7 +46,7 @@ def set_region(values: Properties, region: Region, whole: Region) -> Region:
 
 
 def _write_region(values: Properties, region: Region, whole: Region) -> None:
-    """At every step the region lies on the sensor: from its corner, first the size, then the position."""
+    """Write position 0, size, position, so that the region lies on the sensor at every step."""
     values.set(Id.SUBARRAYMODE, OFF)
     if region == whole:
         return

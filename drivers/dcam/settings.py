@@ -1,4 +1,4 @@
-"""What a bench's TOML says to a Hamamatsu camera: `[camera]` with driver "dcam"."""
+"""Bench settings of a Hamamatsu camera: `[camera]` with driver "dcam"."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from drivers.frame import Region
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DcamSettings:
-    """How a camera behind the DCAM-API is found and set; what is None is left to the camera.
+    """Selection and settings of a DCAM camera; None keeps the camera's value.
 
-    What depends on the mode (exposure, EM gain, binning, region) is checked by the camera itself when it is opened.
+    Opening the camera checks what depends on its mode: exposure, EM gain, binning, region.
     """
 
     driver: Literal["dcam"] = "dcam"
-    device: str = ""  # its serial number, or "0" for the first; "" takes the only one there is
-    library: str = ""  # path of dcamapi.dll or libdcamapi.so, where it is not found by itself
-    pixel_pitch_m: float | None = None  # of the sensor; only where the camera does not tell it itself
+    device: str = ""  # serial number, or "0" for the first; "" takes the only one
+    library: str = ""  # path of dcamapi.dll or libdcamapi.so if not installed in the standard place
+    pixel_pitch_m: float | None = None  # of the sensor, if the camera does not report it
     amplifier: Literal["normal", "em"] | None = None
-    readout_speed: int | None = None  # from 1, the slowest; it limits the exposure, and the normal amplifier has 1 only
+    readout_speed: int | None = None  # from 1, the slowest; limits the exposure; the normal amplifier has only 1
     exposure_s: float | None = None
     em_gain: float | None = None
-    em_gain_protection: bool = True  # the camera blackens its frames rather than let too much light age its register
-    em_gain_protection_frames: int | None = None  # after so many frames of too much light
-    em_gain_warning_level: int | None = None  # 1 ... 3; at 3 the least light warns
+    em_gain_protection: bool = True  # black frames instead of too much light, which ages the EM register
+    em_gain_protection_frames: int | None = None  # with too much light, before it acts
+    em_gain_warning_level: int | None = None  # 1 ... 3, the most sensitive
     binning: int = 1
     region: Region | None = None  # the whole sensor
     trigger: Literal["internal", "external", "software"] = "internal"
@@ -36,7 +36,7 @@ class DcamSettings:
     output: Literal["low", "exposure", "programmable", "trigger ready", "high"] | None = None  # of the first connector
     output_polarity: Literal["negative", "positive"] | None = None
     cooler: Literal["off", "on", "max"] | None = None
-    ring_frames: int = 128  # that may wait for the program before the oldest is overwritten
+    ring_frames: int = 128  # buffered before the oldest is overwritten
 
     def __post_init__(self) -> None:
         delay_s, level, frames = self.trigger_delay_s, self.em_gain_warning_level, self.em_gain_protection_frames

@@ -1,4 +1,4 @@
-"""The structures of the DCAM-API 4, as they lie in memory where pointers have 64 bits."""
+"""Structures of the DCAM-API 4, laid out for 64-bit pointers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ S = TypeVar("S", bound=Structure)
 
 
 def sized(kind: type[S], **values: Any) -> S:
-    """Return a structure that tells its own size in its first member, as every call demands."""
+    """Return a structure whose first member is its own size, as every call requires."""
     made = kind(**values)
     setattr(made, made._fields_[0][0], sizeof(kind))
     return made
@@ -65,7 +65,7 @@ class PropertyValueText(Structure):
 
 
 class TimeStamp(Structure):
-    """When a frame was taken, on the clock of the camera."""
+    """Time of a frame on the camera's clock."""
 
     _fields_: ClassVar[Fields] = [("sec", c_uint32), ("microsec", c_int32)]
 

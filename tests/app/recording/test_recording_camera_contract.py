@@ -106,7 +106,7 @@ class TestRecordedCameraOnAStick(CameraFaultContract):
     def reopen(self, faults: Stick) -> Callable[[], Camera]:
         return faults.open
 
-    def test_a_refused_setting_leaves_the_one_before(self, camera: Camera, faults: CameraFaults) -> None:
+    def test_refused_exposure_changes_nothing(self, camera: Camera, faults: CameraFaults) -> None:
         """There is none that is taken one time and refused another."""
         before_s = camera.exposure_s
         for exposure_s in (0.5 * before_s, 2 * before_s):

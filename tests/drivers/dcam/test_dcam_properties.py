@@ -166,7 +166,7 @@ def test_filters_in_the_camera_are_warned_of(camera: DcamCamera, identifier: Id,
 def test_a_warm_sensor_is_warned_of(stand_in: StandIn, camera: DcamCamera) -> None:
     stand_in.break_cooler()
     (warning,) = camera.warnings()
-    assert "cooler is in trouble at 12.5 degC" in warning
+    assert "cooler reports a fault at 12.5 degC" in warning
 
 
 def test_a_property_that_cannot_be_read_now_says_so_in_its_place(stand_in: StandIn, camera: DcamCamera) -> None:

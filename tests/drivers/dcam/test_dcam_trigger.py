@@ -58,7 +58,7 @@ def test_a_change_before_a_trigger_holds_for_its_frame(stand_in: StandIn) -> Non
 
 def test_an_exposure_that_pulses_make_is_warned_of(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="external", trigger_active="level") as camera:
-        assert camera.warnings() == ("the trigger's pulses make the exposure, not the time that is set",)
+        assert camera.warnings() == ("the trigger pulses determine the exposure, not the set time",)
 
 
 def test_with_the_software_trigger_each_read_makes_its_frame(stand_in: StandIn, camera: DcamCamera) -> None:
