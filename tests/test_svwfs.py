@@ -45,7 +45,10 @@ def test_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.failed == 0
 
 
-@pytest.mark.parametrize("document", [DOCS / "python.md", ROOT / "README.md"], ids=lambda path: path.name)
+DOCUMENTS = [DOCS / "python.md", DOCS / "paper.md", ROOT / "README.md"]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_documented_python_runs(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     program = python_blocks(document)

@@ -39,14 +39,14 @@ class NoiseFreeFrames:
             columns=camera.columns,
             pixel_fill_factor=camera.pixel_fill_factor,
         )
-        self._renderer = Renderer(self._scene)
+        self.renderer = Renderer(self._scene)
         self._light = np.float32(PHOTONS_PER_S_M2_A * bench.light_model.current_a)
 
     def reference(self, mask: str) -> Image:
         """Mean photons in a second on each pixel without the sample, (row, column)."""
         # It is the same whatever screen is in the bench.
         empty = replace(self._scene, simulation=replace(self._scene.simulation, seed=0, screen=Screen()))
-        rendered = self._remembered(empty, f"{mask}-reference", lambda: {"photons": self._renderer.reference(mask)})
+        rendered = self._remembered(empty, f"{mask}-reference", lambda: {"photons": self.renderer.reference(mask)})
         return rendered["photons"]
 
     def frame(self, mask: str, state: int = 0) -> NoiseFreeFrame:
@@ -55,8 +55,8 @@ class NoiseFreeFrames:
             self._scene,
             f"{mask}-{state}",
             lambda: {
-                "photons": self._renderer.state(mask, state),
-                "truth": self._renderer.truth_wavefront(state),
+                "photons": self.renderer.state(mask, state),
+                "truth": self.renderer.truth_wavefront(state),
             },
         )
         return NoiseFreeFrame(kept["photons"], kept["truth"])
@@ -65,7 +65,7 @@ class NoiseFreeFrames:
     def sample(self) -> Sample:
         """The phase screen in the beam."""
         try:
-            return self._renderer.sample
+            return self.renderer.sample
         except ValueError as error:
             raise InputError(f"simulation: {error}") from error
 

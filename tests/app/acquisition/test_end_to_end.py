@@ -12,25 +12,12 @@ from app.acquisition.devices import open_devices, simulated_bench
 from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition, Measurement
-from app.bench.config import Bench, load_bench
+from app.bench.config import load_bench
+from app.evaluation.noise_free import NoiseFreeFrames
 from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera
-from simulated_devices.rendering import Renderer, Scene
 
 FRAMES = 32  # at least
-
-
-def _scene(bench: Bench) -> Scene:
-    assert bench.lattice is not None
-    return Scene(
-        sensor=bench.sensor,
-        lattice=bench.lattice,
-        field=bench.field,
-        simulation=bench.simulation,
-        rows=bench.camera_model.rows,
-        columns=bench.camera_model.columns,
-        pixel_fill_factor=bench.camera_model.pixel_fill_factor,
-    )
 
 
 @pytest.mark.usefixtures("no_hurry")
@@ -54,7 +41,7 @@ def test_live_wavefronts_match_truth_without_loss() -> None:
     counts = measurements[-1].counts
     assert counts.lost == 0
     assert counts.reconstructed == counts.acquired == len(measurements)
-    renderer = Renderer(_scene(bench))
+    renderer = NoiseFreeFrames(bench).renderer
     truths = {state: renderer.truth_wavefront(state) for state in set(seen)}
     residual = [
         rms(measurement.wavefront.views - truths[state]).mean()
