@@ -13,6 +13,7 @@ Warp = Literal["translation", "affine", "quadratic", "cubic"]
 Method = Literal[
     "gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine", "block_flow", "demons", "ffd"
 ]
+PUPIL_MODES = range(3, 1001)  # allowed numbers
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10}
 
 
@@ -50,4 +51,5 @@ class ReconstructionSettings:
     refine: bool = False  # live: correct frames by the bias that a forward model finds in the background
 
     def __post_init__(self) -> None:
-        require({"pupil_modes must be 3 ... 1000": self.pupil_modes is None or 3 <= self.pupil_modes <= 1000})
+        limits = f"{PUPIL_MODES.start} ... {PUPIL_MODES[-1]}"
+        require({f"pupil_modes must be {limits}": self.pupil_modes is None or self.pupil_modes in PUPIL_MODES})

@@ -11,6 +11,8 @@ from app.measurement.routines.device_state import restored
 from app.measurement.routines.frames import FrameProgress, ShouldStop, next_frame
 from drivers.interface import BadValue, Camera, Devices
 
+AVERAGED_FRAMES = range(1, 10_001)  # allowed numbers
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Average:
@@ -68,5 +70,5 @@ def take_reference(devices: Devices, frames: int, *, progress: FrameProgress, sh
 
 
 def _check(frames: int) -> None:
-    if frames < 1:
-        raise BadValue(f"{frames} frames cannot be averaged: at least 1 is needed")
+    if frames not in AVERAGED_FRAMES:
+        raise BadValue(f"{frames} frames cannot be averaged: {AVERAGED_FRAMES.start} ... {AVERAGED_FRAMES[-1]} can")
