@@ -1,20 +1,30 @@
-"""What the wavefronts mean for an image: one view's modulation transfer, and how far one wavefront serves."""
+"""The analysis panel: MTF of the selected view, isoplanatism over the field, and a one-line summary."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
-from app.gui.analysis import Analysis
-from app.gui.plots import MtfPlot, StructurePlot
-from app.gui.quantities import number, place
-from app.gui.widgets import ElidedLabel
+from app.gui import theme
+from app.gui.adaptive_scale import RANGES, AdaptiveScale
+from app.gui.presentation import number, place
+from app.gui.widgets import ElidedLabel, label, unfocused
+from app.results.view_analysis import Analysis
+from reconstruction.arrays import Floats
+from reconstruction.quality.image_quality import Mtf
 from reconstruction.quality.isoplanatism import Isoplanatism
+
+_NO_VALUES = np.zeros(0)
+_SIDES = ("left", "bottom")
 
 
 class AnalysisPanel(QWidget):
-    """Two plots, and one sentence."""
+    """Two plots and the summary below them."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -31,12 +41,12 @@ class AnalysisPanel(QWidget):
         layout.addWidget(self.sentence)
 
     def show_analysis(self, analysis: Analysis) -> None:
-        """Show what was found out about one view and about the field."""
-        question = analysis.question
-        if question.view is None:
+        """Show the analysis of one view and of the field."""
+        request = analysis.request
+        if request.view is None:
             return
-        row, column = question.view
-        field = question.wavefront.field
+        row, column = request.view
+        field = request.wavefront.field
         _, where, _ = place(float(field.view_x_m[column]), float(field.view_y_m[row]))
         self.mtf.show_transfer(analysis.transfer, where)
         self.structure.show_structure(analysis.isoplanatism)
@@ -46,30 +56,162 @@ class AnalysisPanel(QWidget):
             self.sentence.setToolTip(f"{sentence}.\n{_explanation(analysis.isoplanatism)}")
 
     def show_nothing(self) -> None:
-        """Show that there is no wavefront now."""
+        """Clear the panel: there is no wavefront."""
         self.mtf.show_transfer(None, "")
         self.structure.show_structure(None)
         self.sentence.setText("")
 
 
+class _Plot(QWidget):
+    """A titled plot without zoom or pan."""
+
+    def __init__(self, title: str, bottom: str, keys: tuple[tuple[str, QColor], ...], parent: QWidget | None) -> None:
+        super().__init__(parent)
+        self.title = ElidedLabel("title")
+        self.title.setText(title)
+        self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
+        self._graphics.setMinimumSize(150, 5 * self.fontMetrics().height())
+        unfocused(self._graphics)
+        self._view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
+        self._axes = axes = {
+            side: pg.AxisItem(side, linkView=self._view, pen=theme.LINE, textPen=theme.DIM) for side in _SIDES
+        }
+        for axis in axes.values():
+            axis.enableAutoSIPrefix(enable=False)
+            axis.setStyle(tickLength=4, tickTextOffset=3)
+        font = self.fontMetrics()
+        axes["left"].setWidth(font.horizontalAdvance("0.0") + 12)
+        axes["bottom"].setHeight(2 * font.height() + 6)
+        axes["bottom"].setLabel(bottom, color=theme.DIM.name())
+        grid = pg.GraphicsLayout()
+        grid.setContentsMargins(0, 5, 12, 0)
+        grid.setSpacing(0)
+        grid.addItem(axes["left"], 0, 0)
+        grid.addItem(self._view, 0, 1)
+        grid.addItem(axes["bottom"], 1, 1)
+        self._graphics.setCentralItem(grid)
+        header = QHBoxLayout()
+        header.setSpacing(8)
+        header.addWidget(self.title, 1)
+        for text, colour in keys:
+            key = label(text)
+            key.setStyleSheet(f"color: {colour.name()};")
+            header.addWidget(key)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(2)
+        layout.addLayout(header)
+        layout.addWidget(self._graphics, 1)
+
+    def _add_curve(
+        self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine
+    ) -> pg.PlotCurveItem:
+        curve = pg.PlotCurveItem(pen=pg.mkPen(colour, width=width, style=style), antialias=True)
+        self._view.addItem(curve)
+        return curve
+
+    def _set_ranges(self, x: float, y: float) -> None:
+        self._view.setRange(xRange=(0, x), yRange=(0, y), padding=0)
+
+
+class MtfPlot(_Plot):
+    """MTF along x and y, up to the cut-off frequency of the pupil."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(
+            "MTF", "cycles per mrad", (("x", theme.ACCENT), ("y", theme.AMBER), ("limit", theme.DIM)), parent
+        )
+        self.setToolTip(
+            "Modulation transfer function of the selected view along x and y, and its diffraction limit.\n"
+            "The pupil is the area of the valid lenslets. Click a view or use the arrow keys to select it."
+        )
+        self._limits = [self._add_curve(theme.DIM, 1, Qt.PenStyle.DashLine) for _ in "xy"]
+        self._curves = [self._add_curve(colour) for colour in (theme.ACCENT, theme.AMBER)]
+        self._axes["left"].setTicks([[(0, "0"), (0.5, "0.5"), (1, "1")]])
+        self._set_ranges(1, 1)
+
+    def show_transfer(self, transfer: Mtf | None, where: str) -> None:
+        """Show the MTF of the view at `where`, or none."""
+        self.title.setText(f"MTF at {where}" if where else "MTF")
+        if transfer is None:
+            for curve in (*self._limits, *self._curves):
+                curve.setData(_NO_VALUES, _NO_VALUES)
+            return
+        frequencies = [one / 1e3 for one in (transfer.frequency_x_per_rad, transfer.frequency_y_per_rad)]
+        self._set_ranges(max(float(one[-1]) for one in frequencies), 1)
+        for curve, frequency, values in zip(
+            (*self._limits, *self._curves),
+            (*frequencies, *frequencies),
+            (transfer.limit_x, transfer.limit_y, transfer.along_x, transfer.along_y),
+            strict=True,
+        ):
+            curve.setData(*_finite(frequency, values))
+
+
+class StructurePlot(_Plot):
+    """RMS difference of two wavefronts over their separation in the field."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        keys = (("with tilt", theme.ACCENT), ("tilt removed", theme.GREEN))
+        super().__init__("Change (rad)", "separation in the field (mm)", keys, parent)
+        self.setToolTip(
+            "RMS difference between the wavefronts at two field positions over their separation.\n"
+            "The band holds all pairs. The isoplanatic patch ends where the difference reaches 1 rad.\n"
+            "Tilt displaces the image; the rest blurs it."
+        )
+        self._scale = AdaptiveScale(RANGES)
+        self._curves = []
+        for colour in (theme.GREEN, theme.ACCENT):
+            ends = [pg.PlotCurveItem(pen=None) for _ in range(2)]
+            brush = QColor(colour)
+            brush.setAlpha(40)
+            self._view.addItem(pg.FillBetweenItem(*ends, brush=brush))
+            self._curves.append((self._add_curve(colour), *ends))
+        limit = pg.InfiniteLine(
+            1.0,
+            angle=0,
+            pen=pg.mkPen(theme.AMBER, width=1, style=Qt.PenStyle.DashLine),
+            label="1 rad",
+            labelOpts={"position": 0.04, "color": theme.AMBER, "anchors": [(0, 0.95), (0, 0.95)]},
+        )
+        self._view.addItem(limit)
+        self._set_ranges(1, 1.5)
+
+    def show_structure(self, found: Isoplanatism | None) -> None:
+        """Show the curves with and without tilt, or none."""
+        if found is None:
+            for items in self._curves:
+                for item in items:
+                    item.setData(_NO_VALUES, _NO_VALUES)
+            return
+        for items, curve in zip(self._curves, (found.curve_without_tilt, found.curve), strict=True):
+            for item, values in zip(items, (curve.rms_rad, curve.least_rad, curve.most_rad), strict=True):
+                item.setData(*_finite(np.append(0, curve.separation_m * 1e3), np.append(0, values)))
+        most_rad = float(np.nanmax(found.curve.most_rad, initial=1.2))  # keeps the line at 1 rad visible
+        self._set_ranges(float(np.max(found.curve.separation_m, initial=1e-6)) * 1e3, self._scale.follow(most_rad))
+
+
 def verdict(found: Isoplanatism) -> str:
-    """What one wavefront for the whole field would miss, in one sentence."""
+    """Summarise in one line what a single correction for the whole field would leave."""
     if math.isnan(found.error_rad):
-        return "No lenslet is known all over the field"
-    return f"One wavefront for all the field: off by {number(found.error_rad)} rad RMS; {_patch(found)}"
-
-
-def _patch(found: Isoplanatism) -> str:
-    patch_m = found.curve.patch_m
-    return f"patch {patch_m * 1e3:.2f} mm" if math.isfinite(patch_m) else "patch wider than the field"
+        return "No lenslet is valid over the whole field"
+    patch = _patch(found.curve.patch_m)
+    return f"A single correction would leave {number(found.error_rad)} rad RMS; isoplanatic patch {patch}"
 
 
 def _explanation(found: Isoplanatism) -> str:
-    patch_m = found.curve_without_tilt.patch_m
-    patch = f"{patch_m * 1e3:.2f} mm" if math.isfinite(patch_m) else "wider than the field"
     return (
-        "That one wavefront is the mean over the field. The isoplanatic patch ends where two wavefronts differ by\n"
+        "The correction is the mean wavefront of the field. The isoplanatic patch ends where two wavefronts differ by\n"
         "1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
-        f"Without tip and tilt, which displace the image and do not blur it: {number(found.error_without_tilt_rad)} rad"
-        f" RMS; patch {patch}."
+        f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad)} rad RMS;"
+        f" patch {_patch(found.curve_without_tilt.patch_m)}."
     )
+
+
+def _patch(patch_m: float) -> str:
+    return f"{patch_m * 1e3:.2f} mm" if math.isfinite(patch_m) else "wider than the field"
+
+
+def _finite(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    is_finite = np.isfinite(y)
+    return x[is_finite], y[is_finite]

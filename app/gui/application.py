@@ -79,10 +79,10 @@ def run_window(
             status = application.exec()
         finally:
             window.close()
-    if window.is_stuck:
+    if window.controller.is_stuck:
         raise RunError("a device does not answer, so the light may still be on: switch it off by hand")
-    if window.failure:  # may have come while closing
-        raise window.error
+    if window.controller.failure:  # may have come while closing
+        raise window.controller.error
     if signals:
         raise Interrupted("interrupted: the light is off")
     if watch is not None:
@@ -114,8 +114,8 @@ class _Watch:
 
     def _poll(self) -> None:
         try:
-            if self._window.failure:
-                raise self._window.error  # noqa: TRY301 - one way out
+            if self._window.controller.failure:
+                raise self._window.controller.error  # noqa: TRY301 - one way out
             if not self._is_done():
                 return
             self._error = None

@@ -1,4 +1,4 @@
-"""From values to colours, and the numbers beside a colour bar."""
+"""Colour scales: the colours of values and the numbers beside a colour bar."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _ROOTS = (0.0, 0.1, 0.25, 0.5, 1.0)  # well apart on a square-root scale
 
 @dataclass(frozen=True, slots=True)
 class ColourScale:
-    """Which colour stands for which value, from `low` to `high`; values beyond have the colour of the end."""
+    """Maps values from `low` to `high` to colours; values beyond take the colour of the end."""
 
-    colours: str  # pyqtgraph's name of a colour map
+    colours: str  # name of a pyqtgraph colour map
     low: float
     high: float
-    title: str  # what is written over the colour bar, the unit as a rule
-    numbered: tuple[float, ...]  # how far on the way from low to high the bar has numbers
-    power: float = 1.0  # of the part of the way from low to high: 0.5 is a square-root scale
+    title: str  # above the colour bar, usually the unit
+    numbered: tuple[float, ...]  # fractions of the bar, 0 ... 1, that have numbers
+    power: float = 1.0  # of the fraction: 0.5 is a square-root scale
     is_signed: bool = False
 
     def pixels(self, values: Floats) -> Pixels:
-        """Colours of the values, the same shape; what is NaN is transparent."""
+        """Return the colours of values, the same shape; NaN is transparent."""
         known = np.isfinite(values)
         fraction = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0, 1) ** self.power
         table = _table(self.colours)
@@ -43,7 +43,7 @@ class ColourScale:
 
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:
-        """How far up the bar there are numbers, 0 ... 1, and which."""
+        """Positions on the bar, 0 ... 1, and their numbers."""
         span = self.high - self.low
         return tuple((part**self.power, self._text(self.low + span * part)) for part in self.numbered)
 
@@ -53,22 +53,22 @@ class ColourScale:
 
 
 def diverging(limit_rad: float) -> ColourScale:
-    """Blue, white, red: phases from -limit to +limit."""
+    """Return the scale of phases from -limit to +limit: blue, white, red."""
     return ColourScale("CET-D1", -limit_rad, limit_rad, "rad", _HALVES, is_signed=True)
 
 
 def uncertain(limit_rad: float) -> ColourScale:
-    """Standard deviations from 0 to the limit."""
+    """Return the scale of standard deviations from 0 to the limit."""
     return ColourScale("viridis", 0.0, limit_rad, "rad", _FIFTHS)
 
 
 def bright(limit: float) -> ColourScale:
-    """Intensities from 0 to the limit, on a square-root scale, which lets faint light be seen."""
+    """Return the scale of intensities from 0 to the limit; its square root shows faint light."""
     return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT}", _ROOTS, power=0.5)
 
 
 @lru_cache
 def _table(colours: str) -> Pixels:
-    """The colours of a map, from low to high: (colour,)."""
+    """Colours of a map from low to high, (colour,)."""
     rgb: NDArray[np.uint8] = pg.colormap.get(colours).getLookupTable(nPts=255)[:, :3]
     return np.uint32(0xFF000000) | (rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))

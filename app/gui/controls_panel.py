@@ -1,7 +1,4 @@
-"""What can be set: camera, light and stage, dark and reference, registration and reconstruction.
-
-The panel shows the instrument's status and emits what its user wants, as plain values in SI units.
-"""
+"""The controls panel: camera, light and stage, calibration, and reconstruction; all values are in SI units."""
 
 from __future__ import annotations
 
@@ -16,22 +13,21 @@ from app.bench.config import AUTOMATIC
 from app.gui import theme
 from app.gui.number_field import NumberField
 from app.gui.widgets import button, label, toggle
+from app.measurement.routines.averages import AVERAGED_FRAMES
 from drivers.interface import Range
-from reconstruction.settings import FIELD_MODES, Method, PupilBasis, RegistrationSettings
+from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
 
-_MOST_FRAMES = 1000
-_FEWEST_PUPIL_MODES, _MOST_PUPIL_MODES = 3, 400
-_PUPIL_MODES_RANGE = Range(_FEWEST_PUPIL_MODES - 1, _MOST_PUPIL_MODES)  # its lowest is shown as the word above
-
+_FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
+_PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest stands for automatic
 _LAMPS: dict[Standing, QColor] = {"missing": theme.LINE, "doubtful": theme.AMBER, "good": theme.GREEN}
 
 
 class ControlsPanel(QFrame):
-    """Emits intents; it changes what it shows only when the instrument's status has changed."""
+    """Emits intents; it shows only the status of the instrument."""
 
     running_requested = pyqtSignal(bool)
     exposure_requested = pyqtSignal(float)  # s
-    read_out_requested = pyqtSignal()
+    sensor_region_requested = pyqtSignal()
     amplifier_requested = pyqtSignal(str)
     readout_speed_requested = pyqtSignal(int)
     em_gain_requested = pyqtSignal(float)
@@ -43,10 +39,10 @@ class ControlsPanel(QFrame):
     reference_requested = pyqtSignal(int)  # frames
     lattice_requested = pyqtSignal()
     auto_exposure_requested = pyqtSignal()
-    setting_requested = pyqtSignal(str, str, object)  # section and key of the bench, and the value
+    setting_requested = pyqtSignal(str, str, object)  # section, key and value of the bench
 
     def __init__(self, frames: int, parent: QWidget | None = None) -> None:
-        """Offer averages over `frames` frames to begin with."""
+        """Start with averages over `frames` frames."""
         super().__init__(parent)
         self.setProperty("role", "strip")
         self._layout = QHBoxLayout(self)
@@ -62,22 +58,20 @@ class ControlsPanel(QFrame):
         self._is_running = False
         self.start = button("Start", "Start or stop taking frames (Space)")
         self.start.clicked.connect(lambda: self.running_requested.emit(not self._is_running))
-        self.read_out = button("Region\N{HORIZONTAL ELLIPSIS}", "Read out another part of the sensor, or bin it (P)")
-        self.read_out.clicked.connect(self.read_out_requested)
-        self.exposure = NumberField(
-            unit=1e-3, suffix=" ms", decimals=3, tool_tip="Exposure time; shown is what the camera took"
-        )
+        self.sensor_region = button("Region\N{HORIZONTAL ELLIPSIS}", "Choose the sensor region and the binning (P)")
+        self.sensor_region.clicked.connect(self.sensor_region_requested)
+        self.exposure = NumberField(unit=1e-3, suffix=" ms", decimals=3, tool_tip="Exposure time in force (E)")
         self.exposure.entered.connect(self.exposure_requested)
-        self.amplifier = _choice("The camera's output amplifier; it is stopped and started again for the change")
+        self.amplifier = _choice("Output amplifier; a change restarts the camera")
         self.amplifier.textActivated.connect(self.amplifier_requested)
-        self.readout_speed = _choice("Read-out speed: the faster, the noisier; the camera is stopped for the change")
+        self.readout_speed = _choice("Readout speed: faster is noisier; a change restarts the camera")
         self.readout_speed.setMinimumWidth(40)
         self.readout_speed.textActivated.connect(lambda speed: self.readout_speed_requested.emit(int(speed)))
-        self.em_gain = NumberField(decimals=1, tool_tip="Electron multiplication: more signal over the read noise")
+        self.em_gain = NumberField(decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise")
         self.em_gain.setPrefix("\N{MULTIPLICATION SIGN} ")
         self.em_gain.entered.connect(self.em_gain_requested)
         grid = self._section("Camera")
-        grid.addLayout(_side_by_side(self.start, self.read_out), 1, 0, 1, 2)
+        grid.addLayout(_side_by_side(self.start, self.sensor_region), 1, 0, 1, 2)
         grid.addWidget(label("Exposure", "dim"), 2, 0)
         grid.addWidget(self.exposure, 2, 1)
         mode = _side_by_side(label("Gain", "dim"), self.em_gain, self.amplifier, self.readout_speed)
@@ -90,9 +84,9 @@ class ControlsPanel(QFrame):
         self.light.clicked.connect(self.light_requested)
         self.sample = toggle("Sample out", "Move the sample into or out of the beam (S)")
         self.sample.clicked.connect(self.sample_requested)
-        self.current = NumberField(unit=1e-3, suffix=" mA", decimals=1, tool_tip="The light's current, when it is on")
+        self.current = NumberField(unit=1e-3, suffix=" mA", decimals=1, tool_tip="Current of the light while on (C)")
         self.current.entered.connect(self.current_requested)
-        self.mask_choice = _choice("The mask in front of the light; another mask needs another reference")
+        self.mask_choice = _choice("Mask in front of the light; a new mask needs a new reference (R)")
         self.mask_choice.textActivated.connect(self.mask_requested)
         grid = self._section("Light and stage")
         grid.addLayout(_side_by_side(self.light, self.sample), 1, 0, 1, 2)
@@ -102,16 +96,16 @@ class ControlsPanel(QFrame):
         grid.addWidget(self.mask_choice, 3, 1)
 
     def _make_calibration(self, frames: int) -> None:
-        self.frames = NumberField(tool_tip="How many frames are averaged into a dark or a reference")
-        self.frames.show_value(frames, Range(1, _MOST_FRAMES))
-        self.dark = button("Dark", "Average frames with the light off, to be subtracted from all others (D)")
+        self.frames = NumberField(tool_tip="Number of frames averaged into a dark or a reference")
+        self.frames.show_value(frames, _FRAMES_RANGE)
+        self.dark = button("Dark", "Average frames with the light off: the background of all frames (D)")
         self.dark.clicked.connect(lambda: self.dark_requested.emit(round(self.frames.value())))
-        self.reference = button("Reference", "Average frames without the sample: displacements count from here (R)")
+        self.reference = button("Reference", "Average frames without the sample: zero point of the displacements (R)")
         self.reference.clicked.connect(lambda: self.reference_requested.emit(round(self.frames.value())))
-        self.lattice = button("Lattice", "Find the lenslets in the reference; nothing changes until you agree (N)")
+        self.lattice = button("Lattice", "Find the lenslets in the reference and propose a lattice (N)")
         self.lattice.clicked.connect(self.lattice_requested)
         self.auto_exposure = button(
-            "Expose", "Find the exposure, and if need be the current, that fills 70 % of the camera's range (X)"
+            "Expose", "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)"
         )
         self.auto_exposure.clicked.connect(self.auto_exposure_requested)
         grid = self._section("Calibration")
@@ -124,48 +118,49 @@ class ControlsPanel(QFrame):
         self.registration = self._setting(
             "registration",
             "method",
-            "How subimages are compared with the reference: gauss_newton is this instrument's own; the others are the "
-            "paper's and its peers', some of them far too slow to watch",
+            "How subimages are matched with the reference: gauss_newton is this instrument's own method;\n"
+            "the others come from the paper and related software, and some are too slow for live use",
         )
         self.warp = self._setting(
             "registration",
             "warp",
-            "How a subimage may differ from its reference: moved (translation), also stretched and turned (affine), "
-            "or bent (quadratic, cubic). The more, the finer the wavefront's change over the field. "
-            "Most other methods do without",
+            "Allowed distortion of a subimage: shift (translation), affine, quadratic or cubic.\n"
+            "More freedom resolves finer changes over the field. Most other methods ignore this",
         )
         self.method = self._setting(
             "reconstruction",
             "method",
-            "From slopes to wavefronts: lenslet by lenslet (zonal), or by polynomials (modal)",
+            "How slopes become wavefronts: lenslet by lenslet (zonal) or by polynomials (modal)",
         )
         self.basis = self._setting(
-            "reconstruction", "basis", "Polynomials of the modal method: for a square pupil, or for a circular one"
+            "reconstruction",
+            "basis",
+            "Polynomials of the modal method: legendre for a square pupil, zernike for a circular one",
         )
         self.pupil_modes = NumberField(
-            tool_tip="How many polynomials over the pupil the modal method fits; automatic: as many as the lattice"
-            " carries, smoothed by as much as the noise demands",
+            tool_tip="Number of pupil modes that the modal method fits;\n"
+            "automatic: as many as the lattice supports, smoothed according to the noise",
             lowest=AUTOMATIC,
         )
         self.pupil_modes.entered.connect(
             lambda value: self.setting_requested.emit(
-                "reconstruction", "pupil_modes", None if value < _FEWEST_PUPIL_MODES else round(value)
+                "reconstruction", "pupil_modes", None if value < PUPIL_MODES.start else round(value)
             )
         )
         self.refine = toggle(
-            "Refine", "Correct every frame by the bias that a forward model finds beside the live view (F)"
+            "Refine", "Correct systematic errors by a simulation of your bench, updated about every second (F)"
         )
         self.refine.clicked.connect(lambda on: self.setting_requested.emit("reconstruction", "refine", on))
         grid = self._section("Reconstruction", is_last=True)
-        grid.addWidget(label("Register", "dim"), 1, 0)
+        grid.addWidget(label("Matching", "dim"), 1, 0)
         grid.addLayout(_side_by_side(self.registration, self.warp), 1, 1)
-        grid.addWidget(label("Integrate", "dim"), 2, 0)
+        grid.addWidget(label("Wavefront", "dim"), 2, 0)
         grid.addLayout(_side_by_side(self.method, self.basis), 2, 1)
         grid.addWidget(label("Modes", "dim"), 3, 0)
         grid.addLayout(_side_by_side(self.pupil_modes, self.refine), 3, 1)
 
     def _setting(self, section: str, key: str, tool_tip: str) -> QComboBox:
-        """A choice of one of the bench's settings."""
+        """Make a choice for a setting of the bench."""
         choice = _choice(tool_tip)
         choice.textActivated.connect(
             lambda value: self.setting_requested.emit(section, key, None if value == AUTOMATIC else value)
@@ -173,15 +168,15 @@ class ControlsPanel(QFrame):
         return choice
 
     def _section(self, title: str, *, is_last: bool = False) -> QGridLayout:
-        """Begin another column of controls under a title, and rule it off from the next."""
+        """Start a column of controls under a title, with a line towards the next."""
         grid = QGridLayout()
         grid.setVerticalSpacing(5)
         grid.setHorizontalSpacing(8)
         grid.setColumnStretch(1, 1)
         grid.addWidget(label(title, "title"), 0, 0, 1, 2)
         for row in range(1, 4):
-            grid.setRowMinimumHeight(row, self.start.sizeHint().height())  # so that all sections' rows are in line
-        self._layout.addLayout(grid, 2 if is_last else 1)  # the last has the longest words
+            grid.setRowMinimumHeight(row, self.start.sizeHint().height())  # aligns the rows of all sections
+        self._layout.addLayout(grid, 2 if is_last else 1)  # the last has the longest texts
         if not is_last:
             rule = QFrame()
             rule.setFixedWidth(1)
@@ -190,7 +185,7 @@ class ControlsPanel(QFrame):
         return grid
 
     def show_status(self, status: Status, *, is_settled: bool) -> None:
-        """Show how the instrument stands; a field that is being edited is left alone until all `is_settled`."""
+        """Show the status; a focused field changes only when all commands are finished (`is_settled`)."""
         allowed = status.capabilities
         self.start.setText("Stop" if status.is_running else "Start")
         self.start.setIcon(theme.start_or_stop(is_running=status.is_running))
@@ -216,11 +211,11 @@ class ControlsPanel(QFrame):
         self.refine.setChecked(reconstruction.refine)
         for choice in (self.basis, self.pupil_modes):
             choice.setEnabled(reconstruction.method == "modal")
-        for shown, words, is_on, colour in (
+        for shown, texts, is_on, colour in (
             (self.light, ("Light off", "Light on"), status.is_light_on, theme.AMBER),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
         ):
-            shown.setText(words[is_on])
+            shown.setText(texts[is_on])
             shown.setChecked(is_on)
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
         for taken, standing in ((self.dark, status.dark), (self.reference, status.reference)):
@@ -253,7 +248,7 @@ def _show_choice(choice: QComboBox, allowed: tuple[str, ...], chosen: str) -> No
     if tuple(choice.itemText(index) for index in range(choice.count())) != allowed:
         choice.clear()
         choice.addItems(allowed)
-        if (words := choice.view()) is not None:
-            words.setMinimumWidth(words.sizeHintForColumn(0) + 8)  # whole words, however narrow the choice itself is
-    choice.setCurrentText(chosen)  # no user's choice, so `textActivated` is silent
+        if (items := choice.view()) is not None:
+            items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
+    choice.setCurrentText(chosen)  # does not emit `textActivated`
     choice.setEnabled(len(allowed) > 1)

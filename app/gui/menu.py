@@ -1,4 +1,4 @@
-"""The menus, and the help that lists their keys and the conventions of the instrument."""
+"""Menus, and the help that lists their keys and the conventions of the instrument."""
 
 from __future__ import annotations
 
@@ -18,25 +18,23 @@ Rows count along y, columns along x, both from 0.</p>
 moves towards <b>+x</b>: displacement&nbsp;=&nbsp;(f/k)&nbsp;d&phi;/dx.</p>
 <p>Displacements count from the <b>reference</b>, the frame without the sample.</p>
 <h3>What is shown</h3>
-<p>Each tile is the wavefront as seen from one position of the field, one square for each lenslet.
-All share one colour scale. <b>RMS</b> and <b>PV</b> are taken over its valid lenslets.</p>
-<p>A lenslet that could not be measured is <b>hatched</b>, and crossed out in red on the camera image:
-it has no value, not the value zero.</p>
-<p>Instead of the wavefront the tiles can show what follows from it: the point-spread function (<b>1</b> is the peak
-without aberration, the middle is the Strehl ratio), what was measured, fitted, and their difference, and the
-standard deviation. A click or the arrow keys select the view whose modulation transfer is plotted.</p>
-<p>Arrows show the displacement of each lenslet's light averaged over the field, magnified as written.</p>
+<p>Each tile is the wavefront of one field position, one square for each lenslet.
+All tiles share one colour scale. <b>RMS</b> and <b>PV</b> count the valid lenslets.</p>
+<p>A lenslet that could not be measured is <b>hatched</b>, and crossed out in red on the camera image.</p>
+<p>The tiles can also show the point-spread function (<b>1</b> is the peak without aberration, the value in the
+middle is the Strehl ratio), the measured and the fitted wavefront, their difference, and the standard deviation.
+A click or the arrow keys select the view whose MTF is plotted.</p>
+<p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
-
 
 _HELP_WIDTH = 720
 _HELP_OF_SCREEN = 0.9
 
-Entries = tuple[tuple[str, str, Callable[[], object]], ...]  # text, key, what it does
+Entries = tuple[tuple[str, str, Callable[[], object]], ...]  # text, key, action
 
 
 def fill_menus(window: QMainWindow, menus: Mapping[str, Entries]) -> None:
-    """Give the window its menus, and the help that lists them."""
+    """Fill the menu bar, and add the help that lists all keys."""
     bar = window.menuBar()
     if bar is None:
         return
@@ -56,7 +54,7 @@ def _fill(menu: QMenu | None, entries: Entries) -> None:
 
 
 def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
-    """Show the help beside the running measurement."""
+    """Show the help without stopping the measurement."""
     dialog = QDialog(parent)
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.setObjectName("help")
@@ -71,7 +69,7 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     area.setWidget(text)
     area.setFrameShape(QFrame.Shape.NoFrame)
     area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    close = button("Close", "Esc closes it, too")
+    close = button("Close", "Close the help (Esc)")
     close.clicked.connect(dialog.close)
     layout = QVBoxLayout(dialog)
     layout.addWidget(area)

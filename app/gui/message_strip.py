@@ -1,4 +1,4 @@
-"""One line that says what is the matter, the gravest first, what is to be decided, and how far a routine has come."""
+"""The message strip: the most important message, a decision to take, or the progress of a routine."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from app.acquisition.worker import Activity
 from app.gui import theme
 from app.gui.widgets import ElidedLabel, button
 
-_NOTICE_S = 8.0  # how long the answer to something the user did is shown
+_NOTICE_S = 8.0  # how long a notice is shown
 
 
 class MessageStrip(QFrame):
-    """Shows a failure for good, a notice for a while, and the state of the measurement otherwise."""
+    """Shows one message by priority: failure, alarm, question, notice, warning, advice."""
 
     reconnect_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
-    answered = pyqtSignal(bool)  # what was asked: whether it is to be
+    answered = pyqtSignal(bool)  # whether the proposal is accepted
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -30,15 +30,15 @@ class MessageStrip(QFrame):
         self._shown: tuple[str, str] = ("", "")
         self.text = ElidedLabel()
         self.reconnect = QPushButton("Reconnect")
-        self.reconnect.setToolTip("Open the devices again and begin anew: dark, reference, live wavefronts (Ctrl+R)")
+        self.reconnect.setToolTip("Open the devices again, take dark and reference, and start measuring (Ctrl+R)")
         self.reconnect.clicked.connect(self.reconnect_requested)
-        self.accept = button("Use it", "What is proposed shall be so (Return)")
-        self.accept.clicked.connect(lambda: self._answer(is_wanted=True))
-        self.discard = button("Discard", "Leave everything as it is (Esc)")
-        self.discard.clicked.connect(lambda: self._answer(is_wanted=False))
-        self.dismiss = button("Dismiss", "The message has been read (Esc)")
+        self.accept = button("Use it", "Accept the proposal (Return)")
+        self.accept.clicked.connect(lambda: self._answer(is_accepted=True))
+        self.discard = button("Discard", "Change nothing (Esc)")
+        self.discard.clicked.connect(lambda: self._answer(is_accepted=False))
+        self.dismiss = button("Dismiss", "Remove this message (Esc)")
         self.dismiss.clicked.connect(lambda: self.alarm(""))
-        self.cancel = button("Cancel", "End what is under way; the bench is left as it was (Esc)")
+        self.cancel = button("Cancel", "Stop, and restore the devices (Esc)")
         self.cancel.clicked.connect(self.cancel_requested)
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
@@ -49,56 +49,56 @@ class MessageStrip(QFrame):
         for widget in (self.reconnect, self.accept, self.discard, self.dismiss, self.progress, self.cancel):
             widget.hide()
             layout.addWidget(widget)
-        self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # whether or not there is a button
+        self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # the same with and without a button
 
     def warn(self, text: str) -> None:
-        """Show for a while why something was not done."""
+        """Show an amber notice: something was not done."""
         self._notify(text, theme.AMBER)
 
     def tell(self, text: str) -> None:
-        """Show for a while what was done."""
+        """Show a green notice: something was done."""
         self._notify(text, theme.GREEN)
 
-    def forget_notice(self) -> None:
-        """Show nothing any more of what was done before: something else has been asked for."""
+    def clear_notice(self) -> None:
+        """Remove the notice."""
         self._notice_until_s = 0.0
 
     def alarm(self, text: str) -> None:
-        """Show what went wrong until it is dismissed; empty text dismisses it."""
+        """Show an error until the user dismisses it; empty text removes it."""
         self._alarm = text
 
     def ask(self, question: str) -> None:
-        """Have the user decide; `answered` tells how."""
+        """Show a question; `answered` emits the decision."""
         self._question = question
 
     def escape(self) -> None:
-        """Do what the key Esc means now: dismiss, discard or cancel."""
+        """Dismiss the alarm, discard the proposal, or request to cancel."""
         if self._alarm:
             self.alarm("")
         elif self._question:
-            self._answer(is_wanted=False)
+            self._answer(is_accepted=False)
         else:
             self.cancel_requested.emit()
 
     def enter(self) -> None:
-        """Do what the key Return means now; a question that an alarm hides waits until it can be read."""
+        """Accept the proposal unless an alarm hides it."""
         if self._question and not self._alarm:
-            self._answer(is_wanted=True)
+            self._answer(is_accepted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
-        """Show what the worker is busy with, if with anything."""
+        """Show the progress of the worker's activity, if any."""
         self.cancel.setVisible(may_cancel)
         self.progress.setVisible(bool(activity.text))
         if activity.text:
-            self.progress.setRange(0, 1000 if activity.progress else 0)  # 0 ... 0 is Qt's "busy, who knows how long"
+            self.progress.setRange(0, 1000 if activity.progress else 0)  # 0 to 0: busy, of unknown duration
             self.progress.setValue(round(activity.progress * 1000))
             self.progress.setToolTip(f"{activity.text}: Esc cancels")
 
     def show_state(self, *, failure: str, warning: str, advice: str) -> None:
-        """Show the gravest of a failure, an alarm, a question, a young notice, a warning, an advice."""
+        """Show the message of highest priority."""
         self.reconnect.setVisible(bool(failure))
         if failure:
-            self._question = ""  # there is nobody left to do it
+            self._question = ""  # nothing is left to execute it
         asks = bool(self._question) and not self._alarm
         for widget, is_shown in (
             (self.accept, asks),
@@ -107,7 +107,7 @@ class MessageStrip(QFrame):
         ):
             widget.setVisible(is_shown)
         if failure:
-            self._show(f"{failure}  \N{EM DASH}  the light and the devices were shut down", theme.RED)
+            self._show(f"{failure}  \N{EM DASH}  light and devices are shut down: reconnect (Ctrl+R)", theme.RED)
         elif self._alarm:
             self._show(self._alarm, theme.RED)
         elif self._question:
@@ -119,9 +119,9 @@ class MessageStrip(QFrame):
         else:
             self._show(advice, theme.DIM)
 
-    def _answer(self, *, is_wanted: bool) -> None:
+    def _answer(self, *, is_accepted: bool) -> None:
         self._question = ""
-        self.answered.emit(is_wanted)
+        self.answered.emit(is_accepted)
 
     def _notify(self, text: str, colour: QColor) -> None:
         self._notice, self._notice_colour, self._notice_until_s = text, colour, time.monotonic() + _NOTICE_S

@@ -1,4 +1,4 @@
-"""A field for one number, which leaves letters and the space bar to the window's shortcuts."""
+"""Number field that leaves letters and the space bar to the window's shortcuts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 
 class NumberField(QDoubleSpinBox):
-    """Shows a value in the unit people use and emits it in SI, when it is entered by its user and only then."""
+    """Shows a value in a convenient unit and emits it in SI units when the user enters it."""
 
     entered = pyqtSignal(float)
 
@@ -27,7 +27,7 @@ class NumberField(QDoubleSpinBox):
         lowest: str = "",
         parent: QWidget | None = None,
     ) -> None:
-        """Show values in `unit`, for example 1e-3 with the suffix " ms"; the lowest one as the word `lowest`."""
+        """Show values in `unit`, e.g. 1e-3 with the suffix " ms", and the lowest value as the word `lowest`."""
         super().__init__(parent)
         self._unit, self._allowed = unit, Range(0, 0)
         self.setSuffix(suffix)
@@ -39,11 +39,11 @@ class NumberField(QDoubleSpinBox):
         if decimals:
             self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
         usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0") + suffix, lowest), key=len)
-        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + _BUTTONS_WIDTH)  # whatever its range is
+        self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + _BUTTONS_WIDTH)  # independent of the range
         self.valueChanged.connect(self._enter)
 
     def show_value(self, value: float, allowed: Range) -> None:
-        """Show a value and let it be changed within a range, both in SI; nothing is emitted."""
+        """Show a value and set the allowed range, both in SI units, without emitting."""
         self._allowed = allowed
         self.blockSignals(True)
         self.setRange(allowed.minimum / self._unit, allowed.maximum / self._unit)
@@ -51,12 +51,12 @@ class NumberField(QDoubleSpinBox):
         self.blockSignals(False)
 
     def edit(self) -> None:
-        """Take the keyboard, with the value marked, so that typing replaces it."""
+        """Take the focus and select the value, so that typing replaces it."""
         self.setFocus()
         self.selectAll()
 
     def event(self, event: QEvent | None) -> bool:
-        """Leave to the shortcuts what is no part of a number; Return and Esc are the field's while it is edited."""
+        """Pass letters and Space to the shortcuts; keep Return and Esc while the field is edited."""
         if not isinstance(event, QKeyEvent):
             return super().event(event)
         key, is_edited = event.key(), (line := self.lineEdit()) is not None and line.isModified()
@@ -70,10 +70,10 @@ class NumberField(QDoubleSpinBox):
         elif event.type() == QEvent.Type.KeyPress and is_edited and key in {*_ENTER, Qt.Key.Key_Escape}:
             if key == Qt.Key.Key_Escape and line is not None:
                 line.setText(self.textFromValue(self.value()))
-            self.clearFocus()  # what was typed is taken; digits are shortcuts again
+            self.clearFocus()  # emits the value; digits are shortcuts again
             return True
         return super().event(event)
 
     def _enter(self, value: float) -> None:
-        """Emit what was entered; rounding to the decimals shown does not take it out of its range."""
+        """Emit the entered value; rounding to the shown decimals must not leave the range."""
         self.entered.emit(min(max(value * self._unit, self._allowed.minimum), self._allowed.maximum))

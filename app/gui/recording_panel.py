@@ -1,4 +1,4 @@
-"""Recording: start and stop, keep what has just been seen, and how it goes."""
+"""The recording panel: start, stop, save the last seconds, and the state of the recording."""
 
 from __future__ import annotations
 
@@ -12,27 +12,25 @@ from app.gui.widgets import ElidedLabel, button, toggle
 from app.recording.background import RecordingState
 from app.recording.recorder import RECENT_S
 
-_WIDEST = "000000 frames   00:00   000 wait for the disk   room for 000 min"
-_BEHIND = 70  # frames that wait for the disk; fewer are no news
+_WIDEST = "000000 frames   00:00   000 wait for the disk   disk space for 000 min"
+_BEHIND = 70  # waiting frames from which the number is shown
 
 
 class RecordingPanel(QWidget):
-    """Emits what its user wants; shows how the recording stands."""
+    """Emits the user's requests and shows the state of the recording."""
 
     record_requested = pyqtSignal(bool)
     keep_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.record = toggle("Record", "Record every frame, with all that it takes to reconstruct it again (W)")
+        self.record = toggle("Record", "Record every frame with all data needed to reconstruct it again (W)")
         self.record.clicked.connect(self.record_requested)
-        self.keep = button(
-            f"Keep last {RECENT_S:g} s", "Write the last seconds as a recording, although none was under way (K)"
-        )
+        self.keep = button(f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)")
         self.keep.clicked.connect(self.keep_requested)
         self.text = ElidedLabel("dim")
         self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-        # A menu bar does not ask its corner again how wide it would be.
+        # A menu bar never updates the width of its corner.
         self.text.setFixedWidth(self.text.fontMetrics().horizontalAdvance(_WIDEST))
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         row = QHBoxLayout(self)
@@ -40,17 +38,17 @@ class RecordingPanel(QWidget):
         row.setSpacing(6)
         for widget in (self.text, self.keep, self.record):
             row.addWidget(widget)
-        self.record.setMinimumWidth(self.record.sizeHint().width() + 20)  # the same for its other word
+        self.record.setMinimumWidth(self.record.sizeHint().width() + 20)  # room for its other text, too
         self.show_state(None)
 
     def show_state(self, state: RecordingState | None, free_minutes: float = math.inf) -> None:
-        """Show how the recording stands that is under way, or the last one, and how long a recording could become."""
+        """Show the current or last recording and the recording time that the disk has space for."""
         is_recording = state is not None and state.stage == "recording"
         self.record.setChecked(is_recording)
         self.record.setText("Stop" if is_recording else "Record")
         self.record.setIcon(theme.start_or_stop(is_running=True) if is_recording else theme.lamp(theme.RED))
         self.record.setEnabled(state is None or state.stage != "finishing")
-        room = () if math.isinf(free_minutes) else (f"room for {_duration(free_minutes)}",)
+        room = () if math.isinf(free_minutes) else (f"disk space for {_duration(free_minutes)}",)
         text = "   ".join((*_progress(state), *room))
         self.text.setText(text)
         self.text.setToolTip(text if state is None else f"{text}\n{state.folder}")

@@ -1,33 +1,38 @@
-"""The line at the bottom: what has become of the frames, how fast, and how old they are when they are shown."""
+"""The status line: frame counts, rate, delays and valid lenslets; the least important are hidden when it is narrow."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
+from dataclasses import dataclass
+from itertools import accumulate
 from statistics import median
 
 import numpy as np
-from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtCore import QSize
+from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
 from app.gui import theme
-from app.gui.fitting_row import FittingRow
-from app.gui.reasons import REASONS
 from app.gui.timing_row import Summaries, TimingRow, timing_table
 from app.gui.widgets import label
+from app.gui.wording import lenslet_summary
 from app.measurement.live_refinement import RefinementState
 from reconstruction.displacement import Displacement
 
-_VALID = "Lenslets whose subimage could be matched with the reference"
-_REFINED = "Whether the wavefront is corrected by the bias that a forward model found, and how long ago"
-_LATENCY = "From the end of the exposure to the result, median over the last second"
-_SHOWN = "Frames drawn here: the newest one, up to 25 times a second"
-_WINDOW_S = 1.0  # over which rate and latency are taken
+_VALID = "Lenslets whose subimage matches the reference"
+_CORRECTION = "Age of the correction of systematic errors"
+_DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
+_SHOWN = "Frames drawn in this window: the newest one, up to 25 times a second"
+_WINDOW_S = 1.0  # over which rate and delay are taken
+_GAP = 14  # px between two parts
+_WITHIN = 4  # px between a name and its value
 
 
 class StatusLine(QWidget):
-    """Counts, rate and latency, each beside its name."""
+    """Shows each value beside its name."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -46,17 +51,17 @@ class StatusLine(QWidget):
         both.addLayout(line)
         count, time_s = "00000", "0000.0 ms"
         self.acquired = row.add("acquired", "Frames read from the camera", widest=count, importance=7)
-        self.reconstructed = row.add("reconstructed", "Frames that yielded a wavefront", widest=count, importance=6)
+        self.reconstructed = row.add("reconstructed", "Frames with a wavefront", widest=count, importance=6)
         self.shown_count = row.add("shown", _SHOWN, widest=count, importance=8)
         self.lost = row.add("lost", "Frames that the camera overwrote before they were read", widest="0", importance=2)
         self.rate = row.add("frames/s", "Frames acquired per second", widest="00.0", importance=1)
-        self.latency = row.add("latency", _LATENCY, widest=time_s, importance=4)
-        self.age = row.add("age", "How long ago the frame that is shown was exposed", widest=time_s, importance=5)
+        self.delay = row.add("delay", _DELAY, widest=time_s, importance=4)
+        self.age = row.add("frame age", "Time since the exposure of the shown frame", widest=time_s, importance=5)
         self.valid = row.add("valid", _VALID, widest="000 of 000", importance=0)
-        self.refined = row.add("refined", _REFINED, widest="preparing", importance=3)
+        self.correction = row.add("correction", _CORRECTION, widest="computing", importance=3)
 
     def count(self, measurement: Measurement) -> None:
-        """Take note that a measurement is shown."""
+        """Count a shown measurement."""
         self.shown += 1
         self._recent.append(measurement)
         oldest_s = measurement.frame.host_time_s - _WINDOW_S
@@ -64,15 +69,15 @@ class StatusLine(QWidget):
             self._recent.popleft()
 
     def restart(self) -> None:
-        """Forget the frames of the acquisition before."""
+        """Forget the frames of the previous acquisition."""
         self._recent.clear()
         self.shown = 0
 
     def update_text(self, status: Status | None, timings: Summaries | None = None) -> None:
-        """Write the numbers."""
+        """Update the numbers."""
         if timings is not None:
             self.timing_row.update_text(timings)
-            self.latency.setToolTip(f"<p>{_LATENCY}.</p>{timing_table(timings)}")
+            self.delay.setToolTip(f"<p>{_DELAY}.</p>{timing_table(timings)}")
         if status is not None:
             self.devices.setText("running" if status.is_running else "stopped")
             self.devices.setToolTip(f"{status.camera_name}\n{status.light_name}")
@@ -87,50 +92,110 @@ class StatusLine(QWidget):
         is_running = status is not None and status.is_running
         frames = last.counts.acquired - first.counts.acquired
         self.rate.setText(f"{frames / seconds:.1f}" if is_running and seconds > 0 else "\N{EN DASH}")
-        self.latency.setText(_duration(median(one.latency_s for one in self._recent)))
+        self.delay.setText(_duration(median(one.latency_s for one in self._recent)))
         self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
-        self._show_refinement(last.refinement)
+        self._show_correction(last.refinement)
         self.row.fit()
 
     def _show_valid(self, displacement: Displacement | None) -> None:
-        """Count the valid lenslets; the tool tip tells what has become of the others."""
         text, tool_tip, colour = "\N{EN DASH}", _VALID, theme.TEXT
         if displacement is not None:
-            outcomes = displacement.outcome
-            valid = np.count_nonzero(displacement.valid)
-            text = f"{valid} of {outcomes.size}"
-            lost = [(np.count_nonzero(outcomes == outcome), why) for outcome, why in REASONS.items() if why]
-            used = 100 * np.nanmax(displacement.range_used, initial=0.0)
-            tool_tip = "\n".join(
-                [
-                    _VALID,
-                    *(f"{count} lost: {why}" for count, why in lost if count),
-                    f"{used:.0f} % of the dynamic range used: at 100 % light reaches the edge of its cell",
-                ]
-            )
-            if valid < outcomes.size:
-                colour = theme.AMBER if valid >= outcomes.size / 2 else theme.RED
+            valid, count = np.count_nonzero(displacement.valid), displacement.valid.size
+            text = f"{valid} of {count}"
+            tool_tip = "\n".join([_VALID, *lenslet_summary(displacement)])
+            if valid < count:
+                colour = theme.AMBER if valid >= count / 2 else theme.RED
         self.valid.setText(text)
         self.valid.setToolTip(tool_tip)
         self.valid.setStyleSheet(f"color: {colour.name()};")
 
-    def _show_refinement(self, refinement: RefinementState) -> None:
-        """Say whether the wavefront is refined, and on how old a state; a correction that was dropped is seen."""
+    def _show_correction(self, refinement: RefinementState) -> None:
+        change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"
         text, why, colour = {
             "off": ("off", "", theme.TEXT),
-            "preparing": ("preparing", "", theme.TEXT),
-            "applied": (f"{refinement.age_s:.1f} s old", _moved(refinement), theme.GREEN),
-            "moved": ("dropped", f"{_moved(refinement)}: too much for the bias found there", theme.AMBER),
+            "preparing": ("computing", "", theme.TEXT),
+            "applied": (f"{refinement.age_s:.1f} s old", change, theme.GREEN),
+            "moved": ("rejected", f"{change}: too much to apply it", theme.AMBER),
             "failed": ("failed", refinement.problem, theme.RED),
         }[refinement.stage]
-        self.refined.setText(text)
-        self.refined.setToolTip("\n".join(filter(None, [_REFINED, why])))
-        self.refined.setStyleSheet(f"color: {colour.name()};")
+        self.correction.setText(text)
+        self.correction.setToolTip("\n".join(filter(None, [_CORRECTION, why])))
+        self.correction.setStyleSheet(f"color: {colour.name()};")
 
 
-def _moved(refinement: RefinementState) -> str:
-    return f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the bias was found"
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    name: str
+    importance: int  # 0 is hidden last
+    shown: QWidget  # holds name and value
+    value: QLabel
+
+
+class FittingRow(QWidget):
+    """A row of names and values without minimum width; an ellipsis with a tool tip replaces hidden ones."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._parts: list[_Part] = []
+        self._row = QHBoxLayout(self)
+        self._row.setContentsMargins(0, 0, 0, 0)
+        self._row.setSpacing(_GAP)
+        self._more = label("\N{HORIZONTAL ELLIPSIS}", "dim")
+        self._row.addWidget(self._more)
+        self._row.addStretch()
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+    def add(self, name: str, tool_tip: str, *, widest: str, importance: int) -> QLabel:
+        """Add a value with room for the `widest` usual text; the highest `importance` is hidden first."""
+        value = label("\N{EN DASH}")
+        value.setMinimumWidth(value.fontMetrics().horizontalAdvance(widest))
+        shown = QWidget()
+        row = QHBoxLayout(shown)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(_WITHIN)
+        for widget in (label(name, "dim"), value):
+            row.addWidget(widget)
+        shown.setToolTip(tool_tip)
+        value.setToolTip(tool_tip)
+        self._row.insertWidget(len(self._parts), shown)
+        self._parts.append(_Part(name, importance, shown, value))
+        return value
+
+    @property
+    def hidden_names(self) -> tuple[str, ...]:
+        """Names of the hidden values."""
+        return tuple(part.name for part in self._parts if part.shown.isHidden())
+
+    def fit(self) -> None:
+        """Show the values that fit; the room of a value never shrinks."""
+        for part in self._parts:
+            part.value.setMinimumWidth(max(part.value.minimumWidth(), part.value.sizeHint().width()))
+        whole = "\n".join(f"{part.name} {part.value.text()}" for part in self._parts)
+        for widget in (self, self._more):
+            widget.setToolTip(whole)
+        width, wanted = self.width(), sum(map(_width, self._parts))
+        left = width if wanted <= width else width - self._more.sizeHint().width() - _GAP
+        by_importance = sorted(self._parts, key=lambda part: part.importance)
+        count = sum(used <= left for used in accumulate(map(_width, by_importance)))
+        for index, part in enumerate(by_importance):
+            part.shown.setVisible(index < count)
+            if self.width() != width:  # the layout resized the row, which was fitted again
+                return
+        self._more.setVisible(count < len(self._parts))
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return a minimum width of zero."""
+        return QSize(0, super().minimumSizeHint().height())
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Fit the values to the new width."""
+        super().resizeEvent(event)
+        self.fit()
+
+
+def _width(part: _Part) -> int:
+    return part.shown.sizeHint().width() + _GAP
 
 
 def _duration(seconds: float) -> str:

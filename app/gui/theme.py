@@ -1,4 +1,4 @@
-"""How the window looks: a dark room's colours, and what Qt must be told about them."""
+"""Colours, style sheet and icons of the window, for a dark room."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ QProgressBar::chunk {{ background: #2f6f9f; }}
 
 
 def apply_theme(application: QApplication) -> None:
-    """Give the whole program the dark Fusion look."""
+    """Set the dark Fusion style for the whole application."""
     application.setStyle("Fusion")
     palette = QPalette()
     roles = QPalette.ColorRole
@@ -65,14 +65,14 @@ def apply_theme(application: QApplication) -> None:
 
 
 def lamp(colour: QColor) -> QIcon:
-    """Return a small round lamp, for a button that shows a state."""
+    """Return a small round lamp for a button that shows a state."""
     path = QPainterPath()
     path.addEllipse(6, 6, 20, 20)
     return _icon(path, colour)
 
 
 def start_or_stop(*, is_running: bool) -> QIcon:
-    """Return the sign of what pressing the button does: a square to stop, a triangle to start."""
+    """Return the icon of a button: a square stops, a triangle starts."""
     path = QPainterPath()
     if is_running:
         path.addRect(7, 7, 18, 18)
@@ -82,7 +82,7 @@ def start_or_stop(*, is_running: bool) -> QIcon:
 
 
 def hatching() -> QBrush:
-    """Return the brush that stands for "nothing is known here"."""
+    """Return the brush for unknown values."""
     return QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)
 
 
@@ -97,7 +97,7 @@ def _icon(path: QPainterPath, colour: QColor) -> QIcon:
 
 
 def _window_icon() -> QIcon:
-    """Nine spots, each displaced a little differently."""
+    """Nine spots with different displacements."""
     pixmap = QPixmap(64, 64)
     pixmap.fill(BACKGROUND)
     painter = QPainter(pixmap)

@@ -1,4 +1,4 @@
-"""What each stage of the live path takes: a table that a key brings up, and the tool tip of the latency."""
+"""Processing times of each stage, as a hidden row of the window and as a tool tip."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _WIDEST = "0000.0"
 
 
 class TimingRow(QWidget):
-    """Median, 99th percentile and maximum of every stage; out of sight until it is asked for."""
+    """Median, 99th percentile and maximum of every stage; hidden at first."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -39,18 +39,18 @@ class TimingRow(QWidget):
         self.hide()
 
     def toggle(self) -> None:
-        """Bring the row up, or put it away."""
+        """Show or hide the row."""
         self.setVisible(self.isHidden())
 
     def update_text(self, summaries: Summaries) -> None:
-        """Write the numbers."""
+        """Update the numbers."""
         for stage, values in self.values.items():
             for value, number in zip(values, _numbers(summaries[stage]), strict=True):
                 value.setText(number)
 
 
 def timing_table(summaries: Summaries) -> str:
-    """All stages as a table for a tool tip."""
+    """Return all stages as an HTML table."""
     rows = "".join(
         f"<tr><td>{stage.replace('_', ' ')}&nbsp;</td><td align='right'>{' / '.join(_numbers(summaries[stage]))}&nbsp;"
         f"</td><td>{MEANINGS[stage]}</td></tr>"
@@ -60,6 +60,6 @@ def timing_table(summaries: Summaries) -> str:
 
 
 def _numbers(summary: Summary) -> tuple[str, ...]:
-    """Write a stage's times in ms."""
+    """Format the times of a stage in ms."""
     times_s = (summary.p50_s, summary.p99_s, summary.max_s)
     return tuple(f"{seconds * 1e3:.1f}" if summary.count else "\N{EN DASH}" for seconds in times_s)

@@ -1,4 +1,4 @@
-"""The painted grid of views with its colour bar."""
+"""Grid of maps, one for each view, with a colour bar."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from app.gui.colours import ColourScale, Pixels
 from reconstruction.arrays import Floats
 
 _GAP = 10
-_BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, what is left of it, and right of it up to its numbers
-_SMALLEST_CAPTIONED = 48  # px: narrower views have no room for a number; their tool tips tell it
-_MARGIN = 3  # px around all views, for the frame of the selected one
+_BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
+_SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
+_MARGIN = 3  # px around all views, for the selection frame
 _STEPS = {
     Qt.Key.Key_Left: (0, -1),
     Qt.Key.Key_Right: (0, 1),
@@ -25,22 +25,21 @@ _STEPS = {
     Qt.Key.Key_Down: (1, 0),
 }
 
-
-Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each in several wordings, the longest first
+Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Maps:
-    """A map for every view; what is NaN in it is hatched."""
+    """A map for every view; NaN is hatched."""
 
     values: Floats  # (view_row, view_column, row, column)
     scale: ColourScale
-    describe: Callable[[int, int, float], str]  # the row, column and value of a map's pixel, in words
-    is_smooth: bool = False  # whether the pixels are samples of something smooth, not lenslets
+    describe: Callable[[int, int, float], str]  # text for row, column and value of a pixel
+    is_smooth: bool = False  # whether to interpolate: samples of a function, not lenslets
 
 
 class ViewGrid(QWidget):
-    """Paints a map of every view, side by side as the views lie in the field; one view is selected."""
+    """Paints the maps as the views lie in the field and frames the selected view."""
 
     selected = pyqtSignal(int, int)  # view row and column
 
@@ -56,12 +55,12 @@ class ViewGrid(QWidget):
 
     @property
     def maps(self) -> Maps | None:
-        """What is shown; None when nothing is."""
+        """The maps that are shown, if any."""
         return self._maps
 
     @property
     def captions(self) -> Mapping[tuple[int, int], Caption]:
-        """What is written under each view (view_row, view_column)."""
+        """The captions by (view_row, view_column)."""
         return self._captions
 
     def show_maps(self, maps: Maps) -> None:
@@ -72,23 +71,23 @@ class ViewGrid(QWidget):
         self.update()
 
     def show_nothing(self) -> None:
-        """Show that there is no wavefront now."""
+        """Show that there is no wavefront."""
         self._maps = None
         self.update()
 
     def select(self, view: tuple[int, int] | None) -> None:
-        """Frame a view (view_row, view_column), or none."""
+        """Frame the view (view_row, view_column), or none."""
         self._selection = view
         self.update()
 
     def set_captions(self, captions: Mapping[tuple[int, int], Caption]) -> None:
-        """Write two lines under each view (view_row, view_column), in the longest wording there is room for."""
+        """Show captions by (view_row, view_column), in the longest wording that fits."""
         if captions != self._captions:
             self._captions = captions
             self.update()
 
     def tile(self, view_row: int, view_column: int) -> QRect:
-        """Where a view is painted, without its caption."""
+        """Return the rectangle of a view without its caption."""
         first, size, step = self._layout()
         return QRect(first + QPoint(view_column * step.width(), view_row * step.height()), size)
 
@@ -103,7 +102,7 @@ class ViewGrid(QWidget):
         hatching = theme.hatching()
         for row, column in np.ndindex(self._pixels.shape[:2]):
             tile, view = self.tile(row, column), self._pixels[row, column]
-            is_known = view.all()  # what is transparent is not
+            is_known = view.all()  # unknown pixels are transparent
             if not is_known:
                 painter.fillRect(tile, theme.RAISED)
                 painter.fillRect(tile, hatching)
@@ -115,19 +114,19 @@ class ViewGrid(QWidget):
         self._paint_color_bar(painter, maps)
 
     def event(self, event: QEvent | None) -> bool:
-        """Say what lies under the pointer when it rests."""
+        """Show the value under the pointer as a tool tip."""
         if isinstance(event, QHelpEvent) and event.type() == QEvent.Type.ToolTip:
             QToolTip.showText(event.globalPos(), self._value_at(event.pos()), self)
             return True
         return super().event(event)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Ask for the view under the pointer to be selected."""
+        """Request to select the view under the pointer."""
         if event is not None and (view := self._view_at(event.pos())) is not None:
             self.selected.emit(*view)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Ask for the neighbour of the selected view to be selected."""
+        """Request to select a neighbour of the selected view."""
         if event is None:
             return
         step = _STEPS.get(Qt.Key(event.key()))
@@ -189,7 +188,7 @@ class ViewGrid(QWidget):
                 painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
 
     def _wording(self, line: int) -> int | None:
-        """Which wording of a line has room under all views; None when none has."""
+        """Return the longest wording of a line that fits under all views, if any."""
         width, advance = self._layout()[1].width(), self.fontMetrics().horizontalAdvance
         by_wording = zip(*(lines[line] for lines in self._captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
@@ -219,6 +218,6 @@ class ViewGrid(QWidget):
 
 
 def _image(pixels: Pixels) -> QImage:
-    """A picture of pixels (row, column)."""
+    """Convert pixels (row, column) to an image."""
     rows, columns = pixels.shape
     return QImage(np.ascontiguousarray(pixels).tobytes(), columns, rows, 4 * columns, QImage.Format.Format_ARGB32)

@@ -1,4 +1,4 @@
-"""The wavefront at every view of the field, or what follows from it, side by side as the views lie in the field."""
+"""The wavefront panel: the chosen quantity at every view of the field."""
 
 from __future__ import annotations
 
@@ -9,42 +9,42 @@ import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
-from app.gui.analysis import Analysis, Quantity
-from app.gui.quantities import PRESENTATIONS, Presentation, place
-from app.gui.scale import RANGES, SteppedScale
+from app.gui.adaptive_scale import RANGES, AdaptiveScale
+from app.gui.presentation import PRESENTATIONS, Presentation, place
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, label, toggle
+from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront
 
 
 class WavefrontPanel(QWidget):
-    """Shows the quantity that is chosen; where there is none it says so."""
+    """Shows the chosen quantity, or that there is no wavefront."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._wavefront: Wavefront | None = None
         self._shown: tuple[Quantity, Floats] | None = None  # the maps in the grid
-        self._limits = {one.family: SteppedScale(RANGES) for one in PRESENTATIONS.values()}
-        self._reach_mrad = SteppedScale(RANGES)  # of point-spread functions
+        self._limits = {one.family: AdaptiveScale(RANGES) for one in PRESENTATIONS.values()}
+        self._reach_mrad = AdaptiveScale(RANGES)  # half width of PSF maps
         self._choice = QComboBox()
         self._choice.addItems(list(Quantity))
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
             self._choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
-        self._choice.setToolTip("What is shown of every view (keys 1 to 6)")
+        self._choice.setToolTip("Quantity shown for every view (keys 1 to 6)")
         self._choice.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self._choice.currentIndexChanged.connect(self._change_quantity)
         self._summary = ElidedLabel("dim")
         self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.hold_scale = toggle("Hold scale", "Keep the colour scale, instead of letting it follow (H)")
+        self.freeze_scale = toggle("Freeze scale", "Freeze the colour scale (H)")
         self.grid = ViewGrid()
         header = QHBoxLayout()
         header.addWidget(self._choice)
         header.addWidget(label("over the field", "title"))
         header.addWidget(self._summary, 1)
         header.addSpacing(12)
-        header.addWidget(self.hold_scale)
+        header.addWidget(self.freeze_scale)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(header)
@@ -52,20 +52,20 @@ class WavefrontPanel(QWidget):
 
     @property
     def quantity(self) -> Quantity:
-        """What the grid is to show."""
+        """The chosen quantity."""
         return Quantity(self._choice.currentText())
 
     @property
     def reach_rad(self) -> float | None:
-        """How far point-spread functions are to be shown; None until it is known how far there is light."""
+        """Half width of PSF maps; None until the extent of the light is known."""
         return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
 
     def choose(self, quantity: Quantity) -> None:
-        """Show another quantity."""
+        """Choose a quantity."""
         self._choice.setCurrentText(quantity)
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
-        """Show the views of a wavefront, or that there is none; what follows from it comes by `show_analysis`."""
+        """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""
         if wavefront is None and self._wavefront is None:
             return
         self._wavefront = wavefront
@@ -75,9 +75,9 @@ class WavefrontPanel(QWidget):
             self._show(wavefront.views, _describe_lenslet)
 
     def show_analysis(self, analysis: Analysis) -> None:
-        """Show the maps that were asked for, unless something else is wanted by now."""
-        is_wanted = analysis.question.quantity is self.quantity is not Quantity.WAVEFRONT
-        if self._wavefront is None or not is_wanted:
+        """Show the maps of an analysis unless another quantity was chosen meanwhile."""
+        is_current = analysis.request.quantity is self.quantity is not Quantity.WAVEFRONT
+        if self._wavefront is None or not is_current:
             return
         if analysis.maps is None:
             self._show_nothing()
@@ -90,7 +90,7 @@ class WavefrontPanel(QWidget):
             self.update_text()
 
     def update_text(self) -> None:
-        """Write the numbers under the views."""
+        """Update the numbers under the views and in the header."""
         if self._shown is None or self._wavefront is None:
             self._summary.setText("")
             self.grid.set_captions({})
@@ -106,7 +106,7 @@ class WavefrontPanel(QWidget):
                 for row, column in np.ndindex(maps.shape[:2])
             }
         )
-        reach = f"\N{PLUS-MINUS SIGN}{self._reach_mrad.value:g} mrad; " if quantity is Quantity.PSF else ""
+        reach = f"half width {self._reach_mrad.value:g} mrad; " if quantity is Quantity.PSF else ""
         self._summary.setText(reach + presentation.summary(maps))
         self._summary.setToolTip(self._summary.text())
 
@@ -126,8 +126,8 @@ class WavefrontPanel(QWidget):
         self._shown = (self.quantity, maps)
         self.grid.show_maps(Maps(maps, presentation.scale(limit.value), partial(describe, presentation), is_smooth))
 
-    def _follow(self, scale: SteppedScale, needed: float) -> None:
-        if not (self.hold_scale.isChecked() and scale.is_set):
+    def _follow(self, scale: AdaptiveScale, needed: float) -> None:
+        if not (self.freeze_scale.isChecked() and scale.is_set):
             scale.follow(needed)
 
     def _show_nothing(self) -> None:
@@ -137,12 +137,12 @@ class WavefrontPanel(QWidget):
 
 
 def _describe_lenslet(presentation: Presentation, row: int, column: int, value: float) -> str:
-    text = presentation.value.format(value) if np.isfinite(value) else "nothing is known here: the lenslet is lost"
+    text = presentation.value.format(value) if np.isfinite(value) else "lost, no value"
     return f"Lenslet row {row}, column {column}: {text}"
 
 
 def _describe_angle(analysis: Analysis, presentation: Presentation, row: int, column: int, value: float) -> str:
     if analysis.maps is None or not np.isfinite(value):
-        return "nothing is known here"
+        return "no value"
     angle_mrad = np.linspace(-analysis.reach_rad, analysis.reach_rad, analysis.maps.shape[-1]) * 1e3
     return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {presentation.value.format(value)}"

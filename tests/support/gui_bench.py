@@ -1,4 +1,4 @@
-"""Devices for the tests of the window: a camera that paints soft squares, moved by a sample that is known exactly."""
+"""Fake devices for tests of the window: the camera paints soft squares displaced by a known sample."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ BENCH = Bench(
 
 
 class FakeCamera(Camera):
-    """Takes frames of the light and the stage beside it; `fault` is raised by the next read."""
+    """Takes frames of its light and stage; the next read raises `fault`."""
 
     name = "fake camera"
 
@@ -63,7 +63,7 @@ class FakeCamera(Camera):
             exposure_range_s=Range(0.01, 10),
             em_gain_range=Range(1, 1200),
             amplifiers=("em", "normal"),
-            readout_speeds=(3,),  # as the bench's
+            readout_speeds=(3,),  # as in the bench
         )
         self._exposure, self._chosen, self._gain, self._running = 0.02, "em", 1.0, False
         self._index = 0
@@ -180,7 +180,7 @@ class FakeStage(Stage):
 
 
 def opener(camera: FakeCamera) -> Callable[[Bench, Callable[[float], None]], Devices]:
-    """Return what opens the devices around `camera`."""
+    """Return a function that opens the devices around `camera`."""
 
     def open_devices(_: Bench, progress: Callable[[float], None]) -> Devices:
         progress(1.0)
@@ -205,7 +205,7 @@ def make_measurement(
     displacement_px: Floats | None = None,
     index: int = 0,
 ) -> Measurement:
-    """Make a measurement of arrays alone, as it would come from a recording."""
+    """Make a measurement from arrays, as from a recording."""
     shape = views.shape[2:]
     outcome = np.zeros(shape, np.int8) if outcome is None else outcome
     coefficients = np.zeros((*shape, 3, 2))
@@ -234,7 +234,7 @@ class _NoSolution:
 
 
 def _squares(shape: tuple[int, int], lattice: Lattice, strength: float) -> Floats:
-    """Soft squares behind every lenslet, between 0 and 1, moved as by a sample of the given strength."""
+    """Soft squares behind every lenslet, 0 ... 1, displaced by a sample of the given strength."""
     y, x = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
     position = lattice.from_camera_px(np.stack([x, y], axis=-1).astype(np.float64)) / lattice.pitch_px
     cell = np.floor(position + 0.5)

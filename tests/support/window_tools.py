@@ -1,4 +1,4 @@
-"""Windows for the tests, and ways to look at them and to press their keys."""
+"""Windows for tests: fixtures, pictures, keys and clicks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MakeWindow = Callable[..., MainWindow]
 
 
 class PatientBot(QtBot):
-    """Waits until it is so, on a slow computer too."""
+    """Waits long enough for a slow computer."""
 
     def waitUntil(self, callback: Callable[[], bool | None], *, timeout: int = int(1000 * HANG_S)) -> None:  # noqa: N802 - Qt's
         super().waitUntil(callback, timeout=timeout)
@@ -38,7 +38,7 @@ LENSLETS = (SENSOR.lenslet_rows, SENSOR.lenslet_columns)
 
 
 def use_font(application: QApplication) -> None:
-    """Use the font that Matplotlib brings, in the size that it has anyway."""
+    """Use the font that Matplotlib ships, in the default size."""
     files = Path(mpl.get_data_path()) / "fonts" / "ttf"
     family = "DejaVu Sans"
     for name in ("DejaVuSans.ttf", "DejaVuSans-Bold.ttf"):
@@ -51,7 +51,7 @@ def use_font(application: QApplication) -> None:
 
 @contextmanager
 def windows(application: QApplication) -> Iterator[MakeWindow]:
-    """Make windows that are closed at the end, whatever happens; none of their widgets may survive."""
+    """Yield a function that makes windows; close them afterwards and check that no widget survives."""
     made: list[MainWindow] = []
 
     def make(*cameras: FakeCamera) -> MainWindow:
@@ -74,7 +74,7 @@ def windows(application: QApplication) -> Iterator[MakeWindow]:
 
 def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
-    qtbot.waitUntil(lambda: window._answers.are_all_there)
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
 
 
 def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
@@ -82,11 +82,11 @@ def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
 
 
 def click(qtbot: QtBot, widget: QWidget, at: QPoint) -> None:
-    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # likewise
+    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # pytest-qt again
 
 
 def picture(widget: QWidget) -> NDArray[np.uint8]:
-    """What is seen of a widget, (row, column, rgb)."""
+    """Grab a widget, (row, column, rgb)."""
     image = widget.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     data = image.constBits()
     assert data is not None

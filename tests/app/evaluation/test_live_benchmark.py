@@ -43,8 +43,6 @@ from app.timing import Stage, Timings
 from drivers.interface import Devices, Disconnected, Frame
 from simulated_devices.camera import LoseFrames, SimulatedCamera
 
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
-
 LOST = 24
 
 

@@ -1,4 +1,4 @@
-"""The quantities over the field, the selected view, and the plots below the camera."""
+"""Quantities over the field, the selected view, and the plots below the camera."""
 
 from __future__ import annotations
 
@@ -15,15 +15,13 @@ from support.patience import HANG_S
 from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views, wait_for_wavefront
 
-from app.gui.analysis import Analysis, Quantity, Question, analyse
 from app.gui.analysis_panel import verdict
 from app.gui.colours import bright, diverging, uncertain
 from app.gui.main_window import MainWindow
+from app.results.view_analysis import Analysis, AnalysisRequest, Quantity, analyse
 from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
 from reconstruction.wavefront import Wavefront
-
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
 
 KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4, Qt.Key.Key_5, Qt.Key.Key_6)
 
@@ -41,12 +39,12 @@ def is_shown(window: MainWindow, quantity: Quantity) -> bool:
 
 def show(window: MainWindow, wavefront: Wavefront | None) -> None:
     """Show a wavefront as the window does, without a camera."""
-    window._analysis.show_bench(BENCH)
-    window._analysis.show_wavefront(wavefront)
+    window._analysis.use_settings(BENCH.reconstruction)
+    window._analysis.use_wavefront(wavefront)
     window.wavefront_panel.show_wavefront(wavefront)
 
 
-def test_keys_choose_what_is_shown(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.activateWindow()
     panel = window.wavefront_panel
@@ -69,9 +67,7 @@ def test_keys_choose_what_is_shown(live: tuple[MainWindow, FakeCamera], qtbot: Q
         assert panel._summary.text()
 
 
-def test_point_spread_is_brightest_in_its_middle_and_its_caption_says_how_bright(
-    make_window: MakeWindow, qtbot: QtBot
-) -> None:
+def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.wavefront_panel.choose(Quantity.PSF)
     flat = bowl()
@@ -92,10 +88,10 @@ def test_point_spread_is_brightest_in_its_middle_and_its_caption_says_how_bright
     assert bright_tile[bright_tile.shape[0] // 2, bright_tile.shape[1] // 2].min() > 130
     assert bright_tile[:5, :5].max() < 60
     assert 30 < lost_tile.mean() < 80  # hatched
-    assert "of the ideal peak" in grid._value_at(grid.tile(1, 1).center())
+    assert "of the peak without aberration" in grid._value_at(grid.tile(1, 1).center())
 
 
-def test_clicks_and_arrow_keys_select_the_view_whose_transfer_is_shown(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     show(window, bowl())
     grid, mtf = window.wavefront_panel.grid, window.analysis_panel.mtf
@@ -114,7 +110,7 @@ def test_clicks_and_arrow_keys_select_the_view_whose_transfer_is_shown(make_wind
     assert blue[frame.top(), frame.center().x(), 2] > blue[frame.top(), frame.center().x(), 0] + 60
 
 
-def test_nothing_is_computed_that_is_not_seen(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
@@ -122,13 +118,13 @@ def test_nothing_is_computed_that_is_not_seen(make_window: MakeWindow, qtbot: Qt
     assert not window.analysis_panel.isVisible()
     show(window, bowl())
     qtbot.wait(200)
-    assert window._analysis._analyst._question is None
+    assert window._analysis._thread._request is None
     assert window.wavefront_panel.grid._selection is None
     press(qtbot, window, Qt.Key.Key_I)
     qtbot.waitUntil(lambda: bool(window.analysis_panel.sentence.text()))
 
 
-def test_without_a_wavefront_nothing_old_remains(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_lost_wavefront_clears_maps_and_plots(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     show(window, bowl())
     window.wavefront_panel.choose(Quantity.PSF)
@@ -143,7 +139,7 @@ def test_without_a_wavefront_nothing_old_remains(make_window: MakeWindow, qtbot:
         assert len(curve.getData()[0]) == 0
 
 
-def test_views_of_which_nothing_is_known_are_shown_as_that(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     unknown = bowl()
     unknown.views[:] = np.nan
@@ -154,19 +150,19 @@ def test_views_of_which_nothing_is_known_are_shown_as_that(make_window: MakeWind
         window.wavefront_panel.choose(quantity)
         qtbot.wait(100)
         picture(window)
-    assert window.analysis_panel.sentence.text() == "No lenslet is known all over the field"
+    assert window.analysis_panel.sentence.text() == "No lenslet is valid over the whole field"
 
 
-def test_failing_analysis_is_told_and_the_window_goes_on(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     measurement = make_measurement(dim_frame(), views())  # its solution knows nothing beside the views
-    window._analysis.show_bench(BENCH)
+    window._analysis.use_settings(BENCH.reconstruction)
     window.show_measurement(measurement)
-    qtbot.waitUntil(lambda: "analysis" in window.messages._notice)
+    qtbot.waitUntil(lambda: "Analysis failed" in window.messages._notice)
     assert window.wavefront_panel.grid.maps is not None
 
 
-def test_redraw_goes_on_while_an_analysis_hangs_and_threads_end_with_the_window(
+def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
@@ -174,39 +170,39 @@ def test_redraw_goes_on_while_an_analysis_hangs_and_threads_end_with_the_window(
     qtbot.waitUntil(lambda: window.wavefront_panel._shown is not None and bool(window.analysis_panel.sentence.text()))
     hangs, may_go_on = threading.Event(), threading.Event()
 
-    def hang(question: Question) -> Analysis:
+    def hang(request: AnalysisRequest) -> Analysis:
         hangs.set()
         assert may_go_on.wait(HANG_S)
-        return analyse(question)
+        return analyse(request)
 
-    monkeypatch.setattr("app.gui.analysis.analyse", hang)
+    monkeypatch.setattr("app.gui.background_analysis.analyse", hang)
     qtbot.waitUntil(hangs.is_set)
     before = window.status_line.shown
     qtbot.waitUntil(lambda: window.status_line.shown > before + 15)
     may_go_on.set()
     window.close()
-    assert not any(thread.is_alive() for thread in window._analysis._analyst._executor._threads)
+    assert not any(thread.is_alive() for thread in window._analysis._thread._executor._threads)
 
 
-def test_held_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     panel = window.wavefront_panel
     panel.choose(Quantity.PSF)
     show(window, bowl())
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
-    panel.hold_scale.setChecked(True)
+    panel.freeze_scale.setChecked(True)
     assert panel.grid.maps is not None
     scale, reach_rad = panel.grid.maps.scale, panel.reach_rad
     show(window, bowl(tilt_rad_per_m=8000.0))
     qtbot.wait(600)
     assert panel.grid.maps.scale == scale
     assert panel.reach_rad == reach_rad
-    panel.hold_scale.setChecked(False)
+    panel.freeze_scale.setChecked(False)
     show(window, bowl(tilt_rad_per_m=8000.0))
     qtbot.waitUntil(lambda: panel.reach_rad != reach_rad)
 
 
-def test_captions_say_less_where_there_is_less_room(make_window: MakeWindow) -> None:
+def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow) -> None:
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))
     grid = window.wavefront_panel.grid
@@ -224,14 +220,14 @@ def curve(*rms_rad: float) -> StructureCurve:
     return StructureCurve(np.linspace(1e-4, len(rms_rad) * 1e-4, len(rms_rad)), values, values, values)
 
 
-def test_verdict_is_one_sentence() -> None:
+def test_verdict_states_error_and_patch() -> None:
     found = Isoplanatism(curve(0.5, 1.5), curve(0.1, 0.2), 0.42, 0.1, np.zeros((3, 3)))
-    assert verdict(found) == "One wavefront for all the field: off by 0.42 rad RMS; patch 0.15 mm"
+    assert verdict(found) == "A single correction would leave 0.42 rad RMS; isoplanatic patch 0.15 mm"
     wide = Isoplanatism(curve(0.1, 0.2), curve(0.1, 0.2), 0.04, 0.01, np.zeros((3, 3)))
-    assert verdict(wide).endswith("off by 0.04 rad RMS; patch wider than the field")
+    assert verdict(wide).endswith("leave 0.04 rad RMS; isoplanatic patch wider than the field")
 
 
-def test_colours_run_from_low_to_high_and_unknown_is_transparent() -> None:
+def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:
     for scale, middle in ((diverging(2.0), 0.0), (uncertain(2.0), 1.0), (bright(2.0), 0.5)):
         pixels = scale.pixels(np.array([scale.low - 1, scale.low, middle, 2.0, 3.0, np.nan]))
         bar = scale.bar
@@ -241,10 +237,10 @@ def test_colours_run_from_low_to_high_and_unknown_is_transparent() -> None:
     assert diverging(1.5).ticks[0] == (0.0, "\N{MINUS SIGN}1.5")
 
 
-def test_live_window_shows_the_fake_cameras_sample_as_space_variant(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_space_variant_sample_leaves_an_error_of_single_correction(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window(FakeCamera())
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     sentence = window.analysis_panel.sentence
-    qtbot.waitUntil(lambda: sentence.text().startswith("One wavefront"))
-    assert float(sentence.text().partition("off by ")[2].partition(" rad")[0]) > 0.1
+    qtbot.waitUntil(lambda: sentence.text().startswith("A single correction"))
+    assert float(sentence.text().partition("leave ")[2].partition(" rad")[0]) > 0.1

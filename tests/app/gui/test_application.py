@@ -1,4 +1,4 @@
-"""The window that nobody watches, or that a signal closes."""
+"""Unattended runs of the window, and signals that close it."""
 
 from __future__ import annotations
 
@@ -20,26 +20,24 @@ from app.errors import Interrupted, RunError
 from app.gui.application import run_window
 from drivers.interface import Disconnected
 
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
-
 
 @contextmanager
 def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
-    """Have something done from the event loop as soon as the camera's light is on."""
+    """Call `act` from the event loop as soon as the light is on."""
     timer = QTimer()
 
-    def look() -> None:
+    def poll() -> None:
         if camera.light.shines:
             timer.stop()
             act()
 
-    timer.timeout.connect(look)
+    timer.timeout.connect(poll)
     timer.start(20)
     yield
     timer.stop()
 
 
-def test_unattended_run_leaves_a_picture_and_a_result(qapp: QApplication, tmp_path: Path) -> None:
+def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
     status = run_window(
@@ -57,7 +55,7 @@ def test_unattended_run_leaves_a_picture_and_a_result(qapp: QApplication, tmp_pa
     assert qapp is QApplication.instance()
 
 
-def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplication) -> None:
+def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
     with pytest.raises(RunError, match=r"^no camera was found"):
@@ -67,7 +65,7 @@ def test_unattended_run_ends_with_the_reason_when_the_devices_fail(qapp: QApplic
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("offscreen_s", [None, HANG_S])
-def test_signal_closes_the_window_and_turns_the_light_off(
+def test_signal_closes_window_and_turns_light_off(
     qapp: QApplication, number: signal.Signals, offscreen_s: float | None
 ) -> None:
     assert qapp is QApplication.instance()
@@ -80,7 +78,7 @@ def test_signal_closes_the_window_and_turns_the_light_off(
     assert signal.getsignal(number) == before
 
 
-def test_unattended_run_whose_window_is_closed_is_no_success(qapp: QApplication, tmp_path: Path) -> None:
+def test_unattended_run_closed_early_raises_and_saves_nothing(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
     with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):

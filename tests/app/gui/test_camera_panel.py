@@ -1,4 +1,4 @@
-"""The camera image and what is drawn over it lie where they were measured."""
+"""Positions of the camera image and its overlays."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from reconstruction.displacement import Outcome
 
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
 
-
-def test_camera_image_lies_as_on_the_camera(make_window: MakeWindow) -> None:
+def test_image_is_oriented_as_on_the_camera(make_window: MakeWindow) -> None:
     window = make_window()
     window.camera_panel.arrows_toggle.setChecked(False)
     pixels = dim_frame()
@@ -32,7 +30,7 @@ def test_camera_image_lies_as_on_the_camera(make_window: MakeWindow) -> None:
     assert width / height == pytest.approx(40 / 60, rel=0.1)
 
 
-def test_lost_lenslet_is_crossed_out_where_it_lies_and_says_why(make_window: MakeWindow) -> None:
+def test_lost_lenslet_is_crossed_out_with_its_reason(make_window: MakeWindow) -> None:
     window = make_window()
     outcome = np.zeros(LENSLETS, np.int8)
     outcome[1, 10] = Outcome.SATURATED
@@ -51,7 +49,7 @@ def test_lost_lenslet_is_crossed_out_where_it_lies_and_says_why(make_window: Mak
     assert panel.caption.text().endswith("lenslet row 1, column 11")
 
 
-def test_arrows_point_where_the_light_has_moved(make_window: MakeWindow) -> None:
+def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     window = make_window()
     panel = window.camera_panel
     panel.show_bench(SENSOR, LATTICE, FULL_SCALE)

@@ -1,4 +1,4 @@
-"""What the user asks for reaches the devices, and the controls show how these stand."""
+"""Controls: intents reach the devices, and the status of the devices is shown."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from support.window_tools import press
 from app.acquisition.instrument import Standing
 from app.gui import theme
 from app.gui.main_window import MainWindow
-
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
+from app.measurement.routines.averages import AVERAGED_FRAMES
 
 
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
@@ -37,7 +36,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     for act, is_done in acts:
         act()
         qtbot.waitUntil(is_done)
-        qtbot.waitUntil(lambda: window._answers.are_all_there)
+        qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     assert camera.is_running
     qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # what the camera made of it
     assert controls.light.text() == "Light off"
@@ -46,7 +45,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
 
 
-def test_keys_act_while_a_number_is_being_edited(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_letter_keys_act_while_a_number_is_edited(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.activateWindow()
     window.controls.exposure.edit()
@@ -58,8 +57,8 @@ def is_exposed(camera: FakeCamera, exposure_s: float) -> bool:
     return camera.exposure_s == exposure_s
 
 
-def test_return_takes_what_was_typed_and_escape_does_not(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
-    """Both are shortcuts of the window as well, which must not have them while a number is being edited."""
+def test_return_applies_typed_number_and_escape_restores_it(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """Both keys are shortcuts of the window, too, except while a number is edited."""
     window, camera = live
     answers: list[bool] = []
     window.messages.answered.connect(answers.append)
@@ -73,7 +72,7 @@ def test_return_takes_what_was_typed_and_escape_does_not(live: tuple[MainWindow,
             press(qtbot, field, Qt.Key(ord(key)))
         press(qtbot, field, end)
         qtbot.waitUntil(partial(is_exposed, camera, exposure_s))
-        qtbot.waitUntil(lambda: window._answers.are_all_there)
+        qtbot.waitUntil(lambda: window.controller.pending.is_empty)
         assert field.value() == 40
         assert field.text() == "40.000 ms"
         assert not field.hasFocus()  # digits choose what is shown again
@@ -82,10 +81,10 @@ def test_return_takes_what_was_typed_and_escape_does_not(live: tuple[MainWindow,
     assert answers == [True]
 
 
-def test_what_was_told_gives_way_to_what_is_asked_for_next(
+def test_notice_disappears_at_the_next_command(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not just pass by itself
+    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not expire
     window, _ = live
     window.messages.tell("the exposure was found")
     window.update_text()
@@ -94,7 +93,7 @@ def test_what_was_told_gives_way_to_what_is_asked_for_next(
     qtbot.waitUntil(lambda: "is the light on?" in window.messages.text.text())
 
 
-def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_changed_settings_reach_the_reconstruction(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.controls.setting_requested.emit("registration", "warp", "affine")
     window.controls.pupil_modes.setValue(15)
@@ -112,7 +111,28 @@ def test_settings_of_the_reconstruction_change(live: tuple[MainWindow, FakeCamer
     assert not window.controls.pupil_modes.isEnabled()
 
 
-def test_reference_shines_green_only_while_it_serves(live: tuple[MainWindow, FakeCamera]) -> None:
+def test_fields_take_their_limits_from_settings_and_devices(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    controls, status = window.controls, window._status
+    assert status is not None
+    reconstruction = replace(status.bench.reconstruction, pupil_modes=500)
+    bench = replace(status.bench, reconstruction=reconstruction)
+    controls.show_status(replace(status, bench=bench), is_settled=True)
+    assert controls.pupil_modes.value() == 500
+    most = round(controls.pupil_modes.maximum())
+    assert replace(reconstruction, pupil_modes=most).pupil_modes == most
+    with pytest.raises(ValueError, match="pupil_modes"):
+        replace(reconstruction, pupil_modes=most + 1)
+    assert (controls.frames.minimum(), controls.frames.maximum()) == (AVERAGED_FRAMES[0], AVERAGED_FRAMES[-1])
+    for field, unit, allowed in (
+        (controls.exposure, 1e-3, status.capabilities.exposure_range_s),
+        (controls.em_gain, 1, status.capabilities.em_gain_range),
+        (controls.current, 1e-3, status.current_range_a),
+    ):
+        assert (field.minimum() * unit, field.maximum() * unit) == pytest.approx((allowed.minimum, allowed.maximum))
+
+
+def test_lamps_show_standing_of_dark_and_reference(live: tuple[MainWindow, FakeCamera]) -> None:
     window, _ = live
     assert window._status is not None
     status = window._status
@@ -144,7 +164,7 @@ def test_reference_shines_green_only_while_it_serves(live: tuple[MainWindow, Fak
         ({"method": "ffd", "flow": "warp"}, True),
     ],
 )
-def test_warp_is_offered_where_it_has_an_effect(
+def test_warp_is_enabled_only_where_it_has_an_effect(
     live: tuple[MainWindow, FakeCamera], changes: dict[str, Any], is_used: bool
 ) -> None:
     window, _ = live
@@ -154,7 +174,7 @@ def test_warp_is_offered_where_it_has_an_effect(
     assert window.controls.warp.isEnabled() == is_used
 
 
-def test_refused_value_is_told_and_the_loop_goes_on(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.controls.exposure.setValue(55)
     qtbot.waitUntil(lambda: "between 50 and 60 ms are broken" in window.messages.text.text())

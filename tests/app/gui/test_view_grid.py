@@ -1,4 +1,4 @@
-"""The grid of views: what lies where, in which colour, and with which numbers."""
+"""Grid of views: positions, colours and numbers."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from PyQt6.QtCore import QPoint
 from support.gui_bench import make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture
 
+from app.gui.adaptive_scale import MAGNIFICATIONS, RANGES, AdaptiveScale
 from app.gui.colours import diverging
-from app.gui.scale import MAGNIFICATIONS, RANGES, SteppedScale
 from app.gui.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
-
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
 
 
 def show(grid: ViewGrid, phase: Floats, limit_rad: float) -> None:
@@ -51,7 +49,7 @@ def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
     assert abs(middle[0] - middle[2]) < 20
 
 
-def test_lost_lenslet_is_hatched_and_never_drawn_as_zero(make_window: MakeWindow) -> None:
+def test_lost_lenslet_is_hatched_not_zero(make_window: MakeWindow) -> None:
     window = make_window()
     shown = np.zeros((3, 3, *LENSLETS))
     shown[1, 1, 2, 3] = np.nan
@@ -66,7 +64,7 @@ def test_lost_lenslet_is_hatched_and_never_drawn_as_zero(make_window: MakeWindow
     assert "lost" in grid._value_at(grid.tile(1, 1).topLeft() + QPoint(int(3.5 * step_x), int(2.5 * step_y)))
 
 
-def test_lenslets_without_a_value_are_left_out_of_the_numbers(make_window: MakeWindow) -> None:
+def test_captions_ignore_lenslets_without_value(make_window: MakeWindow) -> None:
     window = make_window()
     shown = np.tile(np.where(np.arange(LENSLETS[1]) % 2, 1.0, -1.0)[1:], (3, 3, LENSLETS[0], 1))
     shown = np.concatenate([np.full((*shown.shape[:3], 1), np.nan), shown], axis=3)  # lost in every view
@@ -79,7 +77,7 @@ def test_lenslets_without_a_value_are_left_out_of_the_numbers(make_window: MakeW
     picture(window.wavefront_panel.grid)
 
 
-def test_scales_rise_at_once_and_fall_only_when_it_is_worth_it() -> None:
-    scale = SteppedScale(MAGNIFICATIONS)
+def test_scale_rises_at_once_and_falls_reluctantly() -> None:
+    scale = AdaptiveScale(MAGNIFICATIONS)
     assert [scale.follow(needed) for needed in (1.7, 2.1, 1.9, 1.7, 1.5, np.nan, 0.0)] == [2, 5, 5, 5, 2, 2, 2]
-    assert SteppedScale(RANGES).follow(11) == 15
+    assert AdaptiveScale(RANGES).follow(11) == 15

@@ -1,4 +1,4 @@
-"""Lattice, exposure and background by the window: proposed, told, and used only when its user agrees."""
+"""Calibration in the window: lattice proposal, automatic exposure, background check, saved bench."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench
 from app.gui.main_window import MainWindow
 
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
-
 
 def bench_of(window: MainWindow) -> Bench:
     assert window._status is not None
@@ -26,7 +24,7 @@ def bench_of(window: MainWindow) -> Bench:
 
 
 def move_lattice(window: MainWindow, qtbot: QtBot, center_x_px: float) -> None:
-    """Let the bench believe that the lenslets lie elsewhere."""
+    """Displace the lattice of the bench."""
 
     def move(bench: Bench) -> Bench:
         assert bench.lattice is not None
@@ -35,8 +33,8 @@ def move_lattice(window: MainWindow, qtbot: QtBot, center_x_px: float) -> None:
     def command(instrument: Instrument) -> None:
         instrument.change_settings(move)
 
-    assert window._acquisition is not None
-    window._acquisition.submit(command).result(10)
+    assert window.controller.acquisition is not None
+    window.controller.acquisition.submit(command).result(10)
     qtbot.waitUntil(lambda: center_of(window) == center_x_px)
 
 
@@ -50,24 +48,24 @@ def is_about(window: MainWindow, center_x_px: float) -> bool:
     return abs(center_of(window) - center_x_px) < 0.1
 
 
-def test_lattice_is_proposed_and_used_only_when_accepted(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     move_lattice(window, qtbot, 211.0)
     for key, center_x_px in ((Qt.Key.Key_Escape, 211.0), (Qt.Key.Key_Return, 215.0)):  # the camera's is 215
         press(qtbot, window, Qt.Key.Key_N)
         qtbot.waitUntil(window.messages.accept.isVisible)
         assert "pitch 31.25" in window.messages.text.text()
-        assert "117 of 117 lit" in window.messages.text.text()
-        assert window.camera_panel._found_lines.isVisible()
+        assert "117 of 117 illuminated" in window.messages.text.text()
+        assert window.camera_panel._proposed_lines.isVisible()
         assert center_of(window) == 211.0
         press(qtbot, window, key)
         qtbot.waitUntil(lambda: not window.messages.accept.isVisible())
-        assert not window.camera_panel._found_lines.isVisible()
-        qtbot.waitUntil(lambda: window._answers.are_all_there)
+        assert not window.camera_panel._proposed_lines.isVisible()
+        qtbot.waitUntil(lambda: window.controller.pending.is_empty)
         qtbot.waitUntil(partial(is_about, window, center_x_px))
 
 
-def test_bench_is_saved_with_what_is_in_force(
+def test_saved_bench_holds_settings_in_force(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
@@ -83,28 +81,28 @@ def test_bench_is_saved_with_what_is_in_force(
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path), ""))
     window.save_bench()
     window.update_text()
-    assert "is no file" in window.messages.text.text()
+    assert "not a file" in window.messages.text.text()
 
 
-def test_exposure_that_cannot_be_found_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_failed_auto_exposure_is_shown(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     press(qtbot, window, Qt.Key.Key_X)  # the fake camera's light does not depend on its exposure
-    qtbot.waitUntil(lambda: window._answers.are_all_there)
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     window.update_text()
     assert window.messages._notice_colour.name() == "#f0b64a"
     assert camera.light.is_on
     assert camera.is_running
 
 
-def test_background_that_is_as_it_was_is_told(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_unchanged_background_is_confirmed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     press(qtbot, window, Qt.Key.Key_B)
     qtbot.waitUntil(lambda: "dark is still good" in window.messages.text.text())
     assert camera.light.is_on
 
 
-def test_what_an_alarm_hides_is_not_agreed_to(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
-    """Neither Return nor Esc may decide what cannot be read at that moment."""
+def test_keys_do_not_answer_a_hidden_question(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """Neither Return nor Esc may answer a question behind an alarm."""
     window, _ = live
     answers: list[bool] = []
     window.messages.answered.connect(answers.append)

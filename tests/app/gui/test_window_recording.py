@@ -1,4 +1,4 @@
-"""Recording by the window."""
+"""Recording in the window."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ from app.gui.main_window import MainWindow
 from app.recording.reader import Recording
 from drivers.interface import Disconnected
 
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
-
 
 def only_recording(folder: Path, suffix: str = "") -> Recording:
     (found,) = (path for path in folder.iterdir() if path.name.endswith("-kept") == (suffix == "-kept"))
     return Recording(found)
 
 
-def test_what_is_live_is_recorded_from_start_to_stop(
+def test_every_frame_between_start_and_stop_is_recorded(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
     window, _ = live
-    window.recording.folder = tmp_path / "here"
+    window.controller.recordings_folder = tmp_path / "here"
     panel = window.recording_panel
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: panel.record.text() == "Stop")
     qtbot.waitUntil(lambda: int(panel.text.text().split(" ")[0] or 0) > 5)
-    qtbot.waitUntil(lambda: "room for" in panel.text.text())
+    qtbot.waitUntil(lambda: "disk space for" in panel.text.text())
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text())
     assert panel.record.text() == "Record"
@@ -41,35 +39,33 @@ def test_what_is_live_is_recorded_from_start_to_stop(
     assert recording.displacement(3) is not None
 
 
-def test_last_seconds_are_kept(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
+def test_last_seconds_are_saved(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
-    window.recording.folder = tmp_path
+    window.controller.recordings_folder = tmp_path
     press(qtbot, window, Qt.Key.Key_K)
     qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text())
     assert len(only_recording(tmp_path, "-kept")) > 1
 
 
-@pytest.mark.parametrize("name", ["file", "file/below", "a" * 300])  # the last is more than any disk allows
-def test_folder_that_cannot_be_is_told(
+@pytest.mark.parametrize("name", ["file", "file/below", "a" * 300])  # the last exceeds any file system's limit
+def test_impossible_folder_is_reported(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, name: str
 ) -> None:
     window, _ = live
     (tmp_path / "file").write_text("no folder")
-    window.recording.folder = tmp_path / name
-    window.recording._asked_s = 0.0  # how much room there is, is asked at once
+    window.controller.recordings_folder = tmp_path / name
+    window.controller._disk_due_s = 0.0  # query the disk space at once
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: str(tmp_path / name[:4]) in window.messages.text.text())
     qtbot.waitUntil(lambda: not window.recording_panel.record.isChecked())
-    assert not window.failure
+    assert not window.controller.failure
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
-def test_camera_that_is_unplugged_leaves_a_whole_recording(
-    make_window: MakeWindow, qtbot: QtBot, tmp_path: Path
-) -> None:
+def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, qtbot: QtBot, tmp_path: Path) -> None:
     first, second = FakeCamera(), FakeCamera()
     window = make_window(first, second)
-    window.recording.folder = tmp_path
+    window.controller.recordings_folder = tmp_path
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     window.recording_panel.record.click()
@@ -88,15 +84,13 @@ def test_camera_that_is_unplugged_leaves_a_whole_recording(
     qtbot.waitUntil(lambda: not window.messages.reconnect.isVisible())
 
 
-def test_what_ended_early_is_told_until_it_is_dismissed(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
-) -> None:
+def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, camera = live
-    window.recording.folder = tmp_path
+    window.controller.recordings_folder = tmp_path
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
-    assert window._acquisition is not None
-    window._acquisition._recorder.stop("the disk is full")
+    assert window.controller.acquisition is not None
+    window.controller.acquisition._recorder.stop("the disk is full")
     qtbot.waitUntil(window.messages.dismiss.isVisible)
     assert "the disk is full" in window.messages.text.text()
     assert camera.light.shines  # nothing else has ended
@@ -108,7 +102,7 @@ def test_closing_the_window_finishes_the_recording(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
 ) -> None:
     window, _ = live
-    window.recording.folder = tmp_path
+    window.controller.recordings_folder = tmp_path
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
     window.close()

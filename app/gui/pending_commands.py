@@ -1,4 +1,4 @@
-"""What the window has asked the acquisition's worker for and has not heard of yet."""
+"""Futures of the commands that the window has sent and that are not finished yet."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from app.measurement.routines.frames import Cancelled
 T = TypeVar("T")
 
 
-class Answers:
-    """Waits for commands to be executed, and tells which of them were refused, and why."""
+class PendingCommands:
+    """Passes the result of each command to its callback and shows its error as a warning."""
 
     def __init__(self, messages: MessageStrip) -> None:
         self._messages = messages
         self._pending: list[tuple[Future[Any], Callable[[Any], object] | None]] = []
 
     def restart(self, futures: Iterable[Future[Any]]) -> None:
-        """Wait for these only."""
+        """Forget all pending commands but these."""
         self._pending = [(future, None) for future in futures]
 
-    def expect(self, future: Future[T], then: Callable[[T], object] | None = None) -> None:
-        """Wait for one more; `then` is told its result. What was told of the one before has had its time."""
-        self._messages.forget_notice()
+    def add(self, future: Future[T], then: Callable[[T], object] | None = None) -> None:
+        """Add a command; `then` receives its result. The notice of an earlier one disappears."""
+        self._messages.clear_notice()
         self._pending.append((future, then))
 
     @property
-    def are_all_there(self) -> bool:
-        """Whether nothing is waited for."""
+    def is_empty(self) -> bool:
+        """Whether all commands are finished."""
         return not self._pending
 
-    def look(self) -> bool:
-        """Tell what has been answered; return whether anything has."""
+    def poll(self) -> bool:
+        """Report finished commands; return whether there were any."""
         done = [(future, then) for future, then in self._pending if future.done()]
         self._pending = [(future, then) for future, then in self._pending if not future.done()]
         for future, then in done:
@@ -42,7 +42,7 @@ class Answers:
                 result = future.result()
             except (Cancelled, CancelledError):
                 self._messages.warn("cancelled")
-            except Exception as error:  # noqa: BLE001 - whatever it is, it is told
+            except Exception as error:  # noqa: BLE001 - every error is shown
                 self._messages.warn(str(error))
             else:
                 if then is not None:

@@ -1,4 +1,4 @@
-"""How each quantity is shown: its colours, and the words and numbers beside it."""
+"""Presentation of each quantity: its colour scale, captions and number formats."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from app.gui.analysis import Quantity
 from app.gui.colours import ColourScale, bright, diverging, uncertain
+from app.results.view_analysis import Quantity
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import peak_to_valley, rms
 
@@ -21,33 +21,33 @@ _SHOWN_PERCENT = 99.5  # of the lenslets lie within the colour scale
 class Presentation:
     """How one quantity is shown."""
 
-    about: str  # what it is, for the tool tip of its name
-    scale: Callable[[float], ColourScale]  # for a limit
-    family: str  # those of one family share the limit, so that they can be compared
-    finest: float  # no finer limit: it would show noise in full colours
+    about: str  # tool tip
+    scale: Callable[[float], ColourScale]  # of a limit
+    family: str  # quantities of one family share the limit and can be compared
+    finest: float  # lowest limit: a lower one would show noise in full colours
     shown_percent: float  # of the values that lie within the limit
-    caption: Callable[[Floats], tuple[str, ...]]  # of one map (row, column), in several wordings, the longest first
+    caption: Callable[[Floats], tuple[str, ...]]  # of one map (row, column): wordings, longest first
     summary: Callable[[Floats], str]  # of all maps (view_row, view_column, row, column)
     value: str  # the format of one value
 
     def limit(self, maps: Floats) -> float:
-        """How far the scale must reach; NaN where nothing is known."""
+        """Return the limit that the scale needs; NaN if all maps are NaN."""
         known = np.abs(maps[np.isfinite(maps)])
         return float(np.percentile(known, self.shown_percent)) if known.size else float("nan")
 
 
 def number(value: float, decimals: int = 2) -> str:
-    """A number, or a dash where there is none."""
+    """Format a number; NaN is a dash."""
     return f"{value:.{decimals}f}" if np.isfinite(value) else NOTHING
 
 
 def millimetres(position_m: float) -> str:
-    """A field position."""
+    """Format a field position in mm."""
     return f"{position_m * 1e3:+.2f}".replace("-", "\N{MINUS SIGN}").replace("+0.00", "0")
 
 
 def place(x_m: float, y_m: float) -> tuple[str, ...]:
-    """Where a view lies in the field, in several wordings, the longest first."""
+    """Format the field position of a view: wordings, longest first."""
     x, y = millimetres(x_m), millimetres(y_m)
     return f"x {x}  y {y} mm", f"{x}, {y} mm", f"{x}, {y}"
 
@@ -67,7 +67,7 @@ def _intensity_caption(intensity: Floats) -> tuple[str, ...]:
 
 
 def _sigma_caption(sigma: Floats) -> tuple[str, ...]:
-    return _wordings("mean", number(_mean(sigma), 3), f"most {number(_most(sigma), 3)}")
+    return _wordings("mean", number(_mean(sigma), 3), f"max {number(_most(sigma), 3)}")
 
 
 def _mean(values: Floats) -> float:
@@ -94,23 +94,21 @@ def _phase(about: str) -> Presentation:
 
 
 PRESENTATIONS = {
-    Quantity.WAVEFRONT: _phase("The wavefront at each view of the field"),
+    Quantity.WAVEFRONT: _phase("Wavefront of each view"),
     Quantity.PSF: Presentation(
-        about="The point-spread function at each view: how a point of the object is imaged",
+        about="Point-spread function of each view: the image of a point of the object",
         scale=bright,
         family="intensity",
         finest=1e-4,
         shown_percent=100.0,
         caption=_intensity_caption,
-        summary=lambda _: "ideal peak 1",
-        value="{:.4f} of the ideal peak",
+        summary=lambda _: "1 = peak without aberration",
+        value="{:.4f} of the peak without aberration",
     ),
-    Quantity.MEASURED: _phase(
-        "What the slopes of each view say: the fit, and what it leaves of them integrated lenslet by lenslet"
-    ),
-    Quantity.FITTED: _phase("The pupil modes fitted to each view"),
+    Quantity.MEASURED: _phase("Fitted wavefront plus the slope residuals, integrated from lenslet to lenslet"),
+    Quantity.FITTED: _phase("Pupil modes fitted to each view"),
     Quantity.DIFFERENCE: Presentation(
-        about="Measured minus fitted: noise, and what the pupil modes are too few for",
+        about="Measured minus fitted: noise and finer detail than the pupil modes resolve",
         scale=diverging,
         family="difference",
         finest=0.01,
@@ -120,7 +118,7 @@ PRESENTATIONS = {
         value="{:+.3f} rad",
     ),
     Quantity.UNCERTAINTY: Presentation(
-        about="Standard deviation of each view's wavefront, from the camera's noise",
+        about="Standard deviation of each view's wavefront, from the camera noise",
         scale=uncertain,
         family="uncertainty",
         finest=0.001,

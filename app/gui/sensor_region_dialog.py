@@ -1,4 +1,4 @@
-"""Which part of the sensor is read out, and how it is binned: asked for in a dialog beside the running measurement."""
+"""Dialog for the sensor region and the binning; the measurement continues beside it."""
 
 from __future__ import annotations
 
@@ -8,61 +8,62 @@ from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QVBoxL
 from app.acquisition.instrument import Status
 from app.gui.number_field import NumberField
 from app.gui.widgets import button, label
-from app.measurement.sensor_region import SensorArea, in_steps, region_around
+from app.measurement.sensor_region import SensorArea
 from drivers.interface import Range, Region
 
-_STEPS = "All four are in pixels of the sensor, unbinned; the camera takes them in its own steps"
+_STEPS = "In unbinned sensor pixels; rounded to the camera's steps"
 
 
-class ReadOutDialog(QDialog):
-    """Emits the area that its user wants; shows the one in force, and what the camera allows."""
+class SensorRegionDialog(QDialog):
+    """Emits the requested area; shows the one in force and what the camera allows."""
 
-    wanted = pyqtSignal(object)  # a SensorArea
+    area_requested = pyqtSignal(object)  # a SensorArea
+    around_requested = pyqtSignal()  # the region around the lattice
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setWindowTitle("Part of the sensor, and binning")
+        self.setWindowTitle("Sensor region and binning")
         self._status: Status | None = None
-        self.top = NumberField(tool_tip=f"First row of the sensor that is read out. {_STEPS}")
-        self.left = NumberField(tool_tip=f"First column. {_STEPS}")
-        self.rows = NumberField(tool_tip=f"How many rows. {_STEPS}")
-        self.columns = NumberField(tool_tip=f"How many columns. {_STEPS}")
+        self.top = NumberField(tool_tip=f"First row that is read out. {_STEPS}")
+        self.left = NumberField(tool_tip=f"First column that is read out. {_STEPS}")
+        self.rows = NumberField(tool_tip=f"Number of rows. {_STEPS}")
+        self.columns = NumberField(tool_tip=f"Number of columns. {_STEPS}")
         self._sides = (self.top, self.left, self.rows, self.columns)
         self.binning = QComboBox()
-        self.binning.setToolTip("How many pixels of the sensor, along both axes, make one of the frame")
+        self.binning.setToolTip("Sensor pixels per frame pixel, along both axes")
         self.limits, self.in_force = label("", "dim"), label("", "dim")
-        self.whole = button("Whole sensor", "Fill in all of the sensor")
+        self.whole = button("Whole sensor", "Fill in the whole sensor")
         self.whole.clicked.connect(self._fill_whole)
-        self.around = button("Around the lattice", "Fill in what holds all lenslets, and half a pitch about them")
-        self.around.clicked.connect(self._fill_around)
-        self.apply = button("Read this out", "Stop the camera, set it, and go on; dark and reference are to be retaken")
+        self.around = button("Around the lattice", "Fill in all lenslets with a margin of half a pitch")
+        self.around.clicked.connect(self.around_requested)
+        self.apply = button("Apply", "Set the region; then take a new dark (D) and reference (R)")
         self.apply.setDefault(True)
-        self.apply.clicked.connect(lambda: self.wanted.emit(self.area))
-        close = button("Close", "Leave everything as it is (Esc)")
+        self.apply.clicked.connect(lambda: self.area_requested.emit(self.area))
+        close = button("Close", "Change nothing (Esc)")
         close.clicked.connect(self.close)
         self._lay_out((self.whole, self.around), (self.apply, close))
 
     @property
     def area(self) -> SensorArea:
-        """What is filled in."""
+        """The area that is filled in."""
         return SensorArea(Region(*(round(side.value()) for side in self._sides)), int(self.binning.currentText() or 1))
 
     def begin(self, status: Status) -> None:
-        """Fill in what is in force, and let it be changed."""
+        """Fill in the area in force and open the dialog."""
         self._status = None
         self.show_status(status)
         self.show()
 
     def show_status(self, status: Status) -> None:
-        """Show what is in force; what is being filled in is left alone until that has changed."""
+        """Show the area in force; refill the fields only if it has changed."""
         before, self._status = self._status, status
         allowed, area = status.capabilities, status.area
         is_new = before is None or (before.area, before.capabilities.sensor) != (area, allowed.sensor)
         pixels = f"{allowed.rows} x {allowed.columns} pixels"
         self.in_force.setText(f"In force: {area}; frames of {pixels}")
         whole = allowed.sensor or area.region
-        steps = f", in steps of {allowed.region_step_px} px" if allowed.sensor is not None else ", no part of it"
-        self.limits.setText(f"The camera reads out {whole.rows} x {whole.columns}{steps}")
+        steps = f", in steps of {allowed.region_step_px} px" if allowed.sensor is not None else ", always whole"
+        self.limits.setText(f"Sensor: {whole.rows} x {whole.columns} pixels{steps}")
         for side in (*self._sides, self.around):
             side.setEnabled(allowed.sensor is not None)
         self.around.setEnabled(allowed.sensor is not None and status.lattice is not None)
@@ -71,16 +72,14 @@ class ReadOutDialog(QDialog):
             self.binning.clear()
             self.binning.addItems(list(map(str, allowed.binnings)))
             self.binning.setCurrentText(str(area.binning))
-            self._fill(area.region)
+            self.fill(area.region)
 
-    def _fill(self, region: Region) -> None:
-        """Fill in a region, in the steps of the camera as it is now."""
+    def fill(self, region: Region) -> None:
+        """Fill in a region."""
         if self._status is None:
             return
         allowed = self._status.capabilities
         whole = allowed.sensor or region
-        if allowed.sensor is not None:
-            region = in_steps(region, allowed.sensor, allowed.region_step_px)
         for side, value, most in (
             (self.top, region.top, whole.rows),
             (self.left, region.left, whole.columns),
@@ -92,12 +91,7 @@ class ReadOutDialog(QDialog):
 
     def _fill_whole(self) -> None:
         if self._status is not None and self._status.capabilities.sensor is not None:
-            self._fill(self._status.capabilities.sensor)
-
-    def _fill_around(self) -> None:
-        status = self._status
-        if status is not None and status.lattice is not None:
-            self._fill(region_around(status.lattice, status.bench.sensor, status.area))
+            self.fill(self._status.capabilities.sensor)
 
     def _lay_out(self, fills: tuple[QWidget, ...], ends: tuple[QWidget, ...]) -> None:
         form = QFormLayout()

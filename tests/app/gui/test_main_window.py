@@ -1,4 +1,4 @@
-"""The window: it shows what was measured, how fresh it is, and what is the matter."""
+"""Main window: measurements, their age, failures and progress."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from app.gui import theme
 from app.gui.main_window import MainWindow
 from drivers.interface import Disconnected
 from reconstruction.displacement import Outcome
-
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
 
 
 def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow) -> None:
@@ -39,7 +37,7 @@ def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow
         assert place[0] == f"x {x}  y {y} mm"
 
 
-def test_lost_lenslets_are_counted_by_their_reasons(make_window: MakeWindow) -> None:
+def test_lost_lenslets_are_counted_by_reason(make_window: MakeWindow) -> None:
     window = make_window()
     shown = window.status_line.valid
     for lost_rows, text, colour in (
@@ -70,7 +68,7 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
     assert window.width() == 900
 
 
-def test_goes_from_opening_to_live_wavefronts_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
+def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
     window, camera = live
     assert camera.light.is_on
     assert camera.stage.is_sample_in
@@ -80,7 +78,7 @@ def test_goes_from_opening_to_live_wavefronts_without_a_click(live: tuple[MainWi
     assert window.controls.start.text() == "Stop"
 
 
-def test_frame_without_wavefront_says_why_and_shows_no_old_one(
+def test_frame_without_wavefront_shows_reason_and_no_old_wavefront(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
     window, _ = live
@@ -90,7 +88,7 @@ def test_frame_without_wavefront_says_why_and_shows_no_old_one(
     assert window.status_line.valid.text() == "\N{EN DASH}"
 
 
-def test_device_failure_is_told_and_the_window_reconnects(make_window: MakeWindow, qtbot: QtBot) -> None:
+def test_device_failure_is_shown_and_window_reconnects(make_window: MakeWindow, qtbot: QtBot) -> None:
     first, second = FakeCamera(), FakeCamera()
     window = make_window(first, second)
     window.connect_devices()
@@ -116,20 +114,20 @@ def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow,
     progress = window.messages.progress
     qtbot.waitUntil(lambda: progress.isVisible() and progress.value() > 10)
     qtbot.waitUntil(lambda: window.messages.text.text() == "Taking the reference, 500 frames: Esc cancels")
-    assert "reference" not in progress.text()  # it is said once
+    assert "reference" not in progress.text()  # the message says it
     press(qtbot, window, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: "ancelled" in window.messages.text.text())
     qtbot.waitUntil(lambda: camera.is_running and camera.stage.is_sample_in)
     qtbot.waitUntil(lambda: not window.messages.progress.isVisible())
 
 
-def test_slow_redraw_does_not_let_the_shown_frame_age(
+def test_slow_redraw_shows_the_newest_frame(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, camera = live
     camera.period_s = 0.001
     drawn: list[int] = []
-    newest_before: list[int] = []  # when the drawing before had ended
+    newest_before: list[int] = []  # at the end of the previous drawing
     draw = window.wavefront_panel.show_wavefront
 
     def draw_slowly(wavefront: object) -> None:
@@ -137,9 +135,9 @@ def test_slow_redraw_does_not_let_the_shown_frame_age(
         drawn.append(window._measurement.frame.index)
         time.sleep(0.1)
         draw(wavefront)  # type: ignore[arg-type] # passed through
-        assert window._acquisition is not None
-        assert window._acquisition.newest is not None
-        newest_before.append(window._acquisition.newest.frame.index)
+        assert window.controller.acquisition is not None
+        assert window.controller.acquisition.newest is not None
+        newest_before.append(window.controller.acquisition.newest.frame.index)
 
     monkeypatch.setattr(window.wavefront_panel, "show_wavefront", draw_slowly)
     qtbot.waitUntil(lambda: len(newest_before) >= 15)
@@ -148,7 +146,7 @@ def test_slow_redraw_does_not_let_the_shown_frame_age(
     assert window.status_line.acquired.text() != window.status_line.shown_count.text()
 
 
-def test_closing_in_a_long_exposure_is_quick_and_leaves_the_light_off(
+def test_closing_during_long_exposure_is_quick_and_turns_light_off(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
     window, camera = live
@@ -160,10 +158,10 @@ def test_closing_in_a_long_exposure_is_quick_and_leaves_the_light_off(
         assert elapsed_s() < 4  # half an exposure
     assert not camera.light.shines
     assert camera.is_closed
-    assert not window.is_stuck
+    assert not window.controller.is_stuck
 
 
-def test_help_lists_every_key(make_window: MakeWindow) -> None:
+def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     window = make_window()
     bar = window.menuBar()
     assert bar is not None
@@ -177,10 +175,10 @@ def test_help_lists_every_key(make_window: MakeWindow) -> None:
     dialog.close()
 
 
-def test_drawing_is_timed_and_a_key_shows_every_stage(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_drawing_is_timed_and_key_shows_every_stage(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
-    assert window._acquisition is not None
-    timings = window._acquisition.timings
+    assert window.controller.acquisition is not None
+    timings = window.controller.acquisition.timings
     qtbot.waitUntil(lambda: timings.summary()["to_screen"].count > 3)
     row = window.status_line.timing_row
     assert not row.isVisible()
@@ -190,7 +188,7 @@ def test_drawing_is_timed_and_a_key_shows_every_stage(live: tuple[MainWindow, Fa
     for stage in ("register", "draw", "to_screen"):
         median, most_of, most = (float(value.text()) for value in row.values[stage])
         assert median <= most_of <= most
-    assert "to screen" in window.status_line.latency.toolTip()
+    assert "to screen" in window.status_line.delay.toolTip()
     summary = timings.summary()
     assert summary["draw"].count <= window.status_line.shown
     assert summary["to_screen"].p50_s > summary["draw"].p50_s

@@ -1,4 +1,4 @@
-"""Another part of the sensor, asked for in the window."""
+"""Sensor region and binning, chosen in the window."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from support.window_tools import MakeWindow, press, wait_for_wavefront
 
 from app.gui.main_window import MainWindow
 from drivers.interface import CameraCapabilities, Frame, Region
-
-pytestmark = pytest.mark.qt_log_ignore("propagateSizeHints")  # the offscreen platform says it of every window
 
 SENSOR = Region(0, 0, 300, 430)
 
@@ -54,7 +52,7 @@ def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
 
 
 def fill_in(window: MainWindow, region: Region) -> None:
-    dialog = window.read_out.dialog
+    dialog = window.region_dialog
     for field, value in zip(
         (dialog.top, dialog.left, dialog.rows, dialog.columns),
         (region.top, region.left, region.rows, region.columns),
@@ -68,19 +66,19 @@ def text(window: MainWindow) -> str:
     return window.messages.text.text()
 
 
-def test_a_part_is_asked_for_read_out_and_calibrated_anew(window: MainWindow, qtbot: QtBot) -> None:
+def test_region_is_applied_and_calibrated_again(window: MainWindow, qtbot: QtBot) -> None:
     press(qtbot, window, Qt.Key.Key_P)
-    dialog = window.read_out.dialog
+    dialog = window.region_dialog
     assert dialog.isVisible()
     assert dialog.area.region == SENSOR
-    assert "300 x 430, in steps of 10 px" in dialog.limits.text()
+    assert "300 x 430 pixels, in steps of 10 px" in dialog.limits.text()
     # Cells lie at 215 - 6.5 * 31.25 = 11.9 ... 418.1 and 150.5 - 4.5 * 31.25 = 9.9 ... 291.1: the last three rows of
     # lenslets, from 197.4 on, and the first column are cut.
     fill_in(window, Region(3, 41, 211, 386))
     dialog.apply.click()
     qtbot.waitUntil(lambda: window._status is not None and window._status.area.region != SENSOR)
-    qtbot.waitUntil(lambda: not dialog.isVisible())  # so that the keys are the window's again
-    qtbot.waitUntil(lambda: "lenslets do not lie wholly" in text(window))
+    qtbot.waitUntil(lambda: not dialog.isVisible())
+    qtbot.waitUntil(lambda: "lenslets are cut off" in text(window))
     assert text(window).startswith(f"{117 - 6 * 12} of 117 lenslets")
     assert "(D)" in text(window)
     assert "(R)" in text(window)
@@ -88,7 +86,7 @@ def test_a_part_is_asked_for_read_out_and_calibrated_anew(window: MainWindow, qt
     assert "220 x 390" in dialog.in_force.text()
     assert dialog.area.region == Region(0, 40, 220, 390)  # what the camera took
     dialog.close()
-    window.messages.forget_notice()
+    window.messages.clear_notice()
     assert text(window).endswith("take it again  (D: dark, R: reference)")
     window.controls.dark.click()
     window.controls.reference.click()
@@ -96,34 +94,34 @@ def test_a_part_is_asked_for_read_out_and_calibrated_anew(window: MainWindow, qt
     qtbot.waitUntil(lambda: window._status is not None and window._status.warning == "")
 
 
-def test_around_the_lattice_and_whole_are_filled_in(window: MainWindow, qtbot: QtBot) -> None:
-    window.controls.read_out.click()
-    dialog = window.read_out.dialog
+def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtBot) -> None:
+    window.controls.sensor_region.click()
+    dialog = window.region_dialog
     dialog.around.click()
     assert dialog.area.region == SENSOR  # half a pitch about the lattice reaches beyond it
     fill_in(window, Region(10, 20, 100, 110))
     assert dialog.area.region == Region(10, 20, 100, 110)
-    window.controls.light.click()  # what is being filled in is left alone when something else changes
+    window.controls.light.click()  # other changes keep the filled-in values
     qtbot.waitUntil(lambda: window._status is not None and not window._status.is_light_on)
     assert dialog.area.region == Region(10, 20, 100, 110)
     dialog.whole.click()
     assert dialog.area.region == SENSOR
 
 
-def test_a_recording_is_not_disturbed(window: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
-    window.recording.folder = tmp_path
+def test_region_is_refused_while_recording(window: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
+    window.controller.recordings_folder = tmp_path
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
-    window.controls.read_out.click()
+    window.controls.sensor_region.click()
     fill_in(window, Region(0, 0, 100, 100))
-    window.read_out.dialog.apply.click()
+    window.region_dialog.apply.click()
     qtbot.waitUntil(lambda: "A recording is under way" in text(window))
     assert window._status is not None
     assert window._status.area.region == SENSOR
 
 
-def test_a_camera_without_a_choice_says_so(live: tuple[MainWindow, FakeCamera]) -> None:
+def test_camera_without_regions_shows_a_message(live: tuple[MainWindow, FakeCamera]) -> None:
     window, _ = live
-    window.controls.read_out.click()
-    assert not window.read_out.dialog.isVisible()
-    assert text(window) == "Fake camera always reads out its whole sensor, and does not bin"
+    window.controls.sensor_region.click()
+    assert not window.region_dialog.isVisible()
+    assert text(window) == "Fake camera always reads out its whole sensor and cannot bin"

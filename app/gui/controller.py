@@ -1,0 +1,282 @@
+"""Controller between the views and the acquisition: intents become commands, answers become messages."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+from PyQt6.QtCore import QStandardPaths, pyqtBoundSignal
+from PyQt6.QtGui import QPixmap
+
+from app.acquisition.instrument import Instrument, Status
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench, write_bench
+from app.errors import InputError, RunError
+from app.files import atomic_write
+from app.gui.camera_panel import CameraPanel
+from app.gui.controls_panel import ControlsPanel
+from app.gui.message_strip import MessageStrip
+from app.gui.pending_commands import PendingCommands
+from app.gui.recording_panel import RecordingPanel
+from app.gui.sensor_region_dialog import SensorRegionDialog
+from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
+from app.measurement.routines.background import BackgroundCheck
+from app.measurement.sensor_region import SensorArea, in_steps, region_around
+from drivers.interface import Devices
+from reconstruction.lattice.search import Survey
+
+T = TypeVar("T")
+
+_DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
+_CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it; the light is on until then
+
+
+class Controller:
+    """Owns the acquisition, sends it what the views request, and shows its answers.
+
+    There is no acquisition before `connect_devices`, and another one after each reconnection.
+    """
+
+    def __init__(
+        self,
+        make_acquisition: Callable[[], Acquisition],
+        begin: Callable[[Acquisition], tuple[Future[None], ...]],
+        *,
+        controls: ControlsPanel,
+        camera_panel: CameraPanel,
+        recording_panel: RecordingPanel,
+        region_dialog: SensorRegionDialog,
+        messages: MessageStrip,
+    ) -> None:
+        """Connect the views' intents; `begin` sends the first commands to each acquisition."""
+        self._make_acquisition, self._begin = make_acquisition, begin
+        self._camera_panel, self._recording_panel = camera_panel, recording_panel
+        self._region_dialog, self._messages = region_dialog, messages
+        self.acquisition: Acquisition | None = None
+        self.pending = PendingCommands(messages)
+        documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
+        self.recordings_folder = Path(documents or ".") / "svwfs"
+        self.is_stuck = False  # whether a device kept the worker from ending on `close`
+        self._survey: Survey | None = None  # the proposed lattice
+        self._reported: set[Path] = set()  # recordings whose end was shown
+        self._free_minutes, self._disk_due_s = math.inf, -math.inf
+        self._connect_settings(controls)
+        self._connect_routines(controls)
+
+    @property
+    def status(self) -> Status | None:
+        """Status of the instrument; None until the devices are open."""
+        return None if self.acquisition is None else self.acquisition.status
+
+    @property
+    def failure(self) -> str:
+        """Reason why the acquisition ended by itself, else empty."""
+        return "" if self.acquisition is None else self.acquisition.failure
+
+    @property
+    def error(self) -> InputError | RunError:
+        """The failure as the error of a command."""
+        error = None if self.acquisition is None else self.acquisition.error
+        return error if isinstance(error, InputError | RunError) else RunError(self.failure)
+
+    def connect_devices(self) -> None:
+        """Start an acquisition; close the previous one first."""
+        if self.acquisition is not None:
+            self.acquisition.close()
+        self._propose(None)
+        self.acquisition = self._make_acquisition()
+        self.acquisition.start()
+        self.pending.restart(self._begin(self.acquisition))
+
+    def close(self) -> None:
+        """Turn the light off and close the devices."""
+        if self.acquisition is not None:
+            self.acquisition.close(timeout_s=_CLOSING_S)
+            self.is_stuck = self.acquisition.is_alive
+
+    def check_background(self) -> None:
+        """Compare the background with the dark."""
+        self._send(Acquisition.check_background, self._show_background)
+
+    def save_screenshot(self, picture: QPixmap, path: Path | None) -> bool:
+        """Save a picture, by default in the user's picture folder; return whether that succeeded."""
+        if path is None:
+            folder = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation)
+            path = Path(folder or ".") / f"svwfs-{_time_of_day()}.png"
+        is_saved = picture.save(str(path))
+        if is_saved:
+            self._messages.tell(f"saved {path}")
+        else:
+            self._messages.warn(f"{path} cannot be written: check the folder and the disk space")
+        return is_saved
+
+    def save_bench(self, path: Path) -> None:
+        """Save the bench with the lattice and device settings in force."""
+        if self.status is None:
+            return
+        try:
+            with atomic_write(path) as temporary:
+                temporary.write_text(write_bench(self.status.bench_in_force), "utf-8")
+        except (InputError, RunError, ValueError) as error:  # ValueError: inconsistent settings
+            self._messages.warn(str(error))
+        else:
+            self._messages.tell(f"saved {path}")
+
+    def use_recordings_folder(self, folder: Path) -> None:
+        """Write later recordings into another folder."""
+        self.recordings_folder = folder
+        self._messages.tell(f"recordings are saved in {folder}")
+
+    def show_recordings(self) -> None:
+        """Show the state of the recordings; report each end once."""
+        acquisition = self.acquisition
+        if acquisition is None:
+            return
+        if time.monotonic() > self._disk_due_s:
+            self._disk_due_s = time.monotonic() + _DISK_INTERVAL_S
+            try:
+                self._free_minutes = acquisition.free_minutes(self.recordings_folder)
+            except OSError:  # the start of a recording reports it
+                self._free_minutes = math.inf
+        self._recording_panel.show_state(acquisition.recording, self._free_minutes)
+        for state in (acquisition.recording, acquisition.kept):
+            if state is not None and state.stage in {"finished", "ended early"} and state.folder not in self._reported:
+                self._reported.add(state.folder)
+                show = self._messages.alarm if state.stage == "ended early" else self._messages.tell
+                show(recording_ended(state))
+
+    def _connect_settings(self, controls: ControlsPanel) -> None:
+        commands: tuple[tuple[pyqtBoundSignal, Callable[[Devices, Any], object]], ...] = (
+            (controls.running_requested, _set_running),
+            (controls.exposure_requested, lambda devices, exposure_s: devices.camera.set_exposure(exposure_s)),
+            (controls.amplifier_requested, _set_amplifier),
+            (controls.readout_speed_requested, _set_readout_speed),
+            (controls.em_gain_requested, lambda devices, em_gain: devices.camera.set_em_gain(em_gain)),
+            (controls.light_requested, lambda devices, on: devices.light.set_on(on)),
+            (controls.current_requested, lambda devices, current_a: devices.light.set_current(current_a)),
+            (controls.sample_requested, lambda devices, sample_in: devices.stage.note_sample(sample_in)),
+            (controls.mask_requested, lambda devices, mask: devices.stage.set_mask(mask)),
+        )
+        for intent, command in commands:
+            intent.connect(self._device_command(command))
+        controls.setting_requested.connect(self._change_setting)
+
+    def _connect_routines(self, controls: ControlsPanel) -> None:
+        controls.dark_requested.connect(lambda frames: self._send(lambda to: to.take_dark(frames)))
+        controls.reference_requested.connect(lambda frames: self._send(lambda to: to.take_reference(frames)))
+        controls.auto_exposure_requested.connect(
+            lambda: self._send(Acquisition.auto_expose, lambda found: self._messages.tell(exposure_found(found)))
+        )
+        controls.lattice_requested.connect(
+            lambda: self._send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
+        )
+        controls.sensor_region_requested.connect(self._open_region_dialog)
+        self._region_dialog.area_requested.connect(
+            lambda area: self._send(lambda to: to.set_area(area), self._show_area)
+        )
+        self._region_dialog.around_requested.connect(self._fill_around_lattice)
+        self._recording_panel.record_requested.connect(self._record)
+        self._recording_panel.keep_requested.connect(
+            lambda: self._send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
+        )
+        self._messages.answered.connect(self._decide_on_lattice)
+        self._messages.cancel_requested.connect(self._cancel)
+
+    def _send(self, submit: Callable[[Acquisition], Future[T]], then: Callable[[T], object] | None = None) -> None:
+        """Send a command to the acquisition, if there is one; `then` receives the result."""
+        if self.acquisition is not None:
+            self.pending.add(submit(self.acquisition), then)
+
+    def _device_command(self, command: Callable[[Devices, Any], object]) -> Callable[[Any], None]:
+        """Return a slot that sends a command with the requested value."""
+        return lambda value: self._send(lambda to: to.submit(lambda instrument: command(instrument.devices, value)))
+
+    def _change_setting(self, section: str, key: str, value: object) -> None:
+        def change(bench: Bench) -> Bench:
+            changed: dict[str, Any] = {section: replace(getattr(bench, section), **{key: value})}
+            return replace(bench, **changed)
+
+        self._send(lambda to: to.submit(lambda instrument: instrument.change_settings(change)))
+
+    def _cancel(self) -> None:
+        if self.acquisition is not None:
+            self.acquisition.cancel()
+
+    def _propose(self, survey: Survey | None) -> None:
+        self._survey = survey
+        self._camera_panel.propose(survey)
+        if survey is not None:
+            self._messages.ask(lattice_found(survey))
+
+    def _decide_on_lattice(self, is_accepted: bool) -> None:
+        survey = self._survey
+        self._propose(None)
+        if survey is not None and is_accepted:
+            lattice = survey.lattice
+            self._send(
+                lambda to: to.submit(
+                    lambda instrument: instrument.change_settings(lambda bench: replace(bench, lattice=lattice))
+                ),
+                lambda _: self._messages.tell("the lattice is in use; Ctrl+S saves it"),
+            )
+
+    def _show_background(self, check: BackgroundCheck) -> None:
+        (self._messages.tell if check.is_good else self._messages.warn)(check.verdict)
+
+    def _open_region_dialog(self) -> None:
+        status = self.status
+        if status is None:
+            return
+        if status.capabilities.sensor is None and len(status.capabilities.binnings) == 1:
+            self._messages.warn(f"{status.camera_name} always reads out its whole sensor and cannot bin")
+        else:
+            self._region_dialog.begin(status)
+
+    def _fill_around_lattice(self) -> None:
+        status = self.status
+        if status is not None and status.lattice is not None and status.capabilities.sensor is not None:
+            region = region_around(status.lattice, status.bench.sensor, status.area)
+            self._region_dialog.fill(in_steps(region, status.capabilities.sensor, status.capabilities.region_step_px))
+
+    def _show_area(self, area: SensorArea) -> None:
+        self._region_dialog.close()  # returns the keys to the window
+        if self.status is not None:
+            text, is_whole = area_taken(self.status, area)
+            (self._messages.tell if is_whole else self._messages.warn)(text)
+
+    def _record(self, on: bool) -> None:
+        if on:
+            self._messages.alarm("")
+            self._send(lambda to: to.start_recording(self._new_folder(), may_rename=True))
+        elif self.acquisition is not None:
+            self.acquisition.stop_recording()
+
+    def _new_folder(self, suffix: str = "") -> Path:
+        return self.recordings_folder / f"{_time_of_day()}{suffix}"
+
+
+def _time_of_day() -> str:
+    return f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+
+
+def _set_running(devices: Devices, running: bool) -> None:
+    if running and not devices.camera.is_running:
+        devices.camera.start()
+    elif not running:
+        devices.camera.stop()
+
+
+def _set_amplifier(devices: Devices, amplifier: str) -> None:
+    with devices.camera.paused() as camera:
+        camera.set_amplifier(amplifier)
+
+
+def _set_readout_speed(devices: Devices, readout_speed: int) -> None:
+    with devices.camera.paused() as camera:
+        camera.set_readout_speed(readout_speed)

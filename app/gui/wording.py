@@ -1,0 +1,101 @@
+"""Texts that the window composes from the state of the instrument."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from app.acquisition.instrument import Status
+from app.acquisition.worker import Activity, Measurement
+from app.measurement.routines.auto_exposure import AutoExposure
+from app.measurement.sensor_region import SensorArea, lenslets_outside
+from app.recording.background import RecordingState
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.lattice.search import Survey
+
+LOST_REASONS = {
+    Outcome.CONVERGED: "",
+    Outcome.DARK: "no light",
+    Outcome.SATURATED: "saturated",
+    Outcome.DIVERGED: "no match with the reference",
+    Outcome.LEFT_CELL: "displaced into a neighbour's cell",
+    Outcome.OFF_CAMERA: "cell not fully on the camera",
+}
+_SLOW_S = 1.0  # a frame shown for longer is explained
+
+
+def warning(status: Status, problem: str) -> str:
+    """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
+
+    A `problem` of the newest frame comes first.
+    """
+    if problem not in {"", status.warning}:
+        return problem
+    stale = (("D: dark", status.dark), ("R: reference", status.reference))
+    keys = ", ".join(key for key, standing in stale if standing != "good")
+    return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
+
+
+def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
+    """Return the current activity or the next useful key."""
+    if activity.text:
+        return f"{activity.text}: Esc cancels" if status is not None else activity.text
+    if status is None:
+        return ""
+    if not status.is_running:
+        return "the camera is stopped: Space starts it"
+    if (
+        measurement is not None
+        and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s
+    ):
+        return "slow method: still reconstructing a frame; your command waits until it is done"
+    return "F1 shows keys and conventions"
+
+
+def lattice_found(survey: Survey) -> str:
+    """Describe a proposed lattice."""
+    lattice, lit = survey.lattice, survey.illuminated
+    return (
+        f"found: pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
+        f" centre {lattice.center_x_px:.2f}, {lattice.center_y_px:.2f} px;"
+        f" {lit.sum()} of {lit.size} illuminated; fit error {survey.residual_px:.3f} px RMS"
+    )
+
+
+def exposure_found(found: AutoExposure) -> str:
+    """Describe the result of the automatic exposure."""
+    return (
+        f"exposure {found.exposure_s * 1e3:.4g} ms, light {found.current_a * 1e3:.4g} mA:"
+        f" {100 * found.fill:.0f} % of full scale, after {found.frames} frames"
+    )
+
+
+def area_taken(status: Status, area: SensorArea) -> tuple[str, bool]:
+    """Describe the sensor area that the camera took, and return whether no lenslet is cut off."""
+    retake = "" if status.reference == "good" else "; take a new dark (D) and reference (R)"
+    sensor, lattice = status.bench.sensor, status.lattice
+    outside = 0 if lattice is None else lenslets_outside(lattice, sensor, area)
+    if outside:
+        return (
+            f"{outside} of {sensor.lenslet_rows * sensor.lenslet_columns} lenslets are cut off by {area}{retake}",
+            False,
+        )
+    return f"the camera reads out {area}{retake}", True
+
+
+def recording_ended(state: RecordingState) -> str:
+    """Describe a finished recording."""
+    if state.stage == "ended early":
+        return f"the recording ended early, {state.frames} frames are saved: {state.problem}"
+    return f"recorded {state.frames} frames in {state.folder}"
+
+
+def lenslet_summary(displacement: Displacement) -> list[str]:
+    """Return one line for each reason why lenslets are lost, and one for the used dynamic range."""
+    counts = [(np.count_nonzero(displacement.outcome == outcome), why) for outcome, why in LOST_REASONS.items() if why]
+    used = 100 * np.nanmax(displacement.range_used, initial=0.0)
+    return [
+        *(f"{count} lost: {why}" for count, why in counts if count),
+        f"{used:.0f} % of the dynamic range used; at 100 % light reaches the edge of its cell",
+    ]

@@ -1,0 +1,98 @@
+"""Analysis of a wavefront for display: maps of a chosen quantity, the MTF of one view, isoplanatism."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import lru_cache
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Sensor
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
+from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
+from reconstruction.quality.slope_fit import slope_fit
+from reconstruction.settings import PupilBasis, ReconstructionSettings
+from reconstruction.wavefront import Wavefront
+
+
+class Quantity(StrEnum):
+    """Quantity that is mapped for every view."""
+
+    WAVEFRONT = "Wavefront"
+    PSF = "PSF"
+    MEASURED = "Measured"
+    FITTED = "Fitted"
+    DIFFERENCE = "Difference"
+    UNCERTAINTY = "Uncertainty"
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisRequest:
+    """A wavefront and what to compute from it."""
+
+    wavefront: Wavefront
+    settings: ReconstructionSettings
+    quantity: Quantity
+    reach_rad: float | None  # half width of PSF maps; None: as far as there is light
+    view: tuple[int, int] | None  # view whose MTF is computed; None: neither MTF nor isoplanatism
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analysis:
+    """The results; None if not requested."""
+
+    request: AnalysisRequest
+    maps: Floats | None = None  # rad or a ratio, (view_row, view_column, row, column)
+    reach_rad: float = math.nan  # from the middle of a PSF map to the middle of its last pixel
+    light_reach_rad: float = math.nan  # how far there is light
+    transfer: Mtf | None = None
+    isoplanatism: Isoplanatism | None = None
+
+
+def analyse(request: AnalysisRequest) -> Analysis:
+    """Compute what is requested; the maps of the wavefront itself are its `views`."""
+    analysis = _maps(request)
+    wavefront = request.wavefront
+    if request.view is None:
+        return analysis
+    return replace(
+        analysis,
+        transfer=mtf(wavefront.views[request.view], wavefront.sensor),
+        isoplanatism=isoplanatism(wavefront),
+    )
+
+
+def _maps(request: AnalysisRequest) -> Analysis:
+    wavefront, settings, quantity = request.wavefront, request.settings, request.quantity
+    if quantity is Quantity.PSF:
+        return _psf_maps(request)
+    if quantity is Quantity.UNCERTAINTY:
+        return Analysis(request, wavefront.sigma())
+    if quantity is Quantity.WAVEFRONT:
+        return Analysis(request)
+    coefficients = wavefront.coefficients
+    count = settings.pupil_modes if coefficients is None else len(coefficients)
+    fit = slope_fit(wavefront, wavefront.sensor, _modes(wavefront.sensor, settings.basis, count))
+    maps = {
+        Quantity.MEASURED: fit.measured,
+        Quantity.FITTED: fit.fitted,
+        Quantity.DIFFERENCE: fit.difference,
+    }
+    return Analysis(request, maps[quantity])
+
+
+def _psf_maps(request: AnalysisRequest) -> Analysis:
+    views, sensor = request.wavefront.views, request.wavefront.sensor
+    light_reach_rad = psf_reach_rad(views, sensor)
+    reach_rad = light_reach_rad if request.reach_rad is None else request.reach_rad
+    if not math.isfinite(reach_rad):
+        return Analysis(request)
+    maps = psf(views, sensor, angle_rad=psf_angles_rad(sensor, reach_rad))
+    return Analysis(request, maps, reach_rad, light_reach_rad)
+
+
+@lru_cache(maxsize=2)
+def _modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
+    return pupil_modes(sensor, basis, count)

@@ -1,0 +1,68 @@
+"""The analysis thread: computes only what is requested, and nothing twice."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from support.gui_bench import BENCH
+from support.patience import HANG_S
+from support.wavefronts import bowl
+
+from app.gui.background_analysis import AnalysisThread
+from app.results.view_analysis import Analysis, AnalysisRequest, Quantity
+from reconstruction.arrays import Floats
+from reconstruction.wavefront import Wavefront
+
+
+def request(quantity: Quantity, wavefront: Wavefront | None = None) -> AnalysisRequest:
+    return AnalysisRequest(wavefront or bowl(), BENCH.reconstruction, quantity, None, None)
+
+
+@pytest.fixture
+def thread() -> Iterator[AnalysisThread]:
+    made = AnalysisThread()
+    yield made
+    made.close()
+
+
+def wait(thread: AnalysisThread) -> Analysis:
+    deadline_s = time.monotonic() + HANG_S
+    while time.monotonic() < deadline_s:
+        analysis = thread.take()
+        if analysis is not None:
+            return analysis
+        time.sleep(0.005)
+    raise TimeoutError
+
+
+def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThread) -> None:
+    first = request(Quantity.PSF)
+    began_s = time.monotonic()  # the second waits from here on, however long the first analysis takes
+    thread.submit(first)
+    assert wait(thread).request is first
+    thread.submit(first)
+    assert thread._future is None
+    second = request(Quantity.PSF)
+    while thread._future is None:
+        thread.submit(second)
+    assert time.monotonic() - began_s > 0.1
+    wait(thread)
+    thread.submit(replace(second, quantity=Quantity.DIFFERENCE))  # the user's choice is analysed at once
+    assert thread._future is not None
+
+
+def test_error_of_analysis_is_raised_and_thread_continues(thread: AnalysisThread) -> None:
+    class Broken:
+        def wavefront(self, field_modes: Floats) -> Floats:
+            raise NotImplementedError("broken")
+
+        sigma = wavefront
+
+    thread.submit(request(Quantity.UNCERTAINTY, replace(bowl(), solution=Broken())))
+    with pytest.raises(NotImplementedError, match="broken"):
+        wait(thread)
+    thread.submit(request(Quantity.PSF))
+    assert wait(thread).maps is not None
