@@ -1,1 +1,1 @@
-"""GenICam cameras (GigE Vision and USB3 Vision) through Aravis."""
+"""GenICam cameras (GigE Vision and USB3 Vision) over Aravis."""

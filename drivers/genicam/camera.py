@@ -1,8 +1,7 @@
-"""GigE Vision and USB3 Vision cameras, of any maker, over Aravis.
+"""GigE Vision and USB3 Vision cameras over Aravis.
 
-A frame is numbered by the camera: packets that were lost and buffers that ran out show as gaps. The analogue gain that
-most of these cameras have comes before the digitisation and is no electron multiplication: it is a setting of its own,
-and the em gain is 1. Nothing here was tried on a real camera yet; the tests run against Aravis's own, over UDP.
+The camera numbers the frames: lost packets and missing buffers show as gaps. The analogue gain is a separate setting,
+and the EM gain is 1. Not yet tried on a real camera; the tests use Aravis's fake camera, over UDP.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ from drivers.genicam.library import STATUS_SUCCESS, load_aravis
 from drivers.genicam.settings import GenicamSettings
 from drivers.range import Range
 
-_SLICE_S: Final = 0.1  # of a wait for a frame, between two looks at whether the camera is still there
+_SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
 _LARGEST_BINNING: Final = 64
 _INTERNAL: Final = "internal"
-# what is recorded where the camera has it
-_TOLD_AS_TEXT: Final = ("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID")
-_TOLD_AS_NUMBER: Final = ("DeviceTemperature", "BlackLevel")
+# properties, if the camera has them
+_PROPERTIES_AS_TEXT: Final = ("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID")
+_PROPERTIES_AS_NUMBER: Final = ("DeviceTemperature", "BlackLevel")
 
 
 class GenicamCamera(Camera):
-    """One GenICam camera, set as the settings say."""
+    """An open GenICam camera."""
 
     def __init__(self, settings: GenicamSettings | None = None) -> None:
         super().__init__()
@@ -45,11 +44,11 @@ class GenicamCamera(Camera):
         self._count = FrameCount()
         self._exposures = ExposureLog.beginning_with(0.0)
         self._incomplete = 0
-        self._asked_region: Region | None = None  # which may be no multiple of the binning
+        self._asked_region: Region | None = None  # may be no multiple of the binning
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
             self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
-            with suppress(BadValue, Unsupported, WrongState):  # one that is at rest may refuse
+            with suppress(BadValue, Unsupported, WrongState):  # a stopped camera may refuse
                 self._line.call("arv_camera_execute_command", b"AcquisitionStop")
             self._format = PIXEL_FORMATS[self._choose_pixel_format()]
             self._prepare()
@@ -63,23 +62,21 @@ class GenicamCamera(Camera):
         return self._name
 
     def properties(self) -> dict[str, Property]:
-        """All settings in force, and what else is worth a record."""
+        """All settings in force and further details for the record."""
         line = self._line
-        told: dict[str, Property] = super().properties()  # checks that the camera is there
+        details = super().properties()
         with self._access():
-            told |= {
-                "protocol": "GigE Vision" if line.is_gige else "USB3 Vision",
-                "pixel_format": f"Mono{self._format.bits}",
-            }
+            details["protocol"] = "GigE Vision" if line.is_gige else "USB3 Vision"
+            details["pixel_format"] = f"Mono{self._format.bits}"
             if line.call("arv_camera_is_gain_available"):
-                told["gain"] = line.call("arv_camera_get_gain")
+                details["gain"] = line.call("arv_camera_get_gain")
             if line.call("arv_camera_is_frame_rate_available"):
-                told["frame_rate_hz"] = line.call("arv_camera_get_frame_rate")
+                details["frame_rate_hz"] = line.call("arv_camera_get_frame_rate")
             if line.is_gige:
-                told["packet_size"] = line.call("arv_camera_gv_get_packet_size")
-            told |= {name: line.text(name) for name in _TOLD_AS_TEXT if line.has(name)}
-            told |= {name: line.number(name) for name in _TOLD_AS_NUMBER if line.has(name)}
-        return told | {"incomplete_frames": self._incomplete}
+                details["packet_size"] = line.call("arv_camera_gv_get_packet_size")
+            details |= {name: line.text(name) for name in _PROPERTIES_AS_TEXT if line.has(name)}
+            details |= {name: line.number(name) for name in _PROPERTIES_AS_NUMBER if line.has(name)}
+        return details | {"incomplete_frames": self._incomplete}
 
     def _close(self) -> None:
         try:
@@ -89,7 +86,7 @@ class GenicamCamera(Camera):
             self._line.close()
 
     def _choose_pixel_format(self) -> str:
-        """Return the format that the settings name, or the deepest; the camera then sends it."""
+        """Set and return the format of the settings, or the deepest available."""
         offered = self._line.choices("PixelFormat")
         usable = [name for name in PIXEL_FORMATS if name in offered]
         if not usable:
@@ -101,7 +98,7 @@ class GenicamCamera(Camera):
         return chosen
 
     def _prepare(self) -> None:
-        """Put the camera into a known mode; what another program left in it counts for nothing."""
+        """Put the camera into a known mode, whatever state it was left in."""
         line, settings = self._line, self._settings
         for feature, value in (("ExposureAuto", "Off"), ("GainAuto", "Off"), ("AcquisitionMode", "Continuous")):
             if value in line.choices(feature):
@@ -140,7 +137,6 @@ class GenicamCamera(Camera):
         )
 
     def _sensor(self) -> Region:
-        """All of the sensor."""
         if self._line.has("SensorWidth") and self._line.has("SensorHeight"):
             return Region(0, 0, self._line.integer("SensorHeight"), self._line.integer("SensorWidth"))
         binning = self._read_binning()
@@ -153,13 +149,13 @@ class GenicamCamera(Camera):
         return None if pitch_m is None else pitch_m * self._read_binning()
 
     def _full_scale(self) -> int:
-        """The count at which a pixel saturates: fewer bits than the format's may come from the digitisation."""
+        """Count at which a pixel saturates; the digitiser may have fewer bits than the format."""
         if self._line.has("PixelDynamicRangeMax"):
             return min(self._format.full_scale, self._line.integer("PixelDynamicRangeMax"))
         return self._format.full_scale
 
     def _binnings(self) -> tuple[int, ...]:
-        """The binnings that both axes have."""
+        """Binnings available on both axes."""
         if not self._line.call("arv_camera_is_binning_available"):
             return (1,)
         both = (self._line.integer_bounds(f"Binning{axis}") for axis in ("Horizontal", "Vertical"))
@@ -167,7 +163,7 @@ class GenicamCamera(Camera):
         return tuple(sorted(across & down))
 
     def _region_step(self) -> int:
-        """The step of all sides of a region, in binned pixels."""
+        """Common step of all sides of a region, in binned pixels."""
         return math.lcm(*(self._line.integer_bounds(side)[2] for side in ("OffsetX", "OffsetY", "Width", "Height")))
 
     def _is_running(self) -> bool:
@@ -178,7 +174,7 @@ class GenicamCamera(Camera):
         expected = allowed.rows * allowed.columns * self._format.stored.itemsize
         payload = self._line.call("arv_camera_get_payload")
         if payload != expected:
-            raise Unsupported(f"{self.name} sends {payload} bytes with each frame of {expected}: more than its pixels")
+            raise Unsupported(f"{self.name} sends {payload} bytes per frame instead of {expected}")
         self._count = FrameCount()
         self._exposures = ExposureLog.beginning_with(self._read_exposure())
         self._line.start_stream(payload)
@@ -200,14 +196,14 @@ class GenicamCamera(Camera):
                 raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
 
     def _frame(self, buffer: int) -> Frame:
-        """Copy the frame out of the library's buffer; `FrameLost` if packets of it are missing."""
+        """Copy a frame out of its buffer; raise `FrameLost` if packets are missing."""
         allowed = self.capabilities
         size = c_size_t()
         address = self._aravis.call("arv_buffer_get_data", buffer, byref(size))
         status = self._aravis.call("arv_buffer_get_status", buffer)
         if status != STATUS_SUCCESS or size.value < allowed.rows * allowed.columns * self._format.stored.itemsize:
             self._incomplete += 1
-            raise FrameLost(f"a frame came incomplete, the {self._incomplete}. so far: packets are lost on the way")
+            raise FrameLost(f"a frame arrived incomplete, the {self._incomplete}. so far: packets were lost")
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
         return Frame(
             pixels=copied_pixels(address, allowed.rows, allowed.columns, self._format),
@@ -239,14 +235,14 @@ class GenicamCamera(Camera):
 
         def undo() -> None:
             self._line.call("arv_camera_set_binning", before, before)
-            self._read_out(before_region)
+            self._write_region(before_region)
 
         with _undone_if_refused(undo):
             self._line.call("arv_camera_set_binning", binning, binning)
             step = self._region_step() * binning
             top, left = (offset - offset % step for offset in (asked.top, asked.left))
             rows, columns = (max(step, length - length % step) for length in (asked.rows, asked.columns))
-            self._read_out(Region(top, left, rows, columns))
+            self._write_region(Region(top, left, rows, columns))
 
     def _read_trigger(self) -> str:
         if self._line.choices("TriggerMode") and self._line.text("TriggerMode") == "On":
@@ -255,11 +251,10 @@ class GenicamCamera(Camera):
 
     def _set_trigger(self, trigger: str) -> None:
         before = self._read_trigger()
-        with _undone_if_refused(lambda: self._wait_for(before)):
-            self._wait_for(trigger)
+        with _undone_if_refused(lambda: self._write_trigger(before)):
+            self._write_trigger(trigger)
 
-    def _wait_for(self, trigger: str) -> None:
-        """Let exposures begin with this trigger."""
+    def _write_trigger(self, trigger: str) -> None:
         if trigger != _INTERNAL:
             self._line.call("arv_camera_set_trigger", trigger.encode())
             return
@@ -275,17 +270,15 @@ class GenicamCamera(Camera):
 
     def _set_region(self, region: Region) -> Region:
         before = self._read_region()
-        with _undone_if_refused(lambda: self._read_out(before)):
-            self._read_out(region)
+        with _undone_if_refused(lambda: self._write_region(before)):
+            self._write_region(region)
         self._asked_region = region
         return self._read_region()
 
-    def _read_out(self, region: Region) -> None:
-        """Let the camera send this part of the sensor."""
+    def _write_region(self, region: Region) -> None:
         binning = self._read_binning()
         rows, columns = region.rows // binning, region.columns // binning
-        fewest_rows, _, _ = self._line.integer_bounds("Height")
-        fewest_columns, _, _ = self._line.integer_bounds("Width")
+        fewest_rows, fewest_columns = (self._line.integer_bounds(side)[0] for side in ("Height", "Width"))
         if rows < fewest_rows or columns < fewest_columns:
             raise BadValue(
                 f"{self.name} reads out at least {fewest_rows * binning} rows and {fewest_columns * binning} columns"
@@ -295,7 +288,7 @@ class GenicamCamera(Camera):
 
 @contextmanager
 def _undone_if_refused(undo: Callable[[], None]) -> Iterator[None]:
-    """Around several steps: where one is refused, those before it are taken back."""
+    """Call `undo` after a failure of one of several steps."""
     try:
         yield
     except Disconnected:

@@ -1,32 +1,77 @@
-"""The line to one GenICam camera: its features, its stream of buffers, and whether it is still there."""
+"""Connection to one GenICam camera: features, stream of buffers, sign of life."""
 
 from __future__ import annotations
 
 import ctypes
+import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, wait
-from typing import Any, Final
+from queue import SimpleQueue
+from typing import Any, Final, TypeVar
 
 from drivers.errors import Busy, DeviceError, Disconnected
-from drivers.genicam.calls import PatientCalls, comes_now
 from drivers.genicam.library import PACKET_SOCKET_DISABLED, SOCKET_BUFFER_FIXED, Aravis
 from drivers.genicam.settings import GenicamSettings
 
-PATIENCE_S: Final = 1.1  # three of Aravis's attempts to reach a GigE camera: one lost packet is no disconnection
-_OPENING_S: Final = 10.0  # the camera's description of itself is loaded, some 100 kB in pieces of 500 bytes
+PATIENCE_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
+_OPENING_S: Final = 10.0  # loads the camera's XML description, some 100 kB in packets of 500 bytes
 _SIGN_INTERVAL_S: Final = 0.3
-_LETTING_GO_S: Final = 0.5
+_RELEASE_S: Final = 0.5
+_GRACE_S = 0.2
 _SAFE_PACKET_BYTES: Final = 1400  # passes through every network
+T = TypeVar("T")
+
+
+class PatientCalls:
+    """A daemon thread that makes calls in order, so that callers can give up waiting.
+
+    Aravis tries for 2.5 s to reach a missing camera, for each register anew.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._waiting: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = SimpleQueue()
+        threading.Thread(target=self._run, name=name, daemon=True).start()
+
+    def submit(self, call: Callable[[], T]) -> Future[T]:
+        """Queue a call."""
+        future: Future[T] = Future()
+        self._waiting.put((future, call))
+        return future
+
+    def make(self, call: Callable[[], T], patience_s: float) -> T:
+        """Make a call and return its result; raise `Disconnected` if that takes too long."""
+        future = self.submit(call)
+        if wait((future,), patience_s).not_done and not _comes_now(future):
+            raise Disconnected(f"the camera did not answer for {patience_s:.1f} s: is it connected and on?")
+        return future.result()
+
+    def end(self) -> None:
+        """End the thread after the queued calls."""
+        self._waiting.put(None)
+
+    def _run(self) -> None:
+        while (item := self._waiting.get()) is not None:
+            future, call = item
+            try:
+                future.set_result(call())
+            except BaseException as error:  # noqa: BLE001 - passed to the future
+                future.set_exception(error)
+
+
+def _comes_now(future: Future[Any]) -> bool:
+    """True if an overdue answer arrives after all, because this computer stalled and not the camera."""
+    return bool(wait((future,), _GRACE_S).done)
 
 
 class GenicamConnection:
-    """A camera under our control, until it is closed; every call raises `Disconnected` when it does not answer."""
+    """A controlled camera; every call raises `Disconnected` if it does not answer."""
 
     def __init__(self, aravis: Aravis, device: str, settings: GenicamSettings) -> None:
         self._aravis = aravis
         self._settings = settings
         self._calls = PatientCalls(f"genicam {device}")
-        self._camera = 0  # this and the next are made and let go of in the thread of the calls alone
+        self._camera = 0  # created and released in the call thread only, as is the stream
         self._stream = 0
         self.is_gige = False
         self.is_streaming = False
@@ -43,58 +88,58 @@ class GenicamConnection:
             raise
 
     def call(self, name: str, *arguments: Any, patience_s: float = PATIENCE_S) -> Any:
-        """Call the library's function of that name with the camera as its first argument."""
+        """Call an Aravis function with the camera as first argument."""
         self._check_control()
         return self._calls.make(lambda: self._aravis.call(name, self._camera, *arguments), patience_s)
 
     def has(self, feature: str) -> bool:
-        """Whether the camera has this feature, now."""
+        """True if the feature is available now."""
         return bool(self.call("arv_camera_is_feature_available", feature.encode()))
 
     def choices(self, feature: str) -> tuple[str, ...]:
-        """Return the values that an enumeration can have now; none where there is no such feature."""
+        """Return the present values of an enumeration; () if the camera lacks it."""
         if not self.has(feature):
             return ()
         return self._calls.make(lambda: self._aravis.choices(self._camera, feature), PATIENCE_S)
 
     def text(self, feature: str) -> str:
-        """Return the value of a feature in words."""
+        """Return the value of a text feature."""
         return self.call("arv_camera_get_string", feature.encode()) or ""
 
     def set_text(self, feature: str, value: str) -> None:
-        """Change a feature that has values in words."""
+        """Change a text feature."""
         self.call("arv_camera_set_string", feature.encode(), value.encode())
 
     def integer(self, feature: str) -> int:
-        """Return the value of a whole-numbered feature."""
+        """Return the value of an integer feature."""
         return int(self.call("arv_camera_get_integer", feature.encode()))
 
     def number(self, feature: str) -> float:
-        """Return the value of a feature that is a number with a fraction."""
+        """Return the value of a float feature."""
         return float(self.call("arv_camera_get_float", feature.encode()))
 
     def integer_bounds(self, feature: str) -> tuple[int, int, int]:
-        """Return the least and the greatest value of a whole-numbered feature, and the step between its values."""
+        """Return minimum, maximum and step of an integer feature."""
         low, high = ctypes.c_int64(), ctypes.c_int64()
         name = feature.encode()
         self.call("arv_camera_get_integer_bounds", name, ctypes.byref(low), ctypes.byref(high))
         return low.value, high.value, max(1, self.call("arv_camera_get_integer_increment", name))
 
     def bounds(self, function: str) -> tuple[float, float]:
-        """Return the two numbers that a function of the library gives by its arguments."""
+        """Return the two output arguments of an Aravis function."""
         low, high = ctypes.c_double(), ctypes.c_double()
         self.call(function, ctypes.byref(low), ctypes.byref(high))
         return low.value, high.value
 
     def region(self) -> tuple[int, int, int, int]:
-        """Return left, top, columns and rows of what is read out, in binned pixels."""
+        """Return left, top, columns and rows of the region, in binned pixels."""
         numbers = [ctypes.c_int() for _ in range(4)]
         self.call("arv_camera_get_region", *map(ctypes.byref, numbers))
         left, top, columns, rows = (number.value for number in numbers)
         return left, top, columns, rows
 
     def start_stream(self, payload_bytes: int) -> None:
-        """Make ready for frames of this size and let them come."""
+        """Allocate buffers of this size and start the acquisition."""
         self._calls.make(self._create_stream, PATIENCE_S)
         if self.is_gige:
             self._aravis.set_property(self._stream, "socket-buffer", SOCKET_BUFFER_FIXED)
@@ -109,26 +154,23 @@ class GenicamConnection:
         self.is_streaming = True
 
     def stop_stream(self, exposure_s: float) -> None:
-        """Let no more frames come; a camera may finish the exposure before it answers."""
-        self.call("arv_camera_get_integer", b"Width")  # so that one that is gone is not waited for that long
+        """Stop the acquisition; the camera may finish the exposure before it answers."""
+        self.call("arv_camera_get_integer", b"Width")  # notices a missing camera sooner
         self.call("arv_camera_execute_command", b"AcquisitionStop", patience_s=PATIENCE_S + exposure_s)
         self.is_streaming = False
         self._calls.make(self._release_stream, PATIENCE_S)
 
     def next_buffer(self, timeout_s: float) -> int:
-        """Return the oldest buffer that was filled, or 0 if none came; it must be given back."""
+        """Return the oldest filled buffer, or 0 after the timeout; it must be given back."""
         microseconds = round(timeout_s * 1e6)
         return self._aravis.call("arv_stream_timeout_pop_buffer", self._stream, microseconds) or 0
 
     def give_back(self, buffer: int) -> None:
-        """Let the buffer be filled again."""
+        """Return a buffer for refilling."""
         self._aravis.call("arv_stream_push_buffer", self._stream, buffer)
 
     def watch(self) -> None:
-        """Ask the camera for a sign of life, without waiting for it; raise `Disconnected` when one is overdue.
-
-        To be called again and again while no frames come.
-        """
+        """Poll the camera without waiting; raise `Disconnected` if an answer is overdue. Call while no frames come."""
         self._check_control()
         now_s = time.perf_counter()
         if self._sign_of_life is None:
@@ -138,15 +180,15 @@ class GenicamConnection:
                     lambda: self._aravis.call("arv_camera_get_integer", self._camera, b"Width")
                 )
         elif self._sign_of_life.done():
-            self._sign_of_life.result()  # raises what the library said
+            self._sign_of_life.result()  # raises the library's error
             self._sign_of_life = None
-        elif now_s - self._asked_s > PATIENCE_S and not comes_now(self._sign_of_life):
+        elif now_s - self._asked_s > PATIENCE_S and not _comes_now(self._sign_of_life):
             raise Disconnected(f"no frames, and no answer for {PATIENCE_S} s: is the camera connected and on?")
 
     def close(self) -> None:
-        """Let go of the camera; one that is gone is hardly waited for."""
+        """Release the camera, with a short wait for a missing one."""
         self.is_streaming = False
-        wait((self._calls.submit(self._release),), _LETTING_GO_S)
+        wait((self._calls.submit(self._release),), _RELEASE_S)
         self._calls.end()
 
     def _open(self, device: str) -> None:
@@ -166,7 +208,7 @@ class GenicamConnection:
             self._aravis.call("g_object_unref", self._camera)
 
     def _prepare_network(self, device: str) -> None:
-        """Make sure that the camera obeys us, and choose how frames come through the network."""
+        """Check that this program controls the camera, and choose the transport of frames."""
         if not self._aravis.call("arv_gv_device_is_controller", self._handle):
             raise Busy(
                 f"another program has the camera {device}: close that program first"
@@ -175,10 +217,10 @@ class GenicamConnection:
         if not self._settings.packet_socket:
             self._aravis.call("arv_camera_gv_set_stream_options", self._camera, PACKET_SOCKET_DISABLED)
         self.call("arv_camera_gv_set_packet_size", self._settings.packet_size or _SAFE_PACKET_BYTES)
-        if self._settings.packet_size is None:  # tries larger ones, with cameras that send packets for a test
+        if self._settings.packet_size is None:  # tries larger ones, if the camera sends test packets
             self.call("arv_camera_gv_auto_packet_size", patience_s=_OPENING_S)
 
     def _check_control(self) -> None:
-        """Raise `Disconnected` if the camera was taken away, or began anew, without our hearing of it otherwise."""
+        """Raise `Disconnected` if another program took the camera, or it restarted."""
         if self.is_gige and not self._aravis.call("arv_gv_device_is_controller", self._handle):
-            raise Disconnected("the camera no longer obeys this program: it was switched off, or another one has it")
+            raise Disconnected("the camera is no longer under control: it was switched off, or another program has it")

@@ -6,7 +6,7 @@ from ipaddress import ip_address
 
 from drivers.discovery import DiscoveredDevice
 from drivers.errors import BadValue, Disconnected
-from drivers.genicam.calls import PatientCalls
+from drivers.genicam.connection import PatientCalls
 from drivers.genicam.library import Aravis, load_aravis
 
 _DISCOVERY_S = 2.0  # cameras in the network have one second to answer

@@ -1,8 +1,6 @@
-"""Aravis 0.8, the library that speaks GigE Vision and USB3 Vision, called straight from Python through its C functions.
+"""The library Aravis (GigE Vision and USB3 Vision), called through ctypes, with its errors as device errors.
 
-Its GObject introspection would need PyGObject, which Debian ships for the system's own Python alone and which pip can
-only build with the headers of cairo and girepository. The C functions need one package, the library itself, and work
-from any Python: about forty of them are declared here. The library's errors become the drivers' family here, too.
+Its GObject introspection would need PyGObject, which pip can only build with system headers.
 """
 
 from __future__ import annotations
@@ -47,7 +45,7 @@ _LONG = POINTER(c_int64)
 _FLOAT = POINTER(c_double)
 _STRINGS = POINTER(c_char_p)
 
-# What comes back, and what goes in; those that end in _ERROR are called without it and raise instead.
+# Result and argument types; a final _ERROR is supplied by `Aravis.call`, which raises instead.
 _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_device_error_quark": (c_uint32, ()),
     "arv_update_device_list": (None, ()),
@@ -113,20 +111,20 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
 
 # ArvDeviceError, by number
 _KINDS: Final[dict[int, type[DeviceError]]] = {
-    0: Unsupported,  # the feature is of another type
-    1: Unsupported,  # there is no such feature
+    0: Unsupported,  # wrong type of feature
+    1: Unsupported,  # no such feature
     2: Disconnected,  # not connected
     5: Disconnected,  # no answer, after five attempts
     6: Disconnected,  # not found
     7: BadValue,  # invalid parameter
-    10: Disconnected,  # no longer its controller
+    10: Disconnected,  # control lost
     12: Unsupported,  # not implemented
-    13: BadValue,  # invalid parameter, says the camera
+    13: BadValue,  # invalid parameter, reported by the camera
     15: WrongState,  # write-protected
     17: WrongState,  # access denied
-    18: WrongState,  # busy with something else
+    18: WrongState,  # busy
 }
-# libusb's words in the message, where Aravis has no number for it
+# libusb errors in the message, for which Aravis has no code
 _USB: Final[dict[str, type[DeviceError]]] = {
     "LIBUSB_ERROR_NO_DEVICE": Disconnected,
     "LIBUSB_ERROR_IO": Disconnected,
@@ -135,7 +133,7 @@ _USB: Final[dict[str, type[DeviceError]]] = {
 
 
 class Aravis:
-    """The library, loaded."""
+    """The loaded library."""
 
     def __init__(self) -> None:
         self._library = _load()
@@ -145,7 +143,7 @@ class Aravis:
         self._device_errors = self._library.arv_device_error_quark()
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Call the function of that name; text comes back as str. Raise its error as one of the drivers' family."""
+        """Call a function by name, with text results as str; raise its error as a `DeviceError`."""
         if _FUNCTIONS[name][1][-1:] != (_ERROR,):
             return _text(getattr(self._library, name)(*arguments))
         error = POINTER(_Error)()
@@ -155,7 +153,7 @@ class Aravis:
         return _text(result)
 
     def choices(self, camera: int, feature: str) -> tuple[str, ...]:
-        """Return the values that an enumeration of the camera can have now."""
+        """Return the present values of an enumeration of the camera."""
         count = c_uint()
         name = "arv_camera_dup_available_enumerations_as_strings"
         values = self.call(name, camera, feature.encode(), ctypes.byref(count))
@@ -165,26 +163,26 @@ class Aravis:
             self._library.g_free(values)
 
     def set_property(self, target: int, name: str, number: int) -> None:
-        """Set a property of one of the library's objects that is a whole number or an enumeration."""
+        """Set an integer or enumeration property of a library object."""
         value = _Value()
         self._library.g_value_init(ctypes.byref(value), _G_TYPE_INT)
         self._library.g_value_set_int(ctypes.byref(value), number)
         self._library.g_object_set_property(target, name.encode(), ctypes.byref(value))
 
     def _taken(self, error: Any) -> DeviceError:
-        """Turn a GError into ours, and free it."""
+        """Convert a GError and free it."""
         domain, code, message = error.contents.domain, error.contents.code, _text(error.contents.message)
         self._library.g_error_free(error)
         kind = next((kind for word, kind in _USB.items() if word in message), None)
         if kind is None:
             kind = _KINDS.get(code, DeviceError) if domain == self._device_errors else DeviceError
-        happened = "does not answer" if kind is Disconnected else "does not do what it was asked to"
-        return kind(f"the camera {happened}: {message}")
+        failure = "does not answer" if kind is Disconnected else "refuses the request"
+        return kind(f"the camera {failure}: {message}")
 
 
 @cache
 def load_aravis() -> Aravis:
-    """Return the library; raise `Unsupported` with how to install it where it is missing."""
+    """Return the library; raise `Unsupported`, with installation advice, if it is missing."""
     return Aravis()
 
 

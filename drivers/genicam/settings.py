@@ -1,4 +1,4 @@
-"""What a bench's TOML says to a GenICam camera: `[camera]` with driver "genicam"."""
+"""Bench settings of a GenICam camera: `[camera]` with driver "genicam"."""
 
 from __future__ import annotations
 
@@ -12,31 +12,27 @@ from drivers.genicam.frames import PIXEL_FORMATS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenicamSettings:
-    """How a GigE Vision or USB3 Vision camera is found and set; what is left out is left to the camera."""
+    """Selection and settings of a GigE Vision or USB3 Vision camera; None keeps the camera's value."""
 
     driver: Literal["genicam"] = "genicam"
-    device: str = ""  # its name as `svwfs devices` shows it, serial number or address; "" takes the only one there is
-    pixel_pitch_m: float | None = None  # of the sensor; only where the camera does not tell it itself
+    device: str = ""  # name in `svwfs devices`, serial number or address; "" takes the only one
+    pixel_pitch_m: float | None = None  # of the sensor, if the camera does not report it
     pixel_format: str = ""  # for example "Mono12"; "" takes the deepest
     exposure_s: float | None = None
-    gain: float | None = None  # the analogue gain in the camera's own unit, mostly dB: no electron multiplication
-    frame_rate_hz: float | None = None  # as fast as exposure and read-out allow
+    gain: float | None = None  # analogue gain in the camera's unit, mostly dB; no electron multiplication
+    frame_rate_hz: float | None = None  # None: as fast as exposure and readout allow
     binning: int = 1
     region: Region | None = None  # the whole sensor
-    trigger: str = "internal"  # or the camera's name for a source, for example "Line0"
-    buffers: int = 32  # frames that may wait for the program before the next is lost
-    packet_size: int | None = None  # bytes, GigE: the largest that gets through; 8000 wants jumbo frames all the way
-    socket_buffer_bytes: int = 2**24  # GigE: the system may grant less (net.core.rmem_max), and packets are then lost
-    packet_socket: bool = False  # GigE: a faster way past the system's network stack, which needs root
+    trigger: str = "internal"  # or one of the camera's sources, for example "Line0"
+    buffers: int = 32  # buffered frames before the next is lost
+    packet_size: int | None = None  # bytes, GigE; None: the largest that gets through; 8000 needs jumbo frames
+    socket_buffer_bytes: int = 2**24  # GigE; the system may grant less (net.core.rmem_max), and lose packets
+    packet_socket: bool = False  # GigE: faster, past the system's network stack; needs root
 
     def __post_init__(self) -> None:
-        positive = {
-            "pixel_pitch_m": self.pixel_pitch_m,
-            "exposure_s": self.exposure_s,
-            "frame_rate_hz": self.frame_rate_hz,
-        }
+        positive = ("pixel_pitch_m", "exposure_s", "frame_rate_hz")
         conditions = {
-            f"{key} must be positive": value is None or 0 < value < math.inf for key, value in positive.items()
+            f"{key} must be positive": (value := getattr(self, key)) is None or 0 < value < math.inf for key in positive
         } | {
             f"pixel_format must be one of {', '.join(PIXEL_FORMATS)}": self.pixel_format in {"", *PIXEL_FORMATS},
             "gain must be finite": self.gain is None or math.isfinite(self.gain),

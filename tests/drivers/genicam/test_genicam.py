@@ -502,8 +502,8 @@ def open_when_free() -> GenicamCamera:
             assert time.perf_counter() < deadline_s
 
 
-def test_errors_stay_in_the_family(camera: GenicamCamera) -> None:
-    with pytest.raises(DeviceError, match="the camera does not do what it was asked to"):
+def test_library_errors_become_device_errors(camera: GenicamCamera) -> None:
+    with pytest.raises(DeviceError, match="the camera refuses the request"):
         camera._line.integer("NoSuchFeature")
     with pytest.raises(Unsupported):
         camera._line.call("arv_camera_execute_command", b"Width")  # a number is no command

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from support.patience import HANG_S, wait_until
 
 from drivers.errors import Disconnected, Unsupported
-from drivers.genicam.calls import PatientCalls
+from drivers.genicam.connection import PatientCalls
 from drivers.genicam.discovery import discover
 from drivers.genicam.frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
 from drivers.genicam.library import load_aravis
@@ -93,7 +93,7 @@ def test_a_call_that_hangs_is_given_up() -> None:
 
 def test_an_answer_is_seen_that_is_overdue_when_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     """As where this computer stood still: both the answer and the end of the patience lay in that time."""
-    monkeypatch.setattr("drivers.genicam.calls._LAST_LOOK_S", HANG_S)
+    monkeypatch.setattr("drivers.genicam.connection._GRACE_S", HANG_S)
     calls, coming = PatientCalls("test"), threading.Timer(0.05, lambda: None)
     coming.start()
     assert calls.make(coming.join, 0.0) is None
