@@ -1,4 +1,4 @@
-"""What is made of, or into, frames in image files: `svwfs calibrate`, `simulate` and `reconstruct`."""
+"""Commands on image files: `svwfs calibrate`, `simulate` and `reconstruct`."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from app.cli.options import BenchOption, SetOption, load
 
 
 def calibrate(
-    reference: Annotated[Path, typer.Argument(help="A frame without the sample: TIFF or NPY.")],
+    reference: Annotated[Path, typer.Argument(help="Frame without the sample: TIFF or NPY.")],
     *,
     bench: BenchOption,
-    out: Annotated[Path | None, typer.Option(help="Bench TOML to write, with the lattice in it.")] = None,
-    dark: Annotated[Path | None, typer.Option(help="A frame with the light off.")] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="Picture of the frame with its lenslets to write: PNG, PDF or SVG.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file of --out.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Bench TOML file to write, with the lattice.")] = None,
+    dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the frame with its lenslets: PNG, PDF or SVG.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file given by --out.")] = False,
     setting: SetOption = None,
 ) -> None:
-    """Find the lattice of lenslets in a reference: pitch, rotation, centre, what is lit. Without --out it only tells.
+    """Find the lenslet lattice in a reference frame.
 
-    Look at the picture of --plot before you trust it: every lit image should lie in the middle of its cell.
+    The result is pitch, rotation, centre, and which lenslets are lit. Check the picture of --plot: every lit subimage
+    should lie in the middle of its cell. Without --out the result is only printed.
+
+    Example: svwfs calibrate reference.tif --bench paper_experiment --out bench.toml --plot lattice.png
     """
     import json
 
     from app.cli.tables import progress_bar
-    from app.commands.calibrate import as_numbers, check_out, differences, findings, write_calibrated
+    from app.commands.calibrate import as_numbers, check_out, differences, summary, write_calibrated
     from app.commands.calibrate import calibrate as run
 
     if out is not None:
@@ -42,19 +43,19 @@ def calibrate(
         check_plot_path(plot)
     loaded = load(bench, setting)
     with progress_bar() as progress:
-        found = run(reference, dark=dark, bench=loaded, progress=progress)
+        calibrated = run(reference, dark=dark, bench=loaded, progress=progress)
     if plot is not None:
         from app.results.lattice_plot import plot_lattice
 
-        plot_lattice(found.reference, found.survey, plot)
+        plot_lattice(calibrated.reference, calibrated.survey, plot)
     if out is not None:
-        write_calibrated(found, bench, out)
+        write_calibrated(calibrated, bench, out)
     if as_json:
-        typer.echo(json.dumps(as_numbers(found)))
+        typer.echo(json.dumps(as_numbers(calibrated)))
         return
-    typer.echo("\n".join(findings(found)))
-    for said in differences(found):
-        typer.echo(f"note: {said}", err=True)
+    typer.echo("\n".join(summary(calibrated)))
+    for difference in differences(calibrated):
+        typer.echo(f"note: {difference}", err=True)
 
 
 def simulate(
@@ -63,10 +64,13 @@ def simulate(
     out: Annotated[Path, typer.Option(help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")],
     setting: SetOption = None,
     noise_free: Annotated[
-        bool, typer.Option("--noise-free", help="Mean photons instead of the camera's counts.")
+        bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")
     ] = False,
 ) -> None:
-    """Render what the simulated bench casts on its camera, and the true wavefronts."""
+    """Simulate dark, reference and frame, with the true wavefronts.
+
+    Example: svwfs simulate --bench paper_simulation --out simulated
+    """
     from app.cli.tables import progress_bar
     from app.commands.simulate import simulate as run
 
@@ -77,19 +81,22 @@ def simulate(
 
 
 def reconstruct(
-    frame: Annotated[Path, typer.Argument(help="The frame with the sample in: TIFF or NPY.")],
+    frame: Annotated[Path, typer.Argument(help="Frame with the sample: TIFF or NPY.")],
     *,
-    reference: Annotated[Path, typer.Option(help="The frame without the sample.")],
+    reference: Annotated[Path, typer.Option(help="Frame without the sample.")],
     bench: BenchOption,
     out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
-    dark: Annotated[Path | None, typer.Option(help="A frame with the light off.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture of the views to write: PNG, PDF or SVG.")] = None,
+    dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the views: PNG, PDF or SVG.")] = None,
     refine: Annotated[
-        int, typer.Option(min=0, max=100, help="Rounds of refinement by the forward model, at most.")
+        int, typer.Option(min=0, max=100, help="Maximum rounds of refinement with the forward model.")
     ] = 0,
     setting: SetOption = None,
 ) -> None:
-    """Reconstruct the wavefronts of one frame from image files."""
+    """Reconstruct the wavefronts of one frame from image files.
+
+    Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
+    """
     from app.cli.tables import print_refinement, print_views, progress_bar
     from app.commands.reconstruct import reconstruct_files
     from app.results.dataset import result_dataset, write_results
@@ -99,12 +106,16 @@ def reconstruct(
         check_plot_path(plot)
     loaded = load(bench, setting)
     with progress_bar() if refine else nullcontext(lambda *_: None) as progress:
-        found = reconstruct_files(frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress)
+        reconstructed = reconstruct_files(
+            frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress
+        )
     inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
-    dataset = result_dataset(found.wavefront, with_psf=True).assign_attrs(refinement_rounds=len(found.changes_rad))
+    dataset = result_dataset(reconstructed.wavefront, with_psf=True).assign_attrs(
+        refinement_rounds=len(reconstructed.changes_rad)
+    )
     write_results(out, dataset, bench=loaded, inputs=inputs)
     if plot is not None:
-        plot_views(found.wavefront, loaded.sensor, plot)
-    print_views(found.wavefront)
+        plot_views(reconstructed.wavefront, loaded.sensor, plot)
+    print_views(reconstructed.wavefront)
     if refine:
-        print_refinement(found.changes_rad)
+        print_refinement(reconstructed.changes_rad)

@@ -1,4 +1,4 @@
-"""What is done at the bench: `svwfs live` and `svwfs measure`."""
+"""Commands at the bench: `svwfs live`, `measure` and `devices`."""
 
 from __future__ import annotations
 
@@ -18,30 +18,31 @@ def live(
     *,
     bench: Annotated[
         str | None,
-        typer.Option("--bench", "-b", metavar="TOML", help=f"A bench TOML file, or a preset; {_LIVE_BENCH}."),
+        typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file or preset [default: {_LIVE_BENCH}]."),
     ] = None,
     setting: SetOption = None,
     replay: Annotated[
-        Path | None, typer.Option(metavar="RECORDING", help="Show a recording at its own pace, again and again.")
+        Path | None, typer.Option(metavar="RECORDING", help="Play a recording repeatedly at its own rate.")
     ] = None,
     frames: FramesOption = None,
     seconds: Annotated[
         float | None,
-        typer.Option(
-            min=0.1, max=86400, help="Close by itself so long after the first wavefront, leaving a screenshot."
-        ),
+        typer.Option(min=0.1, max=86400, help="Close by itself so long after the first wavefront, saving the results."),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the screenshot and the results of such a run.")] = _LIVE_OUT,
+    out: Annotated[Path, typer.Option(help="Folder for screenshot, results and timings of such a run.")] = _LIVE_OUT,
 ) -> None:
-    """Open the window: live wavefronts at every field position. Without a display it runs unseen for a few seconds.
+    """Open the window with live wavefronts at every field position.
 
-    With --replay it shows a recording, by its own bench unless --bench or --set say otherwise, and --frames some of it.
+    Without a display it runs offscreen for a few seconds and saves a screenshot and the results. --replay plays a
+    recording with its own bench unless --bench or --set changes it; --frames selects a part.
+
+    Example: svwfs live --bench live_demo --set registration.warp=affine
     """
     from app.commands.live import live_window
 
     if replay is None:
         if frames is not None:
-            raise InputError("--frames says which frames of a recording are meant: give --replay RECORDING")
+            raise InputError("--frames selects frames of a recording: add --replay RECORDING")
         raise typer.Exit(live_window(load(bench or _LIVE_BENCH, setting), seconds=seconds, out=out))
     from app.results.replay.player import Player
 
@@ -52,31 +53,33 @@ def live(
 def measure(
     *,
     bench: BenchOption,
-    frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many frames to measure.")],
-    out: Annotated[Path, typer.Option(help="Folder that becomes a recording, with results.nc beside the frames.")],
+    frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
+    out: Annotated[Path, typer.Option(help="New folder for the recording, with results.nc beside the frames.")],
     mask: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="The mask in the beam, for simulation.source.mask: square, stars, ..."),
+        typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ..."),
     ] = None,
     average: Annotated[
         int | None,
-        typer.Option(min=1, max=10_000, help="How many frames make the dark, and the reference; 20 unless said."),
+        typer.Option(min=1, max=10_000, help="Number of frames averaged into dark and reference [default: 20]."),
     ] = None,
     auto_expose: Annotated[
         bool, typer.Option("--auto-expose", help="Find the exposure first, without the sample: bright, not saturated.")
     ] = False,
     setting: SetOption = None,
 ) -> None:
-    """Measure without a window: dark, reference, sample in, so many frames recorded, results.
+    """Measure without a window: dark, reference, frames, results.
 
-    On a bench without motors you are asked to move the mask and the sample. Long exposures: average fewer frames, but
-    at least 4, which tell the camera's noise. Pinholes are compared by their centroids, not by a warp:
+    It takes dark and reference, moves the sample in, records, and writes the results beside the frames. On a bench
+    without motors you are asked to move mask and sample. Average fewer long exposures, but at least 4, from which the
+    camera's noise is estimated. Pinholes need centroids instead of a warp (second example). Ctrl-C ends early and keeps
+    everything. See docs/recording.md for the folder and docs/experiment.md for a whole experiment.
 
-    svwfs measure --bench B.toml --mask stars --set registration.method=centroids --set reconstruction.method=zonal
-    --set camera.amplifier=normal --set camera.exposure_s=3.8 --average 4 --frames 10 --out stars
+    Example: svwfs measure --bench live_demo --frames 20 --out run1
 
-    Ctrl-C ends it early and keeps everything; docs/recording.md says what is in the folder, docs/experiment.md leads
-    through a whole experiment.
+    Example: svwfs measure --bench paper_experiment --mask stars --set registration.method=centroids --set
+    reconstruction.method=zonal --set camera.amplifier=normal --set camera.readout_speed=1 --set camera.exposure_s=3.8
+    --average 4 --frames 10 --out stars
     """
     from app.acquisition.start_up import FRAMES
     from app.cli.tables import print_measurement, progress_bar
@@ -86,3 +89,43 @@ def measure(
     with progress_bar() as progress:
         measured = run(loaded, frames, out, progress, average=average or FRAMES, auto_expose=auto_expose)
     print_measurement(measured, out)
+
+
+def devices(
+    *,
+    check: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Test everything that this device, named as in the list, must be able to do, and print a report. A"
+            " light shines during the test, with at most 5 % of its range.",
+        ),
+    ] = None,
+    bench: Annotated[
+        str | None,
+        typer.Option(
+            "--bench",
+            "-b",
+            metavar="TOML",
+            help="With --check camera or --check light: that device of this bench, with its settings.",
+        ),
+    ] = None,
+    setting: SetOption = None,
+) -> None:
+    """List the connected cameras and lights.
+
+    Each is shown with its section of a bench file and with what is missing to use it. Listing switches nothing on. See
+    docs/hardware.md for how to connect each.
+
+    Example: svwfs devices
+
+    Example: svwfs devices --check light --bench live_demo
+    """
+    from app.commands.devices import check_and_print, print_devices
+
+    if check is None and bench is None:
+        print_devices()
+    elif check is None:
+        raise InputError("--bench needs --check camera or --check light")
+    else:
+        check_and_print(check, None if bench is None else load(bench, setting))

@@ -1,4 +1,4 @@
-"""The options that several commands share."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ if TYPE_CHECKING:
     from app.bench.config import Bench
 
 BenchOption = Annotated[
-    str, typer.Option("--bench", "-b", metavar="TOML", help=f"A bench TOML file, or a preset: {', '.join(PRESETS)}.")
+    str, typer.Option("--bench", "-b", metavar="TOML", help=f"Bench TOML file, or a preset: {', '.join(PRESETS)}.")
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench: registration.warp=affine"),
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting of the bench, as registration.warp=affine."),
 ]
-
 FramesOption = Annotated[
-    str | None, typer.Option(metavar="FIRST:END", help="Some of the frames, counted from 0, END not among them.")
+    str | None, typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded.")
 ]
-SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="How many screens, from the bench's seed on.")]
+SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
 
 def load(bench: str, setting: list[str] | None) -> Bench:

@@ -1,4 +1,4 @@
-"""What becomes of a recording: `svwfs recover`, `replay`, `export` and `report`."""
+"""Commands on recordings: `svwfs recover`, `replay`, `export` and `report`."""
 
 from __future__ import annotations
 
@@ -9,44 +9,46 @@ import typer
 
 from app.cli.options import FramesOption, SetOption
 
-RecordingArgument = Annotated[Path, typer.Argument(help="The folder of a recording.")]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it is there.")]
+RecordingArgument = Annotated[Path, typer.Argument(help="Folder of a recording.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
 
 
-def recover(
-    recording: RecordingArgument,
-) -> None:
-    """Finish a recording whose program was killed, or whose computer lost its power, before it could.
+def recover(recording: RecordingArgument) -> None:
+    """Complete a recording cut short by a crash or power failure.
 
-    It tells what is damaged, of a complete recording, too, and which frames are whole. Nothing that can be read is
-    changed or lost: lines that are damaged are put aside, into frames.damaged.jsonl.
+    Any damage is reported. Readable frames are never changed or lost; damaged lines are moved to frames.damaged.jsonl.
+
+    Example: svwfs recover run1
     """
     from app.cli.tables import print_recovered, progress_bar
     from app.recording.recover import recover as run
 
     with progress_bar() as progress:
-        found = run(recording, lambda fraction: progress("looking at the frames", fraction))
-    print_recovered(found, recording)
+        recovered = run(recording, lambda fraction: progress("checking the frames", fraction))
+    print_recovered(recovered, recording)
 
 
 def replay(
     recording: RecordingArgument,
     *,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Fail unless every frame is made again to the last bit.")
-    ] = False,
+    verify: Annotated[bool, typer.Option("--verify", help="Fail unless every frame is reproduced bit by bit.")] = False,
     bench: Annotated[
         str | None,
-        typer.Option("--bench", "-b", metavar="TOML", help="Another bench, to compare with the recorded one."),
+        typer.Option("--bench", "-b", metavar="TOML", help="Another bench to compare with the recorded one."),
     ] = None,
     setting: SetOption = None,
     frames: FramesOption = None,
-    out: Annotated[Path | None, typer.Option(help="NetCDF file to write the results to.")] = None,
+    out: Annotated[Path | None, typer.Option(help="NetCDF file for the results.")] = None,
 ) -> None:
-    """Reconstruct the frames of a recording once more, by the dark, reference, lattice and refinement that they had.
+    """Reconstruct the frames of a recording again.
 
-    The same software makes the same of them, to the last bit, and says so. With --bench, or --set for a change of the
-    recorded bench, both are made and compared view by view: svwfs replay RECORDING --set reconstruction.method=zonal
+    They keep their own dark, reference, lattice and refinement: the same software reproduces the results bit by bit.
+    With another --bench, or the recorded one changed by --set, the wavefronts are compared with the recorded ones view
+    by view.
+
+    Example: svwfs replay run1 --verify
+
+    Example: svwfs replay run1 --set reconstruction.method=zonal
     """
     from app.cli.tables import print_replay, progress_bar
     from app.results.replay.run import replay as run
@@ -69,18 +71,19 @@ def export(
     *,
     to: Annotated[
         Literal["tiff", "csv", "netcdf", "psf"],
-        typer.Option(
-            help="tiff: the frames; csv: RMS and coefficients; netcdf: all results; psf: what a point becomes."
-        ),
+        typer.Option(help="tiff: frames; csv: RMS and coefficients; netcdf: all results; psf: point-spread functions."),
     ],
-    out: Annotated[Path, typer.Option(help="The file to write.")],
+    out: Annotated[Path, typer.Option(help="File to write.")],
     frames: FramesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Write a recording as other programs read it; docs/export.md says what is in the files.
+    """Convert a recording for other programs.
 
-    tiff is one BigTIFF for ImageJ, with times and settings; csv one row a frame, for pandas or a spreadsheet; netcdf
-    what svwfs measure writes; psf one point-spread function a view, the mean of the frames, its sum 1, to sharpen with.
+    tiff: one BigTIFF for ImageJ with times and settings. csv: one row per frame for pandas or a spreadsheet. netcdf:
+    the results as written by svwfs measure. psf: one point-spread function per view, mean of the frames, sum 1, for
+    deconvolution. See docs/export.md.
+
+    Example: svwfs export run1 --to csv --out run1.csv
     """
     from app.cli.tables import progress_bar
     from app.results.export.run import export as run
@@ -93,20 +96,26 @@ def export(
 def report(
     recording: RecordingArgument,
     *,
-    out: Annotated[Path, typer.Option(help="The file to write: .pdf, pages of A4, or .png, all in one picture.")],
+    out: Annotated[
+        Path, typer.Option(help="File to write: .pdf with A4 pages, or .png with all pages in one picture.")
+    ],
     beside: Annotated[
         Path | None,
-        typer.Option(metavar="RECORDING", help="Another recording of the same sample, to subtract its wavefronts."),
+        typer.Option(metavar="RECORDING", help="Another recording of the same sample, to be subtracted."),
     ] = None,
     setting: SetOption = None,
     frames: FramesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Put a recording on two pages: when, with what, which wavefronts, how sure they are, and what was lost.
+    """Summarise a recording on two pages.
 
-    Frames are reconstructed again, at most 200, spread evenly. With --beside a third page subtracts the mean wavefronts
-    of another recording view by view, and a table says what is left, as the paper compares a square with stars;
-    --set tries another method on the first: svwfs report SQUARE --beside STARS --set registration.method=correlation
+    They show conditions, wavefronts, their uncertainty, and lost frames and lenslets. At most 200 frames, evenly
+    spread, are reconstructed again; --set tries another method on them. --beside adds a page with the difference of the
+    mean wavefronts to another recording, view by view, as in the paper's comparison of the square with the stars.
+
+    Example: svwfs report square --out square.pdf
+
+    Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
     """
     from app.cli.tables import print_residual, progress_bar
     from app.results.report.run import report_pages

@@ -1,4 +1,4 @@
-"""Results as text on the terminal."""
+"""Result tables and progress bar on the terminal."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 
 def print_views(wavefront: Wavefront) -> None:
-    """Print RMS and PV of every view, as the views lie in the field, and what became of the lenslets."""
+    """Print RMS and PV of every view, arranged as in the field, and the numbers of valid and lost lenslets."""
     field = wavefront.field
     table = _view_table(field, "RMS / PV (rad) of the wavefront at each field position")
     for y_m, row in zip(field.view_y_m, wavefront.views, strict=True):
@@ -34,7 +34,7 @@ def print_views(wavefront: Wavefront) -> None:
 
 
 def print_refinement(changes_rad: Sequence[float]) -> None:
-    """Say how much each round of refinement changed the wavefront."""
+    """Print how much each round of refinement changed the wavefront."""
     changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
     rounds = f"{len(changes_rad)} round" + "s" * (len(changes_rad) != 1)
     Console().print(
@@ -45,7 +45,7 @@ def print_refinement(changes_rad: Sequence[float]) -> None:
 
 
 def print_measurement(measured: Measured, out: Path) -> None:
-    """Print mean and scatter of every view's RMS over the frames, and where the results are."""
+    """Print mean and scatter of every view's RMS over the frames, and the folder of the results."""
     field = measured.bench.field
     table = _view_table(field, f"RMS (rad) of the wavefront, mean +- scatter of {measured.reconstructed} frames")
     for y_m, means, scatters in zip(field.view_y_m, measured.mean_rms_rad, measured.scatter_rms_rad, strict=True):
@@ -57,18 +57,18 @@ def print_measurement(measured: Measured, out: Path) -> None:
     Console().print(f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}")
 
 
-def print_recovered(found: Recovered, folder: Path) -> None:
-    """Print what was found in a recording, and whether anything had to be done."""
-    stands = "was complete" if found.was_complete else "is complete now"
-    damaged = ", but damaged" if found.damage else ""
-    typer.echo(f"{folder}: {stands}{damaged}: {found.summary}")
-    for said in (*found.damage, found.readable, found.put_aside):
-        if said:
-            typer.echo(f"{folder}: {said}")
+def print_recovered(recovered: Recovered, folder: Path) -> None:
+    """Print the state of a recording, what was repaired, and its damage."""
+    state = "was complete" if recovered.was_complete else "is complete now"
+    damaged = ", but damaged" if recovered.damage else ""
+    typer.echo(f"{folder}: {state}{damaged}: {recovered.summary}")
+    for sentence in (*recovered.damage, recovered.readable, recovered.put_aside):
+        if sentence:
+            typer.echo(f"{folder}: {sentence}")
 
 
 def print_replay(made: Replay) -> None:
-    """Print whether the frames came out as recorded, or how far another bench's wavefronts are from theirs."""
+    """Print whether the frames were reproduced, or how much another bench's wavefronts differ."""
     console, compared = Console(), made.comparison
     if compared is not None and compared.field is not None:
         field = compared.field
@@ -94,7 +94,7 @@ def print_replay(made: Replay) -> None:
 
 
 def print_residual(residual: Residual) -> None:
-    """Print how far two recordings' mean wavefronts are apart at every view, and the paper's three numbers."""
+    """Print the RMS difference of two recordings' mean wavefronts at every view, and the paper's three numbers."""
     field = residual.field
     table = _view_table(field, f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames")
     for y_m, row in zip(field.view_y_m, residual.rms_rad, strict=True):
@@ -104,7 +104,7 @@ def print_residual(residual: Residual) -> None:
 
 
 def print_checks(checks: Iterable[Check]) -> bool:
-    """Print each check of the selftest as it comes; return whether all pass."""
+    """Print each check of the selftest as it finishes; return whether all passed."""
     console = Console()
     console.print("what was put in                       RMS (rad)   scale   residual (rad)")
     passed = []
@@ -118,7 +118,7 @@ def print_checks(checks: Iterable[Check]) -> bool:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error that hears what is being done and how much of it, 0 ... 1."""
+    """Progress bar on standard error; yields its callback."""
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -127,7 +127,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 
 def _view_table(field: Field, title: str) -> Table:
-    """An empty table whose rows and columns are the views as they lie in the field."""
+    """Empty table with a row and a column for each row and column of views."""
     table = Table(title=title)
     table.add_column("y \\ x (mm)", justify="right")
     for x_m in field.view_x_m:
@@ -136,10 +136,7 @@ def _view_table(field: Field, title: str) -> Table:
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:
-    """Say how many lenslets yield a slope, why the others do not, and how near the cells' edges light has come.
-
-    As "223 of 225 lenslets valid; 2 dark; 40 % of the dynamic range used".
-    """
+    """Summarise the lenslets, as "223 of 225 lenslets valid; 2 dark; 40 % of the dynamic range used"."""
     outcome = wavefront.displacement.outcome
     lost = (
         f"{count} {Outcome(code).name.lower().replace('_', ' ')}"

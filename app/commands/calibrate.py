@@ -1,4 +1,4 @@
-"""From a reference to the bench with its lattice in force: what `svwfs calibrate` does."""
+"""`svwfs calibrate`: find the lattice in a reference and write it into the bench."""
 
 from __future__ import annotations
 
@@ -21,43 +21,45 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey, survey
 
-_NOTEWORTHY = 0.005  # of the pitch, by which the design is off
+_NOTEWORTHY = 0.005  # relative deviation of the pitch from the design that is reported
 _LATTICE_SECTION = re.compile(r"^\[lattice\][^\n]*\n(?:(?!\[)[^\n]*\n)*", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What a reference shows."""
+class CalibratedBench:
+    """A bench with the lattice found in a reference."""
 
     reference: NDArray[Any]  # (row, column), counts
-    design: Bench  # as it was given
-    bench: Bench  # the same with the lattice that was found
+    design: Bench  # as given
+    bench: Bench  # with the lattice found
     survey: Survey
 
 
-def calibrate(reference: Path, *, dark: Path | None, bench: Bench, progress: Progress = lambda *_: None) -> Found:
-    """Find the lattice in a reference from image files; whatever is wrong with them is an `InputError` that says so."""
+def calibrate(
+    reference: Path, *, dark: Path | None, bench: Bench, progress: Progress = lambda *_: None
+) -> CalibratedBench:
+    """Find the lattice in a reference image file; `InputError` if the files are unusable."""
     image = read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     try:
         most = full_scale_of(image, bench.camera_model.bits)
         found = survey(image, bench.sensor, dark=dark_image, full_scale=most, progress=progress)
-        return Found(image, bench, dataclasses.replace(bench, lattice=_rounded(found.lattice)), found)
+        return CalibratedBench(image, bench, dataclasses.replace(bench, lattice=_rounded(found.lattice)), found)
     except ReconstructionError as error:
         raise InputError(f"{dark if error.image == 'dark' else reference}: {error}") from error
-    except ValueError as error:  # a bench refuses a pitch far from the designed one
+    except ValueError as error:  # a pitch far from the design
         raise InputError(f"{reference}: {error}; check the sensor's lenslet_pitch_m and pixel_pitch_m") from error
 
 
 def _rounded(lattice: Lattice) -> Lattice:
-    """Leave out the decimals that mean nothing."""
+    """Drop insignificant digits."""
     values = dataclasses.asdict(lattice)
     return Lattice(**{name: round(value, 9 if name.endswith("_rad") else 6) + 0.0 for name, value in values.items()})
 
 
-def findings(found: Found) -> list[str]:
-    """What was found, in lines of text."""
-    lattice, seen = found.survey.lattice, found.survey
+def summary(calibrated: CalibratedBench) -> list[str]:
+    """Return the result as lines of text."""
+    lattice, seen = calibrated.survey.lattice, calibrated.survey
     rows, columns = seen.illuminated.shape
     return [
         f"pitch        {lattice.pitch_px:.4f} px",
@@ -65,19 +67,19 @@ def findings(found: Found) -> list[str]:
         f"centre       x {lattice.center_x_px:.3f} px, y {lattice.center_y_px:.3f} px",
         f"lenslets     {seen.rows} x {seen.columns} lit and whole on the frame; {rows} x {columns} are used",
         f"illuminated  {seen.illuminated.sum()} of {rows * columns} ({100 * seen.illuminated_fraction:.1f} %)",
-        f"quality      light {seen.residual_px:.3f} px RMS beside the lattice, alike to {100 * seen.likeness:.0f} %",
+        f"quality      subimages {seen.residual_px:.3f} px RMS off the lattice, {100 * seen.likeness:.0f} % similar",
     ]
 
 
-def differences(found: Found) -> list[str]:
-    """What differs from the bench as it was given, a sentence each."""
-    sensor, seen, before = found.design.sensor, found.survey, found.design.lattice
-    said = []
+def differences(calibrated: CalibratedBench) -> list[str]:
+    """Return the differences to the bench as given, one sentence each."""
+    sensor, seen, before = calibrated.design.sensor, calibrated.survey, calibrated.design.lattice
+    sentences = []
     off = seen.lattice.pitch_px / sensor.lenslet_pitch_px - 1
     if abs(off) > _NOTEWORTHY:
-        said.append(f"the pitch is {100 * off:+.1f} % off the design, {sensor.lenslet_pitch_px:.4f} px")
+        sentences.append(f"the pitch is {100 * off:+.1f} % off the design, {sensor.lenslet_pitch_px:.4f} px")
     if (seen.rows, seen.columns) != (sensor.lenslet_rows, sensor.lenslet_columns):
-        said.append(
+        sentences.append(
             f"the frame shows {seen.rows} x {seen.columns} whole lenslets, the bench has"
             f" lenslet_rows = {sensor.lenslet_rows}, lenslet_columns = {sensor.lenslet_columns}"
         )
@@ -86,16 +88,16 @@ def differences(found: Found) -> list[str]:
             seen.lattice.center_x_px - before.center_x_px, seen.lattice.center_y_px - before.center_y_px
         )
         turned_mrad = (seen.lattice.rotation_rad - before.rotation_rad) * 1e3
-        said.append(
+        sentences.append(
             f"the bench's own lattice lies {moved_px:.3f} px away; the one found is turned from it by"
             f" {turned_mrad:+z.3f} mrad, and its pitch differs by {seen.lattice.pitch_px - before.pitch_px:+z.4f} px"
         )
-    return said
+    return sentences
 
 
-def as_numbers(found: Found) -> dict[str, float | int | list[str]]:
-    """The same for another program: names as in the bench's TOML."""
-    seen = found.survey
+def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | list[str]]:
+    """Return the result for JSON, with the names of the bench's TOML keys."""
+    seen = calibrated.survey
     return {
         **dataclasses.asdict(seen.lattice),
         "whole_rows": seen.rows,
@@ -104,39 +106,38 @@ def as_numbers(found: Found) -> dict[str, float | int | list[str]]:
         "illuminated": int(seen.illuminated.sum()),
         "residual_px": seen.residual_px,
         "likeness": seen.likeness,
-        "differences": differences(found),
+        "differences": differences(calibrated),
     }
 
 
 def check_out(path: Path, *, overwrite: bool) -> None:
-    """Raise `InputError`, before any work is done, if a bench that is already there would be lost."""
+    """Raise `InputError` if the output file exists and must not be replaced."""
     if path.exists() and not overwrite:
-        raise InputError(f"{path}: is there already; give another name, or --overwrite to replace it")
+        raise InputError(f"{path}: already exists; choose another name, or replace it with --overwrite")
 
 
-def write_calibrated(found: Found, source: str, path: Path) -> None:
-    """Write the bench with its lattice; `source` is the TOML file or preset it came from, whose comments are kept."""
+def write_calibrated(calibrated: CalibratedBench, source: str, path: Path) -> None:
+    """Write the bench with its lattice, keeping the comments of `source`, a TOML file or preset."""
     origin = Path(source) if Path(source).exists() else PRESETS[source]
-    text = bench_text(origin.read_text("utf-8"), found.bench)
+    text = bench_text(origin.read_text("utf-8"), calibrated.bench)
     with atomic_write(path) as temporary:
         temporary.write_text(text, "utf-8")
 
 
 def bench_text(text: str, bench: Bench) -> str:
-    """Put the lattice of `bench` into the TOML text that the rest of it came from, comments and all.
+    """Insert the lattice of `bench` into its TOML text, keeping the comments.
 
-    Where that does not give the same bench, because settings were changed since or the text says it in another way,
-    the bench is written anew.
+    If the result would not read back to the same bench, for example after --set, the whole bench is written anew.
     """
     section = _lattice_section(bench)
     edited, count = _LATTICE_SECTION.subn(lambda _: section, text, count=1)
     if not count:
         edited = f"{text.rstrip()}\n\n{section}"
     try:
-        same = parse_bench(edited, "the calibrated bench") == bench
+        is_same = parse_bench(edited, "the calibrated bench") == bench
     except InputError:
-        same = False
-    return edited if same else write_bench(bench)
+        is_same = False
+    return edited if is_same else write_bench(bench)
 
 
 def _lattice_section(bench: Bench) -> str:

@@ -1,4 +1,4 @@
-"""The contract of all devices, run on one that is connected: `svwfs devices --check`."""
+"""Check of a connected device against the contract of its kind, for `svwfs devices --check`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import cattrs
 
@@ -17,31 +17,30 @@ from drivers.camera import Camera
 from drivers.contract import camera as camera_contract
 from drivers.contract import light as light_contract
 from drivers.contract.device import ContractBroken, describe
-from drivers.device import Device, Property
+from drivers.device import Property
 from drivers.discovery import DiscoveredDevice
 from drivers.errors import DeviceError, Disconnected
 from drivers.light_source import LightSource
 
-D = TypeVar("D", bound=Device)
 Warn = Callable[[str], None]
 
-LIGHT_SHARE = 0.05  # of the light's range: no more is used for a check
+LIGHT_SHARE = 0.05  # maximum share of the light's range in a check
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came of one check."""
+    """Result of one check."""
 
-    sentence: str  # what the device is to do
-    problem: str  # how it does not; empty when it does
+    requirement: str
+    problem: str  # how the device fails; empty if it passes
 
 
 def check_device(
     settings: CameraSettings | LightSettings, warn: Warn, begin: Callable[[str, Mapping[str, Property]], None]
 ) -> Iterator[Verdict]:
-    """Run the contract on it; tell first what it is by `begin`, and by `warn` how bright a light will shine.
+    """Open the device and run all checks; `RunError` if it cannot be opened or is lost.
 
-    A device that cannot be opened is a `RunError`, as is a loss on the way.
+    First `begin` gets its name and properties; `warn` gets a sentence on how bright a light will shine.
     """
     try:
         if isinstance(settings, CameraSettings):
@@ -52,10 +51,10 @@ def check_device(
         raise RunError(str(error)) from error
 
 
-def settings_of(found: DiscoveredDevice) -> CameraSettings | LightSettings:
-    """Return the settings that lead to the device that was found, and leave the rest as it is."""
-    kind: Any = CameraSettings if found.kind == "camera" else LightSettings
-    settings: CameraSettings | LightSettings = cattrs.structure(dict(found.settings), drivers_of(kind)[found.driver])
+def settings_of(device: DiscoveredDevice) -> CameraSettings | LightSettings:
+    """Return the settings of a discovered device, the others at their defaults."""
+    kind: Any = CameraSettings if device.kind == "camera" else LightSettings
+    settings: CameraSettings | LightSettings = cattrs.structure(dict(device.settings), drivers_of(kind)[device.driver])
     return settings
 
 

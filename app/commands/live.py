@@ -1,12 +1,12 @@
-"""The window on a bench, with a person before it or without: `svwfs live`."""
+"""`svwfs live`: the window on a bench or a recording, attended or not."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 from app.acquisition.devices import open_devices
-from app.acquisition.run_record import write_run
 from app.acquisition.start_up import start_up
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition, Measurement
@@ -15,27 +15,25 @@ from app.commands.display import use_display
 from app.files import make_folder
 from app.results.dataset import result_dataset, write_results
 from app.results.replay.player import Player
+from app.run_facts import now, software_facts, timing_facts, write_record
 
 _UNATTENDED_S = 5.0
 
 
 def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Player | None = None) -> int:
-    """Run the window and return the exit status; Qt is loaded here, when it is known that a window is wanted.
+    """Run the window and return the exit status; a `player` replaces the bench's devices by a recording.
 
-    With a `player` it shows a recording in place of the bench's devices.
-
-    Where there is no display, or `seconds` are given, nobody needs to be there: it closes by itself so long after
-    the first wavefront and leaves `window.png`, `result.nc` and `run.json` in the folder `out`; without them it ends
-    with an error.
+    Without a display, or with `seconds`, the window closes by itself so long after the first wavefront and writes
+    `window.png`, `result.nc` and `run.json` into the folder `out`; without a wavefront it fails.
     """
     if not use_display():
         seconds = seconds or _UNATTENDED_S
     from app.gui.application import run_window
 
-    made: list[Acquisition] = []  # another one after each reconnection
+    made: list[Acquisition] = []  # one more after each reconnection
 
     def finish(measurement: Measurement) -> None:
-        write_run(out / "run.json", "live", made[-1])
+        _write_run(out / "run.json", made[-1])
         if measurement.wavefront is not None:
             write_results(out / "result.nc", result_dataset(measurement.wavefront), bench=bench, inputs={})
 
@@ -61,3 +59,16 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
         )
     sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
     return status
+
+
+def _write_run(path: Path, acquisition: Acquisition) -> None:
+    """Write `run.json` of a run without a recording: numbers of frames and stage times."""
+    shown = acquisition.timings.summary()["draw"].count
+    record = {
+        "command": "live",
+        "ended": now(),
+        "frames": {**asdict(acquisition.counts), "shown": shown},
+        "timings": timing_facts(acquisition.timings),
+        **software_facts(),
+    }
+    write_record(path, record)

@@ -1,4 +1,4 @@
-"""The instrument without a window: dark, reference, sample in, so many frames recorded, results; `svwfs measure`."""
+"""`svwfs measure`: a measurement without a window, from the dark to the results."""
 
 from __future__ import annotations
 
@@ -29,12 +29,11 @@ _POLL_S = 0.05
 def measure(
     bench: Bench, frames: int, out: Path, progress: Progress, *, average: int = FRAMES, auto_expose: bool = False
 ) -> Measured:
-    """Record `frames` frames into the folder `out`, and write beside them the results, the dark and the reference.
+    """Record `frames` frames into the folder `out`, with the results, the dark and the reference.
 
-    Dark and reference are means of `average` frames each; with `auto_expose` the exposure is found before them.
-    Whatever ends it early, Ctrl-C among others, the results of what has been recorded are written first. A device that
-    fails, or a reference of no use, is a `RunError`; a bench that cannot be, or a folder that holds a recording, is an
-    `InputError`.
+    Dark and reference are means of `average` frames each; with `auto_expose` the exposure is found first. If it ends
+    early, also by Ctrl-C, the results so far are written. `RunError` for a failed device or an unusable reference,
+    `InputError` for an impossible bench or a folder that holds a recording.
     """
     check_free(out)
     is_stopped, fault = False, ""
@@ -62,7 +61,7 @@ def measure(
     except (Interrupted, RunError) as error:
         why = "stopped before the results were written" if isinstance(error, Interrupted) else fault or str(error)
         raise type(error)(
-            f"{why}: {len(recording)} frames are in {out}, and svwfs replay {out} --out makes results of them"
+            f"{why}: {len(recording)} frames are in {out}; compute their results with svwfs replay {out} --out FILE"
         ) from error
     if is_stopped:
         raise Interrupted(f"stopped: {measured.reconstructed} of {frames} frames are in {out}")
@@ -74,30 +73,30 @@ def measure(
 
 
 def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: Progress, *, auto_expose: bool) -> None:
-    """Take dark and reference; whoever is at a bench without motors is asked to see to mask and sample.
+    """Take dark and reference; without motors, ask the user to move mask and sample.
 
-    A reference that no frame could be reconstructed with is told at once, before the sample is moved.
+    An unusable reference is reported before the sample is moved.
     """
     if bench.is_worked_by_hand:
         ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
     _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, progress)
     while problem := acquisition.submit(_problem).result():
-        said = f"the reference is of no use: {problem}"
+        sentence = f"the reference is unusable: {problem}"
         if not bench.is_worked_by_hand:
-            raise RunError(said)
-        ask(f"{said}; see to light, mask and focus, the sample out of the beam")
+            raise RunError(sentence)
+        ask(f"{sentence}; check light, mask and focus, the sample out of the beam")
         _wait([acquisition.take_reference(average)], acquisition, progress)
     if bench.is_worked_by_hand:
         ask("put the sample into the beam")
 
 
 def _problem(instrument: Instrument) -> str:
-    """Why no frame can be reconstructed with dark and reference; empty when it can."""
+    """Why frames cannot be reconstructed with dark and reference; empty if they can."""
     return "" if instrument.calibration is not None else instrument.status().warning
 
 
 def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, progress: Progress) -> None:
-    """Record from the first frame with the sample on, or from the first that is refined."""
+    """Record from the first frame with the sample, or from the first refined one."""
 
     def begin() -> Future[None]:
         return acquisition.start_recording(out, command="measure", frames=frames)
@@ -123,6 +122,6 @@ def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, progress: Prog
 
 
 def _is_refined(acquisition: Acquisition) -> bool:
-    """Whether a frame has come for which refinement was ready, or that cannot be reconstructed at all."""
+    """Whether the newest frame was refined, or cannot be reconstructed."""
     newest = acquisition.newest
     return newest is not None and newest.counts.acquired > 0 and newest.refinement.stage != "preparing"

@@ -1,4 +1,4 @@
-"""From image files to a wavefront: what `svwfs reconstruct` does."""
+"""`svwfs reconstruct`: the wavefront of a frame in image files."""
 
 from __future__ import annotations
 
@@ -19,19 +19,16 @@ from reconstruction.wavefront import Wavefront
 
 @dataclass(frozen=True, slots=True)
 class Reconstructed:
-    """What came of a frame."""
+    """Wavefront of a frame, and the steps of its refinement."""
 
     wavefront: Wavefront
-    changes_rad: tuple[float, ...]  # mean over the views of the RMS by which each round of refinement changed it
+    changes_rad: tuple[float, ...]  # RMS change by each round of refinement, mean over the views
 
 
 def reconstruct_files(
     frame: Path, *, reference: Path, dark: Path | None, bench: Bench, refine: int, progress: Progress
 ) -> Reconstructed:
-    """Reconstruct one frame from image files and refine it in at most `refine` rounds.
-
-    Whatever is wrong with the files is an `InputError` that names the file.
-    """
+    """Reconstruct one frame from image files, refined in at most `refine` rounds; `InputError` names a bad file."""
     frame_image, reference_image = read_image(frame), read_image(reference)
     dark_image = None if dark is None else read_image(dark)
     for path, image in ((frame, frame_image), (dark, dark_image)):

@@ -1,4 +1,4 @@
-"""What the simulated bench casts on its camera, with the truth, as files: `svwfs simulate`."""
+"""`svwfs simulate`: simulated frames and the true wavefronts as files."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ _CONDITIONS = {"dark": (False, False), "reference": (True, False), "frame": (Tru
 def simulate(bench: Bench, out: Path, *, noise_free: bool, progress: Callable[[float], None]) -> None:
     """Write `dark.tif`, `reference.tif`, `frame.tif` and `truth.nc` into the folder `out`.
 
-    The images are what the camera gives (counts), or, noise-free, the mean photons on each pixel as float32.
+    The images are camera counts or, with `noise_free`, mean photons per pixel as float32.
     """
     with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
         state: int | None = None
         for name, (light_on, sample_in) in _CONDITIONS.items():
             simulated.change(is_light_on=light_on, is_sample_in=sample_in)
-            image, state = _exposed(simulated, camera) if noise_free else _photographed(camera)
+            image, state = _mean_photons(simulated, camera) if noise_free else _frame(camera)
             write_image(out / f"{name}.tif", image)
         truth = truth_dataset(simulated.truth_wavefront(state or 0), bench)
     write_results(out / "truth.nc", truth, bench=bench, inputs={"frame": "frame.tif"})
 
 
-def _exposed(simulated: SimulatedBench, camera: SimulatedCamera) -> tuple[NDArray[np.float32], int | None]:
-    """Mean photons on each pixel during one exposure, and the state of the sample."""
+def _mean_photons(simulated: SimulatedBench, camera: SimulatedCamera) -> tuple[NDArray[np.float32], int | None]:
+    """Mean photons per pixel of one exposure, and the state of the sample."""
     start_s = simulated.clock.now()
     simulated.clock.sleep(camera.exposure_s)
     exposed = simulated.expose(start_s, simulated.clock.now())
     return exposed.photons, exposed.state
 
 
-def _photographed(camera: SimulatedCamera) -> tuple[NDArray[Any], int | None]:
-    """One frame of the camera, and the state of the sample."""
+def _frame(camera: SimulatedCamera) -> tuple[NDArray[Any], int | None]:
+    """One frame in counts, and the state of the sample."""
     camera.start()
     frame = camera.read(2 * camera.exposure_s)
     state = camera.state_of_frame(frame.index)

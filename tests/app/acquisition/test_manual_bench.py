@@ -92,7 +92,7 @@ def test_measure_by_hand_retakes_unusable_reference(
     first, *told, last = capsys.readouterr().err.splitlines()
     assert first.startswith("take the sample out of the beam")
     assert len(told) == 2
-    assert all(line.startswith("the reference is of no use: ") for line in told)
+    assert all(line.startswith("the reference is unusable: ") for line in told)
     assert all("the sample out of the beam, then press Enter" in line for line in told)
     assert last.startswith("put the sample into the beam")
 
@@ -101,7 +101,7 @@ def test_measure_with_motors_fails_on_unusable_reference(monkeypatch: pytest.Mon
     camera = FakeCamera()
     camera._images[0] = np.zeros_like(camera._images[0])
     monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
-    with pytest.raises(RunError, match="the reference is of no use: "):
+    with pytest.raises(RunError, match="the reference is unusable: "):
         measure(BENCH, 3, tmp_path / "m", lambda *_: None)
     assert not camera.light.shines
     assert not (tmp_path / "m").exists()

@@ -1,20 +1,24 @@
-"""The command as people type it: what it writes, what it says, and with which status it ends."""
+"""The command line: files written, messages, and exit status."""
 
 from __future__ import annotations
 
 import itertools
 import json
 import re
+import shlex
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
+import typer.main
 import xarray as xr
 from support.command_line import run
 from support.paths import FOREIGN_FRAMES
@@ -22,9 +26,14 @@ from support.patience import HANG_S, wait_until
 
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
-from app.bench.config import Bench
+from app.bench.config import Bench, CameraSettings, LightSettings, load_bench, write_bench
+from app.cli import cli
 from app.errors import Interrupted, RunError
+from drivers.dcam.settings import DcamSettings
+from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Devices, Frame
+from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
+from drivers.usb_lights.settings import DC2200Settings
 from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera, Unplug
 
@@ -294,13 +303,62 @@ def test_bad_arguments_exit_with_status_2(
     assert sentence in capsys.readouterr().err
 
 
+GROUP = typer.main.get_command(cli)
+
+
+def commands(group: Any = GROUP, path: str = "svwfs") -> Iterator[tuple[str, Any]]:
+    """Every command of the command line, those of subgroups included, with its full name."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, f"{path} {name}")
+        else:
+            yield f"{path} {name}", command
+
+
 def test_help_names_every_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(monkeypatch, "--help") == 0
-    text = capsys.readouterr().out
-    assert all(command in text for command in ("live", "measure", "reconstruct", "simulate", "selftest"))
+    listed = re.findall(r"^\W*(\w+) {2,}\S", capsys.readouterr().out, re.MULTILINE)
+    assert set(GROUP.commands) <= set(listed)  # type: ignore[attr-defined] # it is a group
+    assert len(GROUP.commands) == 14  # type: ignore[attr-defined]
 
 
-def test_measuring_and_help_load_no_qt() -> None:
+@pytest.mark.parametrize("name", dict(commands()))
+def test_help_of_command_has_valid_examples(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    command = dict(commands())[name]
+    assert run(monkeypatch, *name.split()[1:], "--help") == 0
+    shown = capsys.readouterr().out
+    assert all(option in shown for parameter in command.params for option in parameter.opts if option[:2] == "--")
+    examples = re.findall(r"Example: (svwfs .*?)(?:\n\n|$)", command.help.strip(), re.DOTALL)
+    assert examples
+    for example in examples:
+        words = shlex.split(example)
+        assert " ".join(words).startswith(name)
+        command.make_context(name, words[len(name.split()) :])  # exits if it cannot be parsed
+
+
+REAL_DEVICES: list[tuple[CameraSettings, LightSettings]] = [
+    (DcamSettings(), DC4100Settings(port="COM1")),
+    (GenicamSettings(), DC2200Settings()),
+    (GenicamSettings(), CoolLEDSettings(port="COM1")),
+]
+LOAD_BENCHES = "from app.bench.config import load_bench; [load_bench(path) for path in sys.argv[1:]]"
+SHOW_HELP = "from app.cli import cli; cli(['--help'], standalone_mode=False)"
+
+
+@pytest.mark.parametrize("program", [LOAD_BENCHES, SHOW_HELP, SHOW_HELP.replace("['", "['measure', '")])
+def test_reading_bench_and_help_load_no_devices_numba_or_qt(tmp_path: Path, program: str) -> None:
+    paths = ["live_demo", *(str(tmp_path / f"{index}.toml") for index in range(len(REAL_DEVICES)))]
+    for path, (camera, light) in zip(paths[1:], REAL_DEVICES, strict=True):
+        Path(path).write_text(write_bench(replace(load_bench("live_demo"), camera=camera, light=light)))
+    loaded = "sys.exit(str([name for name in ('usb', 'serial', 'numba', 'PyQt6') if name in sys.modules]))"
+    command = [sys.executable, "-c", f"import sys; {program}; {loaded}", *paths]
+    finished = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603 - our own program
+    assert finished.stderr == "[]\n"
+
+
+def test_measuring_loads_no_qt() -> None:
     program = "import sys, app.commands.measure, app.cli.tables; sys.exit(any('PyQt6' in name for name in sys.modules))"
     finished = subprocess.run([sys.executable, "-c", program], check=False)  # noqa: S603 - our own program
     assert finished.returncode == 0

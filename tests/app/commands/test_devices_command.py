@@ -1,4 +1,4 @@
-"""`svwfs devices`: it lists without switching anything on, and its check finds what a device does wrong."""
+"""`svwfs devices`: the list switches nothing on, and the check detects faulty devices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from support.simulated_scene import CAMERA, STILL, open_bench
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench
 from app.commands import devices as device_report
-from app.commands.device_search import SEARCHES, Search, look
+from app.commands.devices import KINDS, DeviceKind
 from app.errors import InputError, RunError
 from drivers import discovery
 from drivers.errors import Disconnected, Unsupported
@@ -41,13 +41,13 @@ A_LIGHT = discovery.DiscoveredDevice(
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
-    """A bench whose devices are found under the names of real ones."""
+    """A bench whose simulated devices are discovered as real ones."""
     bench = open_bench(tmp_path, replace(STILL, object_samples=3), CAMERA)
 
-    def discover(search: Search) -> Any:
-        return {"dcam": (A_CAMERA,), "coolled": (A_LIGHT,)}.get(search.driver, ())
+    def discover(kind: DeviceKind) -> Any:
+        return {"dcam": (A_CAMERA,), "coolled": (A_LIGHT,)}.get(kind.driver, ())
 
-    monkeypatch.setattr("app.commands.device_search.import_module", lambda module: _Module(module, discover))
+    monkeypatch.setattr("app.commands.devices.import_module", lambda module: _Module(module, discover))
     monkeypatch.setattr("app.commands.device_check.open_camera", lambda settings: SimulatedCamera(bench))
     monkeypatch.setattr(
         "app.commands.device_check.open_light", lambda settings: SimulatedLight(bench, limit_a=settings.limit_a)
@@ -56,17 +56,17 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
 
 
 class _Module:
-    def __init__(self, module: str, discover: Callable[[Search], Any]) -> None:
-        self.discover = lambda: discover(next(search for search in SEARCHES if search.module == module))
+    def __init__(self, module: str, discover: Callable[[DeviceKind], Any]) -> None:
+        self.discover = lambda: discover(next(kind for kind in KINDS if kind.module == module))
 
 
 def test_devices_lists_bench_sections(bench: SimulatedBench, capsys: pytest.CaptureFixture[str]) -> None:
     bench.change(is_light_on=False)
     device_report.print_devices()
-    told = capsys.readouterr().out
-    assert 'dcam:S/N 1   C9100-23B S/N 1\n      [camera]\n      driver = "dcam"\n      device = "S/N 1"\n' in told
-    assert "coolled:COM7   perhaps a CoolLED\n    cannot be used yet: a cable\n" in told
-    assert told.count("none found") == 3
+    output = capsys.readouterr().out
+    assert 'dcam:S/N 1   C9100-23B S/N 1\n      [camera]\n      driver = "dcam"\n      device = "S/N 1"\n' in output
+    assert "coolled:COM7   perhaps a CoolLED\n    cannot be used yet: a cable\n" in output
+    assert output.count("none found") == 3
     assert not bench.condition.is_light_on
 
 
@@ -75,21 +75,17 @@ def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: p
         raise Unsupported("the library is missing: install it")
 
     monkeypatch.setattr(
-        "app.commands.device_search.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
+        "app.commands.devices.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
     )
     device_report.print_devices()
-    assert capsys.readouterr().out.count("  not looked for: the library is missing: install it\n") == len(SEARCHES)
+    assert capsys.readouterr().out.count("  not searched: the library is missing: install it\n") == len(KINDS)
 
 
 def test_every_searched_driver_exists_in_bench() -> None:
-    for search in SEARCHES:
-        outcome = look(search)
-        assert outcome.found == () or outcome.found[0].driver == search.driver
-    named = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {
-        "simulated",
-        "recording",
-    }  # nothing that is looked for
-    assert named == {search.driver for search in SEARCHES}
+    for kind in KINDS:
+        assert all(device.driver == kind.driver for device in kind.discover()[0])
+    real = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {"simulated", "recording"}
+    assert real == {kind.driver for kind in KINDS}
     bench = load_bench("live_demo")
     with pytest.raises(InputError, match="has no device of its own"):
         open_camera(bench.camera)
@@ -100,10 +96,10 @@ def test_every_searched_driver_exists_in_bench() -> None:
 @pytest.mark.usefixtures("bench")
 def test_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
     device_report.check_and_print("dcam:S/N 1")
-    told = capsys.readouterr().out
-    assert "Simulated C9100-23B" in told
-    assert "dcam:S/N 1 passes all 15 checks" in told
-    assert "FAILED" not in told
+    output = capsys.readouterr().out
+    assert "Simulated C9100-23B" in output
+    assert "dcam:S/N 1 passes all 15 checks" in output
+    assert "FAILED" not in output
 
 
 def test_good_light_passes_within_announced_current(
@@ -119,32 +115,34 @@ def test_good_light_passes_within_announced_current(
 
     monkeypatch.setattr(bench, "change", watch)
     device_report.check_and_print("coolled:COM7")
-    told = capsys.readouterr()
-    assert "passes all 6 checks" in told.out
-    assert told.err == "the light will shine with up to 50 mA, 5% of its range\n"
+    output = capsys.readouterr()
+    assert "passes all 6 checks" in output.out
+    assert output.err == "the light will shine with up to 50 mA, 5% of its range\n"
     assert max(brightest_a) == pytest.approx(0.05)
     assert not bench.condition.is_light_on
 
 
 def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str]) -> None:
-    lamp = DC4100Wire()  # at a port that is never found, with its second head in use, which bears 200 mA
+    lamp = DC4100Wire()  # at a port that is never discovered, using its second head (200 mA)
     with PtyServer(lamp) as server:
         light = DC4100Settings(port=server.port, channel=1, current_a=0.15)
         bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
         device_report.check_and_print("light", bench)
         with pytest.raises(InputError, match="--check takes camera or light"):
             device_report.check_and_print("thorlabs_dc4100", bench)
-    told = capsys.readouterr()
-    assert "DC4100 M00266001 LED2" in told.out
-    assert "light passes all 6 checks" in told.out
-    assert "up to 10 mA" in told.err
+    output = capsys.readouterr()
+    assert "DC4100 M00266001 LED2" in output.out
+    assert "light passes all 6 checks" in output.out
+    assert "up to 10 mA" in output.err
     assert lamp.heads[1].current_ma <= 10
     assert not lamp.is_lit
 
 
 @pytest.mark.usefixtures("bench")
 def test_contract_breaking_camera_fails(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SimulatedCamera, "_set_em_gain", lambda self, em_gain: em_gain)  # says so, and does nothing
+    monkeypatch.setattr(
+        SimulatedCamera, "_set_em_gain", lambda self, em_gain: em_gain
+    )  # acknowledges without setting it
     with pytest.raises(RunError, match="dcam:S/N 1 fails 1 of 15 checks"):
         device_report.check_and_print("dcam:S/N 1")
     assert "  FAILED It accepts gains in its range; a refused one changes nothing" in capsys.readouterr().out

@@ -153,7 +153,7 @@ def test_measure_options_mask_average_auto_expose(
     assert "light" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()  # nothing is recorded with an exposure that was not found
     assert run(monkeypatch, "measure", "--help") == 0
-    assert f"{FRAMES} unless said" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert f"[default: {FRAMES}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
 def test_used_folder_is_refused_before_opening_devices(

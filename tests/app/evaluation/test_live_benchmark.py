@@ -21,12 +21,12 @@ from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
 
-import app.commands.live_benchmark
+import app.commands.acquisition_benchmark
 from app import cli
 from app.acquisition.devices import open_devices
 from app.bench.config import Bench, load_bench
 from app.bench.recording_settings import RecordingSettings
-from app.commands.live_benchmark import live_benchmark
+from app.commands.acquisition_benchmark import benchmark_acquisition
 from app.errors import InputError, Interrupted, RunError
 from app.evaluation.benchmark.live import course
 from app.evaluation.benchmark.live.course import Course, Span
@@ -107,7 +107,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
         patch.setenv("QT_QPA_PLATFORM", "offscreen")
         patch.setattr(course, "open_devices", open_watched)
         patch.setattr(shutil, "rmtree", look_before_removing)
-        figures = live_benchmark(
+        figures = benchmark_acquisition(
             LivePlan(bench=load_bench(small_toml), seconds=2.0, record_in=folder, warm_up_s=0.5),
             lambda text, fraction: reports.append((text, fraction)),
         )
@@ -357,7 +357,7 @@ def when_recorded(folder: Path, act: Callable[[], None]) -> QTimer:
 def test_an_interrupt_turns_the_light_off_and_removes_the_recording(camera: FakeCamera, tmp_path: Path) -> None:
     acted = when_recorded(tmp_path, lambda: os.kill(os.getpid(), signal.SIGINT))
     with pytest.raises(Interrupted):
-        live_benchmark(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
+        benchmark_acquisition(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
     assert not acted.isActive()
     assert camera.is_closed
     assert not camera.light.shines
@@ -367,7 +367,7 @@ def test_an_interrupt_turns_the_light_off_and_removes_the_recording(camera: Fake
 def test_a_camera_that_fails_ends_it_with_its_sentence(camera: FakeCamera, tmp_path: Path) -> None:
     acted = when_recorded(tmp_path, lambda: setattr(camera, "fault", Disconnected("the camera is gone")))
     with pytest.raises(RunError, match="the camera is gone"):
-        live_benchmark(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
+        benchmark_acquisition(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
     assert not acted.isActive()
     assert not list(tmp_path.iterdir())
 
@@ -428,7 +428,7 @@ def test_the_command_measures_70_frames_a_second_prints_writes_and_checks(
         plans.append(planned)
         return figures_of(span_of(late_s=late_s))
 
-    monkeypatch.setattr(app.commands.live_benchmark, "live_benchmark", measured)
+    monkeypatch.setattr(app.commands.acquisition_benchmark, "benchmark_acquisition", measured)
     options = ["--live", "60", "--record-in", str(tmp_path), "--json", str(tmp_path / "live.json"), "--check"]
     monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", *options, "--set", "camera.em_gain=8"])
     with pytest.raises(SystemExit) as ended:

@@ -1,4 +1,4 @@
-"""The live path measured with a window and a recording, and then without either: `svwfs benchmark --live`."""
+"""`svwfs benchmark --live`: frame rate and latency with window and recording, then without both."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from app.evaluation.benchmark.live.figures import LiveFigures
 from app.evaluation.benchmark.live.plan import LivePlan, recording_folder
 from app.progress import Progress, between, named
 
-_LOOK_S = 0.1
-_WARM_UP_S = 3.0  # of the run without a window: nothing of it is about memory
+_POLL_S = 0.1
+_WARM_UP_S = 3.0  # maximum, of the run without a window, which measures no memory
 
 
-def live_benchmark(plan: LivePlan, progress: Progress) -> LiveFigures:
-    """Measure; where there is no display the window is drawn unseen.
+def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
+    """Measure both runs; without a display the window is drawn offscreen.
 
-    Whatever ends it, Ctrl-C too, the light goes off and the recording is removed.
+    The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
     is_seen = use_display()
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
@@ -65,6 +65,6 @@ def _run(course: Course) -> None:
     try:
         course.begin()
         while not course.look():
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
     finally:
         course.acquisition.close()

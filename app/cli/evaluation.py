@@ -1,0 +1,204 @@
+"""Commands that evaluate accuracy and speed: `svwfs selftest`, `study`, `benchmark` and `paper`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import gettempdir
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from app.cli.options import BenchOption, SeedsOption, SetOption, load
+from app.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    from app.bench.config import Bench
+    from app.evaluation.paper.tables import Table
+
+_LIVE_BENCH = "live_demo"
+_LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
+
+
+def selftest() -> None:
+    """Check signs, axes and units with phases known in closed form.
+
+    Example: svwfs selftest
+    """
+    from app.cli.tables import print_checks
+    from app.evaluation.selftest import run_checks
+
+    if not print_checks(run_checks()):
+        raise RunError("the selftest failed: this installation must not be trusted")
+
+
+def study(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="Names of sweeps, or calibration or exposure; all sweeps if omitted."),
+    ] = None,
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for tables and figures: JSON, CSV and PNG.")],
+    seeds: SeedsOption = 3,
+    bench: BenchOption = "paper_simulation",
+    setting: SetOption = None,
+) -> None:
+    """Measure the estimator's error against the truth.
+
+    The sweeps vary noise, defects and sources (docs/estimator.md). Two more studies have names: calibration tests how
+    well lattices are found, exposure how fast auto-exposure is (docs/calibration.md).
+
+    Example: svwfs study exposure --seeds 1 --out study
+    """
+    from app.cli.tables import progress_bar
+    from app.evaluation.study.sweeps import chosen_sweeps, print_outcomes, run_study
+
+    sweeps, loaded = chosen_sweeps(names or []), load(bench, setting)
+    with progress_bar() as progress:
+        outcomes = run_study(loaded, sweeps, seeds, out, progress)
+    print_outcomes(outcomes)
+
+
+def benchmark(
+    *,
+    json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="JSON file for all numbers.")] = None,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check", help="Fail if a ratio is 20 % worse than the baseline; with --live, if a limit is missed."
+        ),
+    ] = False,
+    live: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Measure the live path instead for so long, with window and recording; typically 60.",
+        ),
+    ] = None,
+    record_in: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="With --live: folder of the temporary recording.")
+    ] = None,
+    no_record: Annotated[bool, typer.Option("--no-record", help="With --live: do not record.")] = False,
+    bench: Annotated[
+        str | None,
+        typer.Option("--bench", "-b", metavar="TOML", help=f"With --live: simulated bench [default: {_LIVE_BENCH}]."),
+    ] = None,
+    setting: SetOption = None,
+) -> None:
+    """Measure the speed beside other libraries.
+
+    It compares with SimpleITK, OpenCV, scikit-image, pyrtcao and HCIPy (extra: peers) in some minutes. With --live it
+    measures instead whether the window keeps up with 70 frames/s, and then the rate without window and disk. Refinement
+    is off unless --set reconstruction.refine=true turns it on.
+
+    Example: svwfs benchmark --live 60 --check
+    """
+    if live is not None:
+        settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
+        loaded = load(bench or _LIVE_BENCH, list(settings))
+        _benchmark_live(loaded, live, None if no_record else record_in or Path(gettempdir()), json=json, check=check)
+        return
+    if bench or setting or record_in or no_record:
+        raise InputError(
+            "--bench, --set, --record-in and --no-record are only for the live benchmark: add --live SECONDS"
+        )
+    from app.cli.tables import progress_bar
+    from app.evaluation.benchmark.baseline import load_baseline, worsened
+    from app.evaluation.benchmark.output import print_benchmark, write_benchmark
+    from app.evaluation.benchmark.run import Plan, run_benchmark
+
+    plan = Plan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
+    with progress_bar() as progress:
+        result = run_benchmark(plan, progress)
+    if json is not None:
+        write_benchmark(result, json)
+    print_benchmark(result)
+    if check and (slower := worsened(result["ratios"], load_baseline())):
+        raise RunError("slower relative to the peers than the baseline: " + "; ".join(slower))
+
+
+def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, json: Path | None, check: bool) -> None:
+    """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
+    from app.cli.tables import progress_bar
+    from app.commands.acquisition_benchmark import benchmark_acquisition
+    from app.evaluation.benchmark.live.output import live_json, missed, print_live
+    from app.evaluation.benchmark.live.plan import LivePlan
+    from app.evaluation.benchmark.output import write_benchmark
+
+    plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
+    with progress_bar() as progress:
+        figures = benchmark_acquisition(plan, progress)
+    print_live(figures)
+    if json is not None:
+        write_benchmark(live_json(figures), json)
+    if check and (failed := missed(figures)):
+        raise RunError("missed: " + "; ".join(failed))
+
+
+paper = typer.Typer(
+    help="Reproduce the paper's tables beside its own numbers.", no_args_is_help=True, rich_markup_mode=None
+)
+OutOption = Annotated[Path, typer.Option(help="Folder for the table (JSON, CSV) and its figure.")]
+PeersOption = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
+
+
+@paper.command()
+def table1(
+    *,
+    out: OutOption,
+    seeds: SeedsOption = 1,
+    peers: PeersOption = False,
+    bench: BenchOption = "paper_simulation",
+    setting: SetOption = None,
+) -> None:
+    """Table 1: every method on the simulated bench, against the truth.
+
+    Example: svwfs paper table1 --out paper
+    """
+    from app.evaluation.paper.tables import table1 as run
+
+    _paper_table(lambda progress: run(load(bench, setting), seeds, peers=peers, progress=progress), out)
+
+
+@paper.command()
+def table2(
+    *,
+    out: OutOption,
+    seeds: SeedsOption = 1,
+    peers: PeersOption = False,
+    bench: BenchOption = "paper_experiment",
+    setting: SetOption = None,
+) -> None:
+    """Table 2: every method on noisy frames of the experiment, against the stars.
+
+    Example: svwfs paper table2 --seeds 3 --out paper
+    """
+    from app.evaluation.paper.tables import table2 as run
+
+    _paper_table(lambda progress: run(load(bench, setting), seeds, peers=peers, progress=progress), out)
+
+
+@paper.command()
+def sources(
+    *, out: OutOption, seeds: SeedsOption = 1, bench: BenchOption = "paper_simulation", setting: SetOption = None
+) -> None:
+    """The supplement's study of other source shapes.
+
+    Example: svwfs paper sources --out paper
+    """
+    from app.evaluation.paper.tables import sources as run
+
+    _paper_table(lambda progress: run(load(bench, setting), seeds, progress=progress), out)
+
+
+def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path) -> None:
+    """Compute, write and print a table."""
+    from app.cli.tables import progress_bar
+    from app.evaluation.paper.output import print_table, write_table
+    from app.files import make_folder
+
+    make_folder(out)
+    with progress_bar() as progress:
+        table = run(progress)
+    write_table(table, out)
+    print_table(table)
