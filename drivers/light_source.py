@@ -29,7 +29,7 @@ _LOCK_TIMEOUT_S = 1.0  # for another thread, which may hang, before the light is
 class LightSource(Device):
     """A light with an adjustable current.
 
-    A driver's constructor opens the connection and calls `_begin` last, which closes the light if it fails.
+    A driver's constructor connects and calls `_begin` last, which closes the connection if it fails.
     """
 
     def __init__(self, *, limit_a: float | None = None, sleep: Callable[[float], None] = time.sleep) -> None:
@@ -41,7 +41,12 @@ class LightSource(Device):
         self._lit_before_s = 0.0
 
     def _begin(self) -> None:
-        """Switch off and bring the current into the allowed range."""
+        """Identify the device, switch it off, and bring its current into the allowed range."""
+        try:
+            self._identify()
+        except BaseException:
+            self._close()
+            raise
         self._has_begun = True
         _open_lights.add(self)
         try:
@@ -199,6 +204,9 @@ class LightSource(Device):
                     if was_lit and isinstance(error, DeviceError):
                         raise _still_lit(error) from second
                 raise
+
+    def _identify(self) -> None:
+        """Check which device answers; nothing else is sent to an unknown one."""
 
     @abstractmethod
     def _read_range(self) -> Range: ...

@@ -1,10 +1,8 @@
-"""CoolLED pE-300 and pE-4000, LED illuminators on a serial port over USB: one channel, in percent of its full light.
+"""CoolLED pE-300 and pE-4000 illuminators on a serial port over USB: one channel.
 
-Their commands are those of CoolLED's manual DOC-038 and of Micro-Manager's adapters. They know no current: the setting
-`full_current_a` says which nominal current is meant by 100 %, so that the rest of the program sees one kind of light.
-They also speak unasked, when they are opened and when somebody turns a knob on the control pod; and what they answer to
-commands is not documented. So every command is followed by the question for the state of all channels, until that is as
-it was asked for.
+Commands follow CoolLED's manual DOC-038 and Micro-Manager's adapters. Brightness is in percent: `full_current_a` is the
+nominal current at 100 %. The devices also send lines unasked, and their answers to commands are undocumented. So after
+each command the state of all channels is queried until it is as requested.
 """
 
 from __future__ import annotations
@@ -28,17 +26,17 @@ _DIALECT = Dialect("CoolLED", end=b"\r", timeout_s=0.5)
 _MODEL = r"XMODEL[:=\s]*(.*pE-(300|4000).*)"
 _STATE = r"CSS((?:[A-D][SX][NF][0-9]{3}){1,4})"
 _LAMP = r"LAM:([A-D]):([0-9]{3,4})"
-_ORDERS, _LOADINGS, _PAUSE_S = 5, 20, 0.05  # how often, and after what pause, it is looked whether it was done
+_ATTEMPTS, _LOAD_POLLS, _PAUSE_S = 5, 20, 0.05
 
 
 def discover() -> tuple[DiscoveredDevice, ...]:
-    """Return the serial ports where one may be; nothing is sent to it."""
+    """Return the serial ports that may lead to one; sends nothing."""
     return serial_ports.discover("coolled", "CoolLED pE-300 or pE-4000", ("coolled", "pe-300", "pe-4000"))
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """The state of one channel."""
+    """State of one channel."""
 
     is_selected: bool
     is_on: bool
@@ -46,23 +44,19 @@ class Channel:
 
 
 class CoolLED(LightSource):
-    """One channel of a pE-300 or pE-4000; the others are deselected, and stay off."""
+    """One channel of a pE-300 or pE-4000; the others are deselected and stay off."""
 
     def __init__(
         self, settings: CoolLEDSettings, *, wire: Wire | None = None, sleep: Callable[[float], None] = time.sleep
     ) -> None:
         super().__init__(limit_a=settings.limit_a, sleep=sleep)
         self._channel, self._full_a = settings.channel, settings.full_current_a
+        self._wanted_nm = settings.wavelength_nm
         self._is_wanted_lit = False
         self._line = SerialLine(settings.port or find_port(settings.serial_number), _DIALECT, wire or Wire())
-        try:
-            self._open(settings.wavelength_nm)
-        except BaseException:  # Ctrl-C, too
-            self._line.close()
-            raise
         self._begin()
 
-    def _open(self, wavelength_nm: int | None) -> None:
+    def _identify(self) -> None:
         answer = self._line.query("XMODEL", _MODEL)
         self._model = f"pE-{answer[2]}"
         self._line.mark({"XMODEL": _MODEL})
@@ -72,8 +66,8 @@ class CoolLED(LightSource):
             raise BadValue(f"{self._line.where} has the channels {', '.join(channels)}, but no {self._channel}")
         self._wavelengths_nm: dict[str, int] = {}
         if self._model == "pE-4000":
-            self._load(wavelength_nm)
-        elif wavelength_nm is not None:
+            self._load()
+        elif self._wanted_nm is not None:
             raise Unsupported("only a pE-4000 can load a wavelength; leave wavelength_nm out for a pE-300")
 
     @property
@@ -82,7 +76,7 @@ class CoolLED(LightSource):
         return f"CoolLED {self._model} channel {self._channel}"
 
     def properties(self) -> dict[str, Property]:
-        """What every light tells, and what this one is."""
+        """Properties of every light, and of this channel."""
         own: dict[str, Property] = {"channel": self._channel, "full_current_a": self._full_a}
         if self._channel in self._wavelengths_nm:
             own["wavelength_nm"] = self._wavelengths_nm[self._channel]
@@ -95,19 +89,20 @@ class CoolLED(LightSource):
         return self._state()[self._channel].percent * self._full_a / 100
 
     def _set_current(self, current_a: float) -> float:
-        percent = int(100 * current_a / self._full_a + 1e-6)  # never above what was asked, but for rounding
-        self._order(f"C{self._channel}I{percent}", lambda channels: channels[self._channel].percent == percent)
+        percent = int(100 * current_a / self._full_a + 1e-6)  # never above the request, except for rounding
+        self._execute(f"C{self._channel}I{percent}", lambda channels: channels[self._channel].percent == percent)
         if self._is_wanted_lit:
             self._check_lit(self._state())
         return percent * self._full_a / 100
 
-    def _load(self, wavelength_nm: int | None) -> None:
-        """See what the channels are loaded with, and change it where that is asked for."""
+    def _load(self) -> None:
+        """Query the loaded wavelengths, and load the wanted one into the channel."""
+        wavelength_nm = self._wanted_nm
         self._wavelengths_nm = self._lamps()
         if wavelength_nm is None or self._wavelengths_nm.get(self._channel) == wavelength_nm:
             return
         self._line.command(f"LOAD:{wavelength_nm}")
-        for _ in range(_LOADINGS):
+        for _ in range(_LOAD_POLLS):
             self._sleep(_PAUSE_S)
             self._wavelengths_nm = self._lamps()
             if self._wavelengths_nm.get(self._channel) == wavelength_nm:
@@ -128,28 +123,28 @@ class CoolLED(LightSource):
         self._is_wanted_lit = False
         if not on:
             try:
-                self._order("CSF", lambda channels: not any(channel.is_on for channel in channels.values()))
+                self._execute("CSF", lambda channels: not any(channel.is_on for channel in channels.values()))
             except BadValue as refusal:
-                raise DeviceError(f"{self._line.where} is still on, though it was told to switch off") from refusal
+                raise DeviceError(f"{self._line.where} is still on, after it was told to switch off") from refusal
             return
         for letter in self._state():
             wanted = letter == self._channel
-            self._order(f"C{letter}{'S' if wanted else 'X'}", _is_selected(letter, wanted=wanted))
-        self._order("CSN", lambda channels: channels[self._channel].is_on)
+            self._execute(f"C{letter}{'S' if wanted else 'X'}", _is_selected(letter, wanted=wanted))
+        self._execute("CSN", lambda channels: channels[self._channel].is_on)
         self._is_wanted_lit = True
 
     def _close(self) -> None:
         self._line.close()
 
     def _check_lit(self, channels: dict[str, Channel]) -> None:
-        """Raise if the light should be on and is not."""
+        """Raise if the light should be on but is off."""
         if not channels[self._channel].is_on:
-            raise DeviceError(f"{self._line.where} is off: switched off at its pod, or by itself")
+            raise DeviceError(f"{self._line.where} is off: it was switched off at its pod, or on its own")
 
-    def _order(self, command: str, is_done: Callable[[dict[str, Channel]], bool]) -> None:
-        """Send a command and ask for the state, until that is as it should be."""
-        for _ in range(_ORDERS):
-            self._line.command(command)  # again: a command can be lost
+    def _execute(self, command: str, is_done: Callable[[dict[str, Channel]], bool]) -> None:
+        """Send a command and query the state until it is done."""
+        for _ in range(_ATTEMPTS):
+            self._line.command(command)  # repeated, as a command can be lost
             channels = self._state()
             if is_done(channels):
                 return
@@ -157,12 +152,11 @@ class CoolLED(LightSource):
         raise BadValue(f"{self._line.where} does not carry out “{command}”")
 
     def _state(self) -> dict[str, Channel]:
-        """Ask for the state of all channels."""
         text = self._line.query("CSS?", _STATE)[1]
         parts = re.findall(r"(.)(.)(.)(...)", text)
         channels = {letter: Channel(s == "S", n == "N", int(percent)) for letter, s, n, percent in parts}
         if any(channel.percent > 100 for channel in channels.values()):
-            raise DeviceError(f"{self._line.where} tells of more than 100 %: {text}")
+            raise DeviceError(f"{self._line.where} reports more than 100 %: {text}")
         return channels
 
 

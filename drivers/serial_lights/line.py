@@ -1,10 +1,9 @@
-"""A device on a serial port that is asked in lines of text: open, command, query, and back in step after a fault.
+"""Serial line to a device that answers in lines of text, with resynchronisation after a fault.
 
-The protocols served here carry no numbers that say which answer belongs to which question. So after a question that
-was not answered in time, or was answered by garbage, the line is out of step: an answer may yet come, and must not be
-taken for that of the next question. Before that one is asked, the line asks for something with an answer that can be
-known among all others (a marker, the device's name or serial number) and throws away all that comes before it. A
-marker that is not answered itself is not asked again before the line has been silent for as long as an answer may take.
+The protocols do not number their answers. After a missing or garbled answer the line is out of step: a late answer
+could be taken for that of the next query. So before that query, the line sends a marker, a query with a unique answer
+such as the serial number, and discards everything before that answer. An unanswered marker is not sent again before the
+line has been silent for one timeout.
 """
 
 from __future__ import annotations
@@ -25,67 +24,65 @@ from drivers.serial_lights.ports import connected, no_permission
 try:
     from termios import error as TerminalError  # noqa: N812 - a class, whatever its module calls it
 except ImportError:  # Windows
-    TerminalError = OSError  # type: ignore[misc, assignment] # nothing else is raised there
+    TerminalError = OSError  # type: ignore[misc, assignment] # the only error there
 
-_SLICE_S = 0.02  # the longest that one call of the port may wait
-_LAST_LOOK_S = 0.05  # of the time for an answer, anew where this computer stood still meanwhile
-_QUIET_S = 0.1  # a pause as long as this between answers is silence
+_SLICE_S = 0.02  # longest wait of one call of the port
+_GRACE_S = 0.05  # end of the timeout, started anew if this computer stalled
+_QUIET_S = 0.1  # without a byte, after which the line is silent
 _WRITE_S = 1.0
-_FAULTS = (OSError, TerminalError, ValueError, TypeError)  # pyserial's own are among OSError; a port that is gone
-_LONGEST_LINE = 4096  # of garbage without an end
+_FAULTS = (
+    OSError,
+    TerminalError,
+    ValueError,
+    TypeError,
+)  # the last three from a lost port
+_LONGEST_LINE = 4096  # of garbage without a line end
 
 
 class Port(Protocol):
-    """What is needed of a `serial.Serial`."""
+    """The part of `serial.Serial` that is used; `read` waits a short time for at least one byte."""
 
     @property
-    def in_waiting(self) -> int:
-        """How many bytes have come."""
+    def in_waiting(self) -> int: ...  # noqa: D102 - as in pyserial
 
-    def read(self, size: int, /) -> bytes:
-        """Wait a short time for at least one byte."""
+    def read(self, size: int, /) -> bytes: ...  # noqa: D102 - the same
 
-    def write(self, data: bytes, /) -> int | None:
-        """Send."""
+    def write(self, data: bytes, /) -> int | None: ...  # noqa: D102 - the same
 
-    def close(self) -> None:
-        """Let go."""
-
-
-OpenPort = Callable[..., Port]
+    def close(self) -> None: ...  # noqa: D102 - the same
 
 
 @dataclass(frozen=True, slots=True)
 class Wire:
-    """What the line runs over: the ports of this computer, or a test's."""
+    """Ports and clock: those of this computer, or of a test."""
 
-    open_port: OpenPort = serial.Serial
+    open_port: Callable[..., Port] = serial.Serial
     clock: Callable[[], float] = time.monotonic
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How a kind of device talks."""
+    """Line protocol of a kind of device."""
 
-    device: str  # what it is called in errors
+    device: str  # name in errors
     end: bytes  # of a command; answers end with a line feed, with or without carriage return
     baudrate: int = 115200
     timeout_s: float = 0.5  # for an answer
 
 
 class SerialLine:
-    """A serial port with a device that answers in lines; every fault leaves it as a `DeviceError`."""
+    """A serial port with a device; every fault is raised as a `DeviceError`."""
 
     def __init__(self, port: str, dialect: Dialect, wire: Wire) -> None:
         self._name, self._dialect, self._clock = port, dialect, wire.clock
         self._markers: dict[str, re.Pattern[str]] = {}
-        self._unanswered: set[str] = set()  # markers that may yet be answered
+        self._unanswered: set[str] = set()  # markers whose answers may be late
         self._is_in_step = True
-        self._is_cut = False  # the device may hold a part of a command
+        self._is_cut = False  # the device may have received part of a command
         self._received = bytearray()
         self._port = _open(port, dialect, wire)
         try:
-            self._send("")  # ends what another program may have left unfinished
+            self._send("")  # completes an unfinished command of another program
             self._wait_until_quiet(_QUIET_S)
         except DeviceError:
             self.close()
@@ -97,23 +94,23 @@ class SerialLine:
         return f"the {self._dialect.device} at {self._name}"
 
     def mark(self, markers: Mapping[str, str]) -> None:
-        """Say which questions have an answer (a regular expression) that no other question has."""
+        """Set the queries with unique answers (regular expressions)."""
         self._markers = {question: re.compile(answer) for question, answer in markers.items()}
 
     def command(self, text: str) -> None:
-        """Send what is not answered."""
+        """Send a command without an answer."""
         self._send(text)
 
     def query(self, text: str, pattern: str = r".+") -> re.Match[str]:
-        """Ask, and return the first line that matches as a whole; an empty line never does.
+        """Send a query and return the first line that matches as a whole; an empty line never does.
 
-        Raise `DeviceTimeout` when nothing came in time, `DeviceError` when only other lines came.
+        Raises `DeviceTimeout` if nothing came in time, `DeviceError` if only other lines came.
         """
         return self.query_lines(text, pattern, 1)[0]
 
     def query_lines(self, text: str, pattern: str, count: int) -> list[re.Match[str]]:
-        """Ask, and return the first lines that match."""
-        self._come_into_step()
+        """Send a query and return the first `count` lines that match."""
+        self._resynchronise()
         self._send(text)
         try:
             return [self._await(re.compile(pattern), f"“{text}”") for _ in range(count)]
@@ -122,16 +119,16 @@ class SerialLine:
             raise
 
     def close(self) -> None:
-        """Let go of the port, in whatever state it is."""
+        """Release the port, in any state."""
         with suppress(*_FAULTS):
             self._port.close()
 
-    def _come_into_step(self) -> None:
-        """Throw away all answers to earlier questions, those that have come and those that are under way."""
-        self._throw_away()
+    def _resynchronise(self) -> None:
+        """Discard all answers to earlier queries, also late ones."""
+        self._discard_input()
         if self._is_in_step:
             return
-        fresh = [question for question in self._markers if question not in self._unanswered]
+        fresh = [marker for marker in self._markers if marker not in self._unanswered]
         are_some_unanswered = bool(self._unanswered)
         if not fresh:
             self._wait_until_quiet(self._dialect.timeout_s)
@@ -140,14 +137,14 @@ class SerialLine:
             self._unanswered.add(fresh[0])
             self._send(fresh[0])
             self._await(self._markers[fresh[0]], f"“{fresh[0]}”")
-        if are_some_unanswered:  # they may come now
+        if are_some_unanswered:  # late answers may come now
             self._wait_until_quiet(_QUIET_S)
         self._unanswered.clear()
         self._is_in_step = True
 
     def _await(self, pattern: re.Pattern[str], what: str) -> re.Match[str]:
         other = ""
-        for patience_s in (self._dialect.timeout_s - _LAST_LOOK_S, _LAST_LOOK_S):
+        for patience_s in (self._dialect.timeout_s - _GRACE_S, _GRACE_S):
             until = self._clock() + patience_s
             while (line := self._read_line(until)) is not None:
                 if line and (match := pattern.fullmatch(line)):
@@ -160,7 +157,7 @@ class SerialLine:
         )
 
     def _read_line(self, until: float) -> str | None:
-        """Return the next line, or None when the time is over."""
+        """Return the next line, or None after the time `until`."""
         while True:
             end = self._received.find(b"\n")
             if end >= 0 or len(self._received) > _LONGEST_LINE:
@@ -173,7 +170,7 @@ class SerialLine:
             self._receive()
 
     def _wait_until_quiet(self, quiet_s: float) -> None:
-        """Throw away what comes until nothing has come for that time."""
+        """Discard input until none has come for `quiet_s`."""
         until = give_up = self._clock() + quiet_s
         give_up += 2 * self._dialect.timeout_s
         while self._clock() < min(until, give_up):
@@ -182,14 +179,13 @@ class SerialLine:
         self._received.clear()
 
     def _receive(self) -> int:
-        """Wait a short time for what comes; return the number of bytes."""
+        """Wait a short time for input; return the number of bytes."""
         with self._faults():
             came = self._port.read(max(1, self._port.in_waiting))
         self._received += came
         return len(came)
 
-    def _throw_away(self) -> None:
-        """Forget what has come until now."""
+    def _discard_input(self) -> None:
         with self._faults():
             if waiting := self._port.in_waiting:
                 self._port.read(waiting)
@@ -223,7 +219,7 @@ def _open(port: str, dialect: Dialect, wire: Wire) -> Port:
 
 
 def _opening_error(port: str, device: str, error: BaseException) -> DeviceError:
-    """Translate; where Windows refuses a port, pyserial tells only in its text why."""
+    """Translate an error; on Windows pyserial gives the reason only in its text."""
     number, text = getattr(error, "errno", None), str(error)
     if number in {errno.EBUSY, errno.EAGAIN} or "PermissionError" in text:
         return Busy(f"another program holds {port}; close it to use the {device}")

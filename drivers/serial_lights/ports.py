@@ -1,4 +1,4 @@
-"""The serial ports of this computer: which there are, which one a bench means, and what may hang on them."""
+"""Serial ports of this computer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.errors import Disconnected
 
 
 def find_port(serial_number: str) -> str:
-    """Return the name of the port whose USB adapter has that serial number."""
+    """Return the port whose USB adapter has this serial number."""
     names = [port.device for port in list_ports.comports() if port.serial_number == serial_number]
     if not names:
         raise Disconnected(f"no serial port has the USB serial number {serial_number!r}; {connected()}")
@@ -21,13 +21,13 @@ def find_port(serial_number: str) -> str:
 
 
 def connected() -> str:
-    """Say which ports there are, for errors."""
+    """List of the ports, for errors."""
     names = ", ".join(f"{port.device} ({_describe(port)})" for port in list_ports.comports())
     return f"connected are {names}" if names else "none is connected"
 
 
 def no_permission(port: str) -> str:
-    """Say what it takes to be allowed to open a port."""
+    """Advice for opening a port without permission."""
     return (
         f"you may not open {port}: run “sudo usermod -aG dialout $USER” (the group dialout owns serial ports)"
         " and log in again"
@@ -35,17 +35,17 @@ def no_permission(port: str) -> str:
 
 
 def discover(driver: str, device: str, words: tuple[str, ...]) -> tuple[DiscoveredDevice, ...]:
-    """Return the ports on USB where a device of that kind may be, certain where its adapter has one of those words.
+    """Return the USB serial ports that may lead to such a device, certain if the adapter's text has one of `words`.
 
-    Nothing is opened: a serial port cannot be asked what hangs on it without speaking to whatever that is.
+    Opens nothing, because a query could disturb another device.
     """
-    found = []
+    devices = []
     for port in list_ports.comports():
         if port.vid is None:  # built in, or a pseudo-terminal
             continue
         is_certain = any(word in _describe(port).lower() for word in words)
         is_allowed = sys.platform == "win32" or os.access(port.device, os.R_OK | os.W_OK)
-        found.append(
+        devices.append(
             DiscoveredDevice(
                 kind="light",
                 driver=driver,
@@ -55,7 +55,7 @@ def discover(driver: str, device: str, words: tuple[str, ...]) -> tuple[Discover
                 missing="" if is_allowed else no_permission(str(port.device)),
             )
         )
-    return tuple(found)
+    return tuple(devices)
 
 
 def _describe(port: ListPortInfo) -> str:

@@ -1,4 +1,4 @@
-"""Settings of LED light sources on a serial port."""
+"""Bench settings of LED light sources on a serial port."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoolLEDSettings:
-    """What a bench says of it: where it is, and what it feeds."""
+    """Selection and settings of a CoolLED pE-300 or pE-4000."""
 
     driver: Literal["coolled"] = "coolled"
-    port: str = ""  # such as /dev/ttyACM0 or COM3; or else
-    serial_number: str = ""  # of its USB adapter
+    port: str = ""  # such as /dev/ttyACM0 or COM3
+    serial_number: str = ""  # of its USB adapter, instead of the port
     channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000
-    full_current_a: float = 1.0  # the nominal current that stands for 100 %
-    wavelength_nm: int | None = None  # to be loaded into the channel; of a pE-4000 alone
-    current_a: float | None = None  # to begin with; as it was left
-    limit_a: float | None = None  # never more, though its head allows it
+    full_current_a: float = 1.0  # nominal current at 100 %
+    wavelength_nm: int | None = None  # to load into the channel; pE-4000 only
+    current_a: float | None = None  # None keeps its value
+    limit_a: float | None = None  # owner's limit, below that of the head
 
     def __post_init__(self) -> None:
         check_address(self.port, self.serial_number)
@@ -33,14 +33,14 @@ class CoolLEDSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DC4100Settings:
-    """What a bench says of it: where it is, and what it feeds."""
+    """Selection and settings of a Thorlabs DC4100 or DC4104."""
 
     driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
-    port: str = ""  # such as /dev/ttyUSB0 or COM3; or else
-    serial_number: str = ""  # of its USB adapter
+    port: str = ""  # such as /dev/ttyUSB0 or COM3
+    serial_number: str = ""  # of its USB adapter, instead of the port
     channel: int = 0  # 0 ... 3 are LED1 ... LED4
-    current_a: float | None = None  # to begin with; as it was left
-    limit_a: float | None = None  # never more, though its head allows it
+    current_a: float | None = None  # None keeps its value
+    limit_a: float | None = None  # owner's limit, below that of the head
 
     def __post_init__(self) -> None:
         check_address(self.port, self.serial_number)
@@ -51,6 +51,6 @@ class DC4100Settings:
 
 
 def check_address(port: str, serial_number: str) -> None:
-    """Raise `ValueError` unless a bench says, in one way, which port it is."""
+    """Raise `ValueError` unless exactly one of the two is given."""
     if bool(port) == bool(serial_number):
         raise ValueError("port must be given, or serial_number of the USB adapter, and not both")

@@ -1,8 +1,8 @@
-"""Thorlabs DC4100 and DC4104, four-channel LED drivers on a serial port: one channel of it, at constant current.
+"""Thorlabs DC4100 and DC4104, four-channel LED drivers on a serial port: one channel at constant current.
 
-The protocol is that of Micro-Manager's adapter (DeviceAdapters/ThorlabsDCxxxx) and of the manual, Rev. 2.2. Commands
-that set are not answered; `e?` tells whether they were carried out. Currents are whole milliamperes. All channels are
-switched off when it is opened and when it is closed.
+The protocol follows Micro-Manager's adapter (DeviceAdapters/ThorlabsDCxxxx) and the manual, Rev. 2.2. Commands have no
+answer; `e?` reports whether they were executed. Currents are whole milliamperes. Opening and closing switch off all
+channels.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from drivers.serial_lights.ports import find_port
 from drivers.serial_lights.settings import DC4100Settings
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
-_MODEL = r".*\b(DC4100|DC4104|LEDD4)\b.*"  # all that Micro-Manager accepts
+_MODEL = r".*\b(DC4100|DC4104|LEDD4)\b.*"  # as in Micro-Manager
 _MILLIAMPERES = r"(\d{1,5})(?:\s*mA)?"
 _ERROR = r"(?:\S+\s+)?(-?\d{1,6})\s*:\s*(.*)"
 _MULTI_SELECTION, _CONSTANT_CURRENT = "0", "0"
 
 
 def discover() -> tuple[DiscoveredDevice, ...]:
-    """Return the serial ports where one may be; nothing is sent to it."""
+    """Return the serial ports that may lead to one; sends nothing."""
     return serial_ports.discover("thorlabs_dc4100", "DC4100 or DC4104", ("dc4100", "dc4104", "thorlabs"))
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """The status register, as far as it concerns one channel."""
+    """Status register of one channel."""
 
     is_supply_bad: bool
     is_over_temperature: bool
@@ -46,13 +46,13 @@ class Status:
 
     @classmethod
     def decode(cls, register: int, channel: int) -> Status:
-        """Take the odd bits, the states; the even bits only say what has changed since it was read."""
+        """Decode the odd bits, the states; the even bits flag changes since the last read."""
         bits = (1, 3, 5 + 2 * channel, 13 + 2 * channel, 21 + 2 * channel)
         return cls(*(bool(register >> bit & 1) for bit in bits))
 
     @property
     def fault(self) -> str:
-        """Why there can be no light, in words for the bench, or nothing."""
+        """Reason for having no light, or an empty text."""
         reasons = {
             "its power supply is out of range": self.is_supply_bad,
             "it is too hot and has switched all LEDs off; let it cool": self.is_over_temperature,
@@ -72,25 +72,20 @@ class ThorlabsDC4100(LightSource):
         self._channel = settings.channel
         self._is_wanted_lit = False
         self._line = SerialLine(settings.port or find_port(settings.serial_number), _DIALECT, wire or Wire())
-        try:
-            self._open()
-        except BaseException:  # Ctrl-C, too
-            self._line.close()
-            raise
         self._begin()
 
-    def _open(self) -> None:
-        self._model = self._line.query("n?", _MODEL)[1]  # not another word before this is known
+    def _identify(self) -> None:
+        self._model = self._line.query("n?", _MODEL)[1]  # sends nothing else before this is known
         self._line.command("o -1 0")
         self._firmware = self._line.query("v?")[0]
         self._serial_number = self._line.query("s?")[0]
         self._line.mark({"n?": _MODEL, "s?": re.escape(self._serial_number), "v?": re.escape(self._firmware)})
-        self._error()  # forgets what others have done wrong
+        self._error()  # clear old errors
         self._choose("sm", _MULTI_SELECTION)
         self._choose("m", _CONSTANT_CURRENT)
         if fault := self._status().fault:
             raise WrongState(f"{self._where}: {fault}")
-        self._wavelength_nm, self._head = self._tell("wl"), self._tell("hs")
+        self._wavelength_nm, self._head = self._query_head("wl"), self._query_head("hs")
 
     @property
     def name(self) -> str:
@@ -98,7 +93,7 @@ class ThorlabsDC4100(LightSource):
         return f"Thorlabs {self._model} {self._serial_number} LED{self._channel + 1}"
 
     def properties(self) -> dict[str, Property]:
-        """What every light tells, and what driver and head at this channel tell of themselves."""
+        """Properties of every light, and of driver and head at this channel."""
         common = super().properties()
         with self._guarded():
             status = self._status()
@@ -124,11 +119,11 @@ class ThorlabsDC4100(LightSource):
         return self._ask_ma("cc") / 1000
 
     def _set_current(self, current_a: float) -> float:
-        asked_ma = int(current_a * 1000 + 1e-6)  # never above what was asked, but for rounding
+        asked_ma = int(current_a * 1000 + 1e-6)  # never above the request, except for rounding
         self._set(f"cc {self._channel} {asked_ma}")
         taken_ma = self._ask_ma("cc")
         if taken_ma != asked_ma:
-            raise DeviceError(f"{self._where} was asked for {asked_ma} mA and set {taken_ma} mA")
+            raise DeviceError(f"{self._where} set {taken_ma} mA instead of {asked_ma} mA")
         self._check_lit()
         return taken_ma / 1000
 
@@ -149,18 +144,20 @@ class ThorlabsDC4100(LightSource):
                 self._error()
                 if not self._is_output_on():
                     return
-            raise DeviceError(f"{self._where} is still on, though it was told to switch off; unplug its head")
+            raise DeviceError(f"{self._where} is still on, after it was told to switch off; unplug its head")
 
     def _close(self) -> None:
         self._line.close()
 
     def _check_lit(self, refusal: str = "") -> None:
-        """Raise if the light should be on and is not."""
+        """Raise if the light should be on but is off."""
         if self._is_wanted_lit:
             if fault := self._status().fault:
                 raise DeviceError(f"{self._where}: {fault}")
             if not self._is_output_on():
-                raise DeviceError(f"{self._where} is off: {refusal or 'switched off at its front panel, or by itself'}")
+                raise DeviceError(
+                    f"{self._where} is off: {refusal or 'switched off at its front panel, or on its own'}"
+                )
 
     def _is_output_on(self) -> bool:
         return self._line.query(f"o? {self._channel}", "[01]")[0] == "1"
@@ -175,20 +172,20 @@ class ThorlabsDC4100(LightSource):
     def _ask_ma(self, word: str) -> int:
         return int(self._line.query(f"{word}? {self._channel}", _MILLIAMPERES)[1])
 
-    def _tell(self, word: str) -> str:
-        """What not every head knows of itself; such a question is left unanswered."""
+    def _query_head(self, word: str) -> str:
+        """Query a detail of the head; a head without it does not answer."""
         try:
             return self._line.query(f"{word}? {self._channel}")[0]
         except DeviceTimeout:
             return ""
 
     def _set(self, command: str) -> None:
-        """Send what is not answered, and ask whether it was carried out."""
+        """Execute a command; raise `BadValue` if it was refused."""
         self._line.command(command)
         if refusal := self._error():
             raise BadValue(f"{self._where} refuses “{command}”: {refusal}")
 
     def _error(self) -> str:
-        """Why the last command was refused, or nothing."""
+        """Return why the last command was refused, or an empty text."""
         answer = self._line.query("e?", _ERROR)
         return "" if int(answer[1]) == 0 else f"{answer[2].strip()} (error {answer[1]})"

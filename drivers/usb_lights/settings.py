@@ -1,4 +1,4 @@
-"""Settings of LED light sources on USB."""
+"""Bench settings of LED light sources on USB."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DC2200Settings:
-    """What a bench says of it: which one it is, and what it feeds."""
+    """Selection and settings of a Thorlabs DC2200."""
 
     driver: Literal["thorlabs_dc2200"] = "thorlabs_dc2200"
-    serial_number: str = ""  # needed where there is more than one
+    serial_number: str = ""  # needed if there is more than one
     terminal: int = 1  # 1 has 12 pins and up to 10 A, 2 has 4 pins and up to 2 A
     gate: Literal["internal", "ttl"] = "internal"
-    current_a: float | None = None  # to begin with; as it was left
-    limit_a: float | None = None  # never more, though its head allows it
+    current_a: float | None = None  # None keeps its value
+    limit_a: float | None = None  # owner's limit, below that of the head
 
     def __post_init__(self) -> None:
         if self.terminal not in {1, 2}:

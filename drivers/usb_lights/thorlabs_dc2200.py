@@ -1,9 +1,8 @@
 """Thorlabs DC2200, LED driver on USB: one of its two terminals, at constant current or gated by a TTL signal.
 
-Its commands are those of the manual, section 4.3, in the short forms of Thorlabs' own driver (`SOUR:CCUR`, with one R).
-After each of them `SYST:ERR?` tells whether it was carried out. Its output is off when it is opened and when it is
-closed. With `gate = "ttl"` the light follows the modulation input while it is switched on: connected to the camera's
-exposure output it shines only during the exposure.
+Commands follow the manual, section 4.3, in the short forms of Thorlabs' driver (`SOUR:CCUR`, with one R). After each,
+`SYST:ERR?` reports whether it was executed. Opening and closing switch the output off. With `gate = "ttl"` the light
+follows the modulation input while on: connected to the camera's exposure output, it shines only during exposures.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ from drivers.usb_lights import usbtmc
 from drivers.usb_lights.settings import DC2200Settings
 from drivers.usb_lights.usbtmc import UsbInstrument, Usbtmc
 
-_VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one where a firmware update is allowed
-_STEP_A = 1e-4  # currents are sent with so many digits
+_VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one if firmware updates are enabled
+_STEP_A = 1e-4  # resolution of the commands
 _ERROR = re.compile(r'([+-]?\d+),\s*"?([^"]*)"?')
-_MOST_ERRORS = 32  # more than its queue holds
+_MOST_ERRORS = 32  # more than the queue holds
 _TRIPS = {
     "OUTP:PROT:TEMP:DRIV:TRIP?": "its driver is too hot",
     "OUTP:PROT:TEMP:HEAD:TRIP?": "the LED's head is too hot",
@@ -34,7 +33,7 @@ _TRIPS = {
 
 
 def discover(backend: IBackend | None = None) -> tuple[DiscoveredDevice, ...]:
-    """Return those that are connected, without a word to them; raise `Unsupported` where libusb is missing."""
+    """Return the connected ones; raise `Unsupported` if libusb is missing. Sends nothing."""
     return tuple(
         DiscoveredDevice(
             kind="light",
@@ -43,12 +42,8 @@ def discover(backend: IBackend | None = None) -> tuple[DiscoveredDevice, ...]:
             settings={"serial_number": instrument.serial_number} if instrument.serial_number else {},
             missing=instrument.problem,
         )
-        for instrument in _instruments(backend)
+        for instrument in usbtmc.instruments(_VENDOR_ID, _PRODUCT_IDS, backend)
     )
-
-
-def _instruments(backend: IBackend | None) -> list[UsbInstrument]:
-    return usbtmc.instruments(_VENDOR_ID, _PRODUCT_IDS, backend)
 
 
 class ThorlabsDC2200(LightSource):
@@ -66,17 +61,12 @@ class ThorlabsDC2200(LightSource):
         self._terminal, self._gate = settings.terminal, settings.gate
         self._mode, self._source = ("CC", "SOUR:CCUR") if settings.gate == "internal" else ("TTL", "SOUR:TTL")
         self._is_wanted_lit = False
-        instrument = _choose(_instruments(backend), settings.serial_number)
+        instrument = _choose(usbtmc.instruments(_VENDOR_ID, _PRODUCT_IDS, backend), settings.serial_number)
         self._what = f"the DC2200 {instrument.serial_number}"
         self._usb = Usbtmc(instrument, what=self._what, timeout_s=timeout_s, sleep=sleep)
-        try:
-            self._open()
-        except BaseException:  # Ctrl-C, too
-            self._usb.close()
-            raise
         self._begin()
 
-    def _open(self) -> None:
+    def _identify(self) -> None:
         maker, model, self._serial_number, self._firmware = self._identity()
         self._name = f"{maker} {model} {self._serial_number} terminal {self._terminal}"
         self._usb.write("OUTP 0")
@@ -91,7 +81,7 @@ class ThorlabsDC2200(LightSource):
         answer = self._usb.query("*IDN?")
         parts = [part.strip() for part in answer.split(",")]
         if len(parts) != 4 or parts[1] != "DC2200":
-            raise DeviceError(f"{self._what} calls itself {answer[:60]!r}, which is no DC2200")
+            raise DeviceError(f"{self._what} identifies itself as {answer[:60]!r}, which is no DC2200")
         return parts[0], parts[1], parts[2], parts[3]
 
     @property
@@ -100,7 +90,7 @@ class ThorlabsDC2200(LightSource):
         return self._name
 
     def properties(self) -> dict[str, Property]:
-        """What every light tells, and what the driver and its head tell of themselves."""
+        """Properties of every light, and of driver and head."""
         common = super().properties()
         with self._guarded():
             return common | {
@@ -122,11 +112,11 @@ class ThorlabsDC2200(LightSource):
         return self._number(f"{self._source}?")
 
     def _set_current(self, current_a: float) -> float:
-        asked_a = int(current_a / _STEP_A + 1e-6) * _STEP_A  # never above what was asked, but for rounding
+        asked_a = int(current_a / _STEP_A + 1e-6) * _STEP_A  # never above the request, except for rounding
         self._set(f"{self._source} {asked_a:.4f}")
         taken_a = self._read_current()
-        if abs(taken_a - asked_a) > 0.01 * asked_a + 0.001:  # more than a step of its own
-            raise DeviceError(f"{self._what} was asked for {asked_a:g} A and set {taken_a:g} A")
+        if abs(taken_a - asked_a) > 0.01 * asked_a + 0.001:  # more than its own resolution
+            raise DeviceError(f"{self._what} set {taken_a:g} A instead of {asked_a:g} A")
         self._check_lit()
         return taken_a
 
@@ -145,28 +135,28 @@ class ThorlabsDC2200(LightSource):
             self._usb.write("OUTP 0")
             self._error()
             if self._is_output_on():
-                raise DeviceError(f"{self._what} is still on, though it was told to switch off; unplug its head")
+                raise DeviceError(f"{self._what} is still on, after it was told to switch off; unplug its head")
 
     def _close(self) -> None:
         self._usb.close()
 
     def _check_lit(self, refusal: str = "") -> None:
-        """Raise if the light should be on and is not."""
+        """Raise if the light should be on but is off."""
         if self._is_wanted_lit:
             if trip := self._trip():
                 raise DeviceError(f"{self._what} has switched off: {trip}; let it cool")
             if not self._is_output_on():
-                raise DeviceError(f"{self._what} is off: {refusal or 'switched off at its screen, or by itself'}")
+                raise DeviceError(f"{self._what} is off: {refusal or 'switched off at its screen, or on its own'}")
 
     def _trip(self) -> str:
-        """Why it has switched off by itself, or nothing."""
+        """Return why it has switched off on its own, or an empty text."""
         return "; ".join(words for question, words in _TRIPS.items() if self._number(question))
 
     def _is_output_on(self) -> bool:
         return self._number("OUTP?") == 1
 
     def _number(self, question: str) -> float:
-        """Ask for a number; a finite one, not negative."""
+        """Query a finite number, not negative."""
         answer = self._usb.query(question)
         words = {"ON": 1.0, "OFF": 0.0}
         if answer in words:
@@ -176,14 +166,14 @@ class ThorlabsDC2200(LightSource):
         return float(answer)
 
     def _set(self, command: str) -> None:
-        """Send what is not answered, and ask whether it was carried out."""
-        self._usb.write("*CLS")  # somebody at its screen may have left an error
+        """Execute a command; raise `BadValue` if it was refused."""
+        self._usb.write("*CLS")  # clear old errors
         self._usb.write(command)
         if refusal := self._error():
             raise BadValue(f"{self._what} refuses “{command}”: {refusal}")
 
     def _error(self) -> str:
-        """Empty the queue of errors and return the oldest, or nothing."""
+        """Empty the error queue; return the oldest error, or an empty text."""
         oldest = ""
         for _ in range(_MOST_ERRORS):
             answer = self._usb.query("SYST:ERR?")
@@ -193,18 +183,17 @@ class ThorlabsDC2200(LightSource):
             if int(match[1]) == 0:
                 return oldest
             oldest = oldest or f"{match[2]} (error {match[1]})"
-        raise DeviceError(f"the errors of {self._what} have no end, the first is {oldest}")
+        raise DeviceError(f"{self._what} reports errors without end, first {oldest}")
 
 
-def _choose(found: list[UsbInstrument], serial_number: str) -> UsbInstrument:
-    """Return the one that is meant."""
-    if len(found) == 1 and found[0].problem:
-        raise DeviceError(found[0].problem)
-    those = [one for one in found if serial_number in {"", one.serial_number}]
-    numbers = ", ".join(one.serial_number or one.problem for one in found)
-    if not those:
+def _choose(instruments: list[UsbInstrument], serial_number: str) -> UsbInstrument:
+    if len(instruments) == 1 and instruments[0].problem:
+        raise DeviceError(instruments[0].problem)
+    chosen = [one for one in instruments if serial_number in {"", one.serial_number}]
+    numbers = ", ".join(one.serial_number or one.problem for one in instruments)
+    if not chosen:
         wanted = f" {serial_number}" if serial_number else ""
         raise Disconnected(f"there is no DC2200{wanted} on USB; found: {numbers or 'none'}")
-    if len(those) > 1:
+    if len(chosen) > 1:
         raise BadValue(f"there are several DC2200; say which by serial_number: {numbers}")
-    return those[0]
+    return chosen[0]

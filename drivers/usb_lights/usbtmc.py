@@ -1,8 +1,8 @@
-"""USB Test and Measurement Class (USBTMC 1.0, USB-IF 2003): messages of text to and from an instrument, over pyusb.
+"""USB Test and Measurement Class (USBTMC 1.0, USB-IF 2003): text messages to and from an instrument, over pyusb.
 
-Every transfer has a header of 12 bytes: what it is, a tag that the answer repeats, how long it is, whether the message
-ends with it. When an answer does not come in time the transfer is aborted and the instrument's buffers are cleared,
-as the class demands; otherwise the late answer would be taken for that of the next question, or none would ever come.
+Each transfer has a header of 12 bytes: type, a tag that the answer repeats, length, end of message. After a timeout the
+transfer is aborted and the instrument's buffers are cleared, as the class requires. Otherwise a late answer would be
+taken for that of the next query.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from usb.backend import IBackend
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
 
 _CLASS, _SUBCLASS = 0xFE, 0x03
-_OUT, _REQUEST_IN, _IN = 1, 2, 2  # what a transfer is: a message, a request for one, and the answer to that
+_OUT, _REQUEST_IN, _IN = 1, 2, 2  # transfer types: message, request for one, answer
 _END_OF_MESSAGE = 1
 _HEADER = struct.Struct("<BBBxLB3x")
 _ABORT_OUT, _CHECK_ABORT_OUT, _ABORT_IN, _CHECK_ABORT_IN = 1, 2, 3, 4
 _CLEAR, _CHECK_CLEAR, _CAPABILITIES = 5, 6, 7
-_INTERFACE, _ENDPOINT = 0xA1, 0xA2  # class requests to the host, and to which part
+_INTERFACE, _ENDPOINT = 0xA1, 0xA2  # recipients of class requests
 _SUCCESS, _PENDING = 0x01, 0x02
 _GONE = {errno.ENODEV, errno.ENXIO, errno.ENOENT, errno.EIO, errno.EPROTO, errno.ESHUTDOWN}
 _CONTROL_MS, _EMPTY_MS = 500, 50
-_POLLS, _POLL_S = 20, 0.02  # how often, and after what pause, a pending abort or clear is asked for
+_POLLS, _POLL_S = 20, 0.02  # of a pending abort or clear
 _LARGEST = 4096 - _HEADER.size  # bytes of data in a transfer
 _LONGEST_ANSWER = 1 << 20
 UDEV_FILE = "/etc/udev/rules.d/70-svwfs.rules"
@@ -39,15 +39,15 @@ UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="1313", TAG+="uaccess"'  # of Tho
 
 @dataclass(frozen=True, slots=True)
 class UsbInstrument:
-    """An instrument on the bus, as listed."""
+    """An instrument on the bus."""
 
     serial_number: str
     device: usb.core.Device
-    problem: str = ""  # why it could not even be asked who it is
+    problem: str = ""  # reason why its serial number is unknown
 
 
 def instruments(vendor_id: int, product_ids: Collection[int], backend: IBackend | None = None) -> list[UsbInstrument]:
-    """Return the instruments of that maker and those kinds; they are asked nothing but who they are."""
+    """Return the instruments of this vendor and these products; reads only their serial numbers."""
     try:
         with _faults("the USB bus"):
             devices = usb.core.find(find_all=True, idVendor=vendor_id, backend=backend)
@@ -60,17 +60,16 @@ def instruments(vendor_id: int, product_ids: Collection[int], backend: IBackend 
 
 
 def _identify(device: usb.core.Device) -> UsbInstrument:
-    """A device that may not be opened keeps its serial number to itself."""
     try:
         with _faults(f"the USB device {device.idVendor:04x}:{device.idProduct:04x}"):
-            usb.util.get_string(device, device.iSerialNumber, 0x0409)  # in English; this one tells why it fails
+            usb.util.get_string(device, device.iSerialNumber, 0x0409)  # in English; raises the reason of a failure
             return UsbInstrument(device.serial_number or "", device)
     except DeviceError as error:
         return UsbInstrument("", device, str(error))
 
 
 class Usbtmc:
-    """A conversation with one instrument; every fault leaves it as a `DeviceError`."""
+    """A connection to one instrument; every fault is raised as a `DeviceError`."""
 
     def __init__(
         self,
@@ -80,14 +79,14 @@ class Usbtmc:
         timeout_s: float = 3.0,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`what` it is called in errors; `sleep` waits before a request that it is not ready for is repeated."""
+        """`what` names it in errors; `sleep` waits between polls."""
         self._device, self._what, self._timeout_ms = instrument.device, what, round(1000 * timeout_s)
         self._sleep = sleep
         self._tag = 0
         try:
             with _faults(what):
                 self._claim()
-            self._require(_CAPABILITIES, 24, "tell its capabilities")
+            self._require(_CAPABILITIES, 24, "report its capabilities")
             self.clear()
         except DeviceError:
             self.close()
@@ -108,7 +107,7 @@ class Usbtmc:
             raise
 
     def read(self) -> str:
-        """Return one message, which may come in many transfers."""
+        """Return one message, of one or more transfers."""
         try:
             message = self._read_message()
         except Disconnected:
@@ -119,12 +118,12 @@ class Usbtmc:
         return message.decode("ascii", "backslashreplace").strip()
 
     def query(self, message: str) -> str:
-        """Ask, and return the answer."""
+        """Send a query and return the answer."""
         self.write(message)
         return self.read()
 
     def clear(self) -> None:
-        """Empty the instrument's buffers: what it has not yet read, and what it has not yet answered."""
+        """Empty the instrument's input and output buffers."""
         self._require(_CLEAR, 1, "clear its buffers")
         for _ in range(_POLLS):
             status, has_more = self._control(_CHECK_CLEAR, 0, 2)[:2]
@@ -136,15 +135,15 @@ class Usbtmc:
                 self._drain()
             else:
                 self._sleep(_POLL_S)
-        raise DeviceTimeout(f"{self._what} does not come to an end with clearing its buffers; switch it off and on")
+        raise DeviceTimeout(f"{self._what} does not finish clearing its buffers; switch it off and on")
 
     def close(self) -> None:
-        """Let go of it, in whatever state it is."""
+        """Release it, in any state."""
         with suppress(OSError, ValueError, NotImplementedError):
             usb.util.dispose_resources(self._device)
 
     def _claim(self) -> None:
-        """Take the interface of the class from whoever has it, and find its endpoints."""
+        """Claim the USBTMC interface, from a kernel driver if need be, and find its endpoints."""
         try:
             configuration = self._device.get_active_configuration()
         except usb.core.USBError as error:
@@ -156,7 +155,7 @@ class Usbtmc:
         if interface is None:
             raise Unsupported(f"{self._what} has no USB measurement interface; is it in its firmware update mode?")
         self._interface = interface.bInterfaceNumber
-        with suppress(NotImplementedError):  # only Linux has kernel drivers that must be sent away
+        with suppress(NotImplementedError):  # only Linux has kernel drivers to detach
             if self._device.is_kernel_driver_active(self._interface):
                 self._device.detach_kernel_driver(self._interface)
         usb.util.claim_interface(self._device, self._interface)
@@ -178,22 +177,22 @@ class Usbtmc:
             data, is_complete = self._read_transfer()
             message += data
             if len(message) > _LONGEST_ANSWER:
-                raise DeviceError(f"{self._what} sends an answer without an end")
+                raise DeviceError(f"{self._what} sends an endless answer")
         return message
 
     def _read_transfer(self) -> tuple[bytes, bool]:
-        """Return the data of one transfer, and whether the message ends with it."""
+        """Return the data of one transfer; True if the message ends with it."""
         self._send(_REQUEST_IN, _LARGEST, 0)
         packet = transfer = self._packet(self._timeout_ms)
         if len(transfer) < _HEADER.size:
             raise DeviceError(f"{self._what} answered with half a header")
         kind, tag, inverse, length, attributes = _HEADER.unpack_from(transfer)
         if (kind, tag, inverse) != (_IN, self._tag, ~self._tag & 0xFF) or length > _LARGEST:
-            raise DeviceError(f"{self._what} answered another question than the last")
+            raise DeviceError(f"{self._what} answered another query than the last")
         while len(packet) == self._packet_size and len(transfer) < _HEADER.size + length:
             packet = self._packet(self._timeout_ms)
             transfer += packet
-        if len(packet) == self._packet_size:  # then an empty one follows; not every instrument sends it
+        if len(packet) == self._packet_size:  # some instruments send an empty packet next
             with suppress(DeviceTimeout):
                 self._packet(_EMPTY_MS)
         if len(transfer) < _HEADER.size + length:
@@ -205,15 +204,15 @@ class Usbtmc:
             return bytes(self._device.read(self._in, self._packet_size, timeout_ms))
 
     def _recover(self, abort: Callable[[], None]) -> None:
-        """Abort the transfer and clear all buffers, so that the next question works; a loss found here is told."""
+        """Abort the transfer and clear all buffers, so that the next query works; raise only a loss."""
         try:
-            with suppress(DeviceTimeout):  # the clear empties all that an abort would
+            with suppress(DeviceTimeout):  # clearing includes what an abort does
                 abort()
             self.clear()
         except Disconnected:
             raise
         except DeviceError:
-            return  # the error that led here says more
+            return  # the original error says more
 
     def _abort_out(self) -> None:
         if self._abort(_ABORT_OUT, self._out)[0] == _SUCCESS:
@@ -240,7 +239,7 @@ class Usbtmc:
                 self._sleep(_POLL_S)
 
     def _drain(self) -> None:
-        """Read until a short packet: the end of what the instrument had to send."""
+        """Read up to a short packet, which ends a transfer."""
         with suppress(DeviceTimeout):
             while len(self._packet(_CONTROL_MS)) == self._packet_size:
                 pass
@@ -283,4 +282,4 @@ def _translate(what: str, error: Exception) -> DeviceError:
         )
     if isinstance(error, NotImplementedError):
         return Unsupported(f"{what} has no driver that libusb can use; on Windows, give it WinUSB by the program Zadig")
-    return DeviceError(f"the conversation with {what} failed: {error}")
+    return DeviceError(f"the connection to {what} failed: {error}")

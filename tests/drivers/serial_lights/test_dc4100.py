@@ -270,7 +270,7 @@ def test_a_command_that_was_lost_is_noticed(device: DC4100Wire, light: ThorlabsD
         return [] if command.startswith("cc 0") else original(command)
 
     device.answer = lose_sets  # type: ignore[method-assign]
-    with pytest.raises(DeviceError, match="was asked for 100 mA and set 200 mA"):
+    with pytest.raises(DeviceError, match="set 200 mA instead of 100 mA"):
         light.set_current(0.1)
     assert not device.is_lit
 

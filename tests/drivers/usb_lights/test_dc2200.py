@@ -218,7 +218,7 @@ def test_another_value_than_was_asked_is_no_setting(device: DC2200Wire, light: T
         (pattern, set_milliamperes if pattern.fullmatch("SOUR:CCUR") else setter, getter)
         for pattern, setter, getter in device._commands
     ]
-    with pytest.raises(DeviceError, match=r"was asked for 0.2 A and set 200 A"):
+    with pytest.raises(DeviceError, match=r"set 200 A instead of 0.2 A"):
         light.set_current(0.2)
     assert not device.is_lit
 
@@ -265,7 +265,7 @@ def test_no_head(device: DC2200Wire, clock: ManualClock) -> None:
 
 def test_another_instrument_is_left_alone(device: DC2200Wire, clock: ManualClock) -> None:
     device.model = "PM400"
-    with pytest.raises(DeviceError, match=r"calls itself 'Thorlabs,PM400,.*no DC2200"):
+    with pytest.raises(DeviceError, match=r"identifies itself as 'Thorlabs,PM400,.*no DC2200"):
         open_light(device, clock)
     assert device.received == ["*IDN?"]
 
