@@ -53,15 +53,9 @@ class Camera(Device):
     def properties(self) -> dict[str, Property]:
         """All settings in force; drivers add what else their camera reports."""
         region = self.region
-        return {
-            "name": self.name,
-            "exposure_s": self.exposure_s,
-            "em_gain": self.em_gain,
-            "amplifier": self.amplifier,
-            "readout_speed": self.readout_speed,
-            "binning": self.binning,
-            "trigger": self.trigger,
-            "region": f"{region.rows} x {region.columns} at row {region.top}, column {region.left}",
+        plain = ("name", "exposure_s", "em_gain", "amplifier", "readout_speed", "binning", "trigger")
+        return {key: getattr(self, key) for key in plain} | {
+            "region": f"{region.rows} x {region.columns} at row {region.top}, column {region.left}"
         }
 
     @property

@@ -23,14 +23,15 @@ class Device(ABC):
     def __init__(self, kind: str) -> None:
         """`kind` names the device in errors: camera, light or stage."""
         self._kind = kind
+        self._name = ""  # set by the driver
         self._is_closed = False
         self._loss = ""  # message of the first `Disconnected`
         self._lock = threading.RLock()  # at exit the interpreter closes devices from another thread
 
     @property
-    @abstractmethod
     def name(self) -> str:
         """Maker, model and serial number; also known after a loss."""
+        return self._name
 
     def properties(self) -> dict[str, Property]:
         """Everything that the device reports about itself and its settings, for the record."""

@@ -89,12 +89,10 @@ class OneMaskStage(Stage):
 class ManualStage(OneMaskStage):
     """A stage without a motor: a person moves the sample and says so. The sample starts out of the beam."""
 
-    _is_in = False
-
-    @property
-    def name(self) -> str:
-        """Constant text."""
-        return "a person's hands"
+    def __init__(self, mask: str) -> None:
+        super().__init__(mask)
+        self._name = "a person's hands"
+        self._is_in = False
 
     def note_sample(self, sample_in: bool) -> None:
         """Record that a person has moved the sample."""

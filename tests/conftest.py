@@ -24,6 +24,8 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
 
     from app.gui.main_window import MainWindow
 
+pytest_plugins = ["support.driver_fixtures"]
+
 # Each run tries the same examples, however slow the computer is; with `--hypothesis-profile=random`, each time others.
 _PATIENT = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("random", _PATIENT, derandomize=False)

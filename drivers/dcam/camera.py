@@ -13,13 +13,19 @@ from ctypes import byref
 from drivers.camera import Camera, CameraCapabilities
 from drivers.dcam import property_ids as ids
 from drivers.dcam import session
-from drivers.dcam.capabilities import AMPLIFIERS, TRIGGERS, has_em_gain, read_capabilities
+from drivers.dcam.capabilities import (
+    AMPLIFIERS,
+    TRIGGERS,
+    has_em_gain,
+    read_capabilities,
+    read_region,
+    set_region,
+)
 from drivers.dcam.capture import Capture
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.dcam.pixel_warnings import pixel_warnings
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
-from drivers.dcam.region import read_region, set_region
 from drivers.dcam.session import ListedCamera
 from drivers.dcam.settings import DcamSettings
 from drivers.dcam.structures import DeviceOpen, sized
@@ -53,11 +59,6 @@ class DcamCamera(Camera):
             self._values = Properties(self._library, self._handle)
             self._set_up(settings)
             self._undo = undo.pop_all()
-
-    @property
-    def name(self) -> str:
-        """Maker, model and serial number."""
-        return self._name
 
     def properties(self) -> dict[str, Property]:
         """All settings, every DCAM property by Hamamatsu's name, and warnings."""

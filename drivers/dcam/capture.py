@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from ctypes import byref, c_int32
+from ctypes import Structure, byref, c_int32
 from dataclasses import dataclass
 
 import numpy as np
@@ -187,7 +187,7 @@ class Capture:
             return None
         return self._frame(number, pixels, copied, host_time_s)
 
-    def _copy(self, slot: int) -> tuple[NDArray[np.uint16], BufferFrame]:
+    def _copy(self, slot: int) -> tuple[NDArray[np.uint16], Structure]:
         """Copy a frame out of the ring."""
         rows, columns = self._shape
         pixels = np.empty(self._shape, np.uint16)
@@ -203,7 +203,7 @@ class Capture:
         pixels.setflags(write=False)
         return pixels, copied
 
-    def _frame(self, number: int, pixels: NDArray[np.uint16], copied: BufferFrame, host_time_s: float) -> Frame:
+    def _frame(self, number: int, pixels: NDArray[np.uint16], copied: Structure, host_time_s: float) -> Frame:
         self._seen_alive_s = host_time_s
         self._count_lost(number, copied.framestamp)
         index = number + self._lost
@@ -232,7 +232,7 @@ class Capture:
         self._is_loss_reported = False
         self._last = number, stamp
 
-    def _transferred(self) -> TransferInfo:
+    def _transferred(self) -> Structure:
         answer = sized(TransferInfo)
         self._library.call("dcamcap_transferinfo", self._handle, byref(answer))
         return answer

@@ -8,11 +8,8 @@ from drivers.dcam.property_ids import Id
 
 # Harmless value, and the effect of any other.
 _FILTERS = {
-    Id.RECURSIVEFILTER: (
-        ids.OFF,
-        "the camera's recursive filter averages frames: their noise is not that of one frame",
-    ),
-    Id.FRAMEAVERAGINGMODE: (ids.OFF, "the camera averages frames: their noise is not that of one frame"),
+    Id.RECURSIVEFILTER: (ids.OFF, "the camera's recursive filter averages frames, which lowers their noise"),
+    Id.FRAMEAVERAGINGMODE: (ids.OFF, "the camera averages frames, which lowers their noise"),
     Id.SPOTNOISEREDUCER: (ids.OFF, "the camera's spot noise reducer changes single pixels"),
     Id.SUBTRACT: (ids.OFF, "the camera subtracts a stored image: the counts are no longer those of the sensor"),
     Id.SHADINGCORRECTION: (ids.OFF, "the camera's shading correction scales the pixels"),

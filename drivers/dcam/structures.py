@@ -3,98 +3,50 @@
 from __future__ import annotations
 
 from ctypes import Structure, c_char_p, c_double, c_int32, c_uint32, c_void_p, sizeof
-from typing import Any, ClassVar, TypeAlias, TypeVar
-
-Fields: TypeAlias = list[tuple[str, Any]]
-S = TypeVar("S", bound=Structure)
+from typing import Any
 
 
-def sized(kind: type[S], **values: Any) -> S:
+def sized(kind: type[Structure], **values: Any) -> Structure:
     """Return a structure whose first member is its own size, as every call requires."""
     made = kind(**values)
     setattr(made, made._fields_[0][0], sizeof(kind))
     return made
 
 
-def _int32(*names: str) -> Fields:
-    return [(name, c_int32) for name in names]
+def _int32(names: str) -> list[tuple[str, Any]]:
+    return [(name, c_int32) for name in names.split()]
 
 
-class Init(Structure):
-    """For dcamapi_init."""
-
-    _fields_: ClassVar[Fields] = [
-        *_int32("size", "iDeviceCount", "reserved", "initoptionbytes"),
-        ("initoption", c_void_p),
-        ("guid", c_void_p),
-    ]
+def _structure(name: str, *fields: tuple[str, Any]) -> type[Structure]:
+    return type(name, (Structure,), {"_fields_": fields})
 
 
-class DeviceOpen(Structure):
-    """For dcamdev_open."""
-
-    _fields_: ClassVar[Fields] = [*_int32("size", "index"), ("hdcam", c_void_p)]
-
-
-class DeviceString(Structure):
-    """For dcamdev_getstring."""
-
-    _fields_: ClassVar[Fields] = [*_int32("size", "iString"), ("text", c_char_p), *_int32("textbytes")]
-
-
-class PropertyAttribute(Structure):
-    """For dcamprop_getattr."""
-
-    _fields_: ClassVar[Fields] = [
-        *_int32("cbSize", "iProp", "option", "iReserved1", "attribute", "iGroup", "iUnit", "attribute2"),
-        *[(name, c_double) for name in ("valuemin", "valuemax", "valuestep", "valuedefault")],
-        *_int32("nMaxChannel", "iReserved3", "nMaxView"),
-        *_int32("iProp_NumberOfElement", "iProp_ArrayBase", "iPropStep_Element"),
-    ]
-
-
-class PropertyValueText(Structure):
-    """For dcamprop_getvaluetext."""
-
-    _fields_: ClassVar[Fields] = [
-        *_int32("cbSize", "iProp"),
-        ("value", c_double),
-        ("text", c_char_p),
-        *_int32("textbytes"),
-    ]
-
-
-class TimeStamp(Structure):
-    """Time of a frame on the camera's clock."""
-
-    _fields_: ClassVar[Fields] = [("sec", c_uint32), ("microsec", c_int32)]
-
-
-class TransferInfo(Structure):
-    """For dcamcap_transferinfo."""
-
-    _fields_: ClassVar[Fields] = _int32("size", "iKind", "nNewestFrameIndex", "nFrameCount")
-
-
-class BufferFrame(Structure):
-    """For dcambuf_copyframe."""
-
-    _fields_: ClassVar[Fields] = [
-        *_int32("size", "iKind", "option", "iFrame"),
-        ("buf", c_void_p),
-        *_int32("rowbytes", "type", "width", "height", "left", "top"),
-        ("timestamp", TimeStamp),
-        *_int32("framestamp", "camerastamp"),
-    ]
-
-
-class WaitOpen(Structure):
-    """For dcamwait_open."""
-
-    _fields_: ClassVar[Fields] = [*_int32("size", "supportevent"), ("hwait", c_void_p), ("hdcam", c_void_p)]
-
-
-class WaitStart(Structure):
-    """For dcamwait_start."""
-
-    _fields_: ClassVar[Fields] = _int32("size", "eventhappened", "eventmask", "timeout")
+Init = _structure(
+    "Init",
+    *_int32("size iDeviceCount reserved initoptionbytes"),
+    ("initoption", c_void_p),
+    ("guid", c_void_p),
+)
+DeviceOpen = _structure("DeviceOpen", *_int32("size index"), ("hdcam", c_void_p))
+DeviceString = _structure("DeviceString", *_int32("size iString"), ("text", c_char_p), *_int32("textbytes"))
+PropertyAttribute = _structure(
+    "PropertyAttribute",
+    *_int32("cbSize iProp option iReserved1 attribute iGroup iUnit attribute2"),
+    *[(name, c_double) for name in ("valuemin", "valuemax", "valuestep", "valuedefault")],
+    *_int32("nMaxChannel iReserved3 nMaxView iProp_NumberOfElement iProp_ArrayBase iPropStep_Element"),
+)
+PropertyValueText = _structure(
+    "PropertyValueText", *_int32("cbSize iProp"), ("value", c_double), ("text", c_char_p), *_int32("textbytes")
+)
+TimeStamp = _structure("TimeStamp", ("sec", c_uint32), ("microsec", c_int32))
+TransferInfo = _structure("TransferInfo", *_int32("size iKind nNewestFrameIndex nFrameCount"))
+BufferFrame = _structure(
+    "BufferFrame",
+    *_int32("size iKind option iFrame"),
+    ("buf", c_void_p),
+    *_int32("rowbytes type width height left top"),
+    ("timestamp", TimeStamp),
+    *_int32("framestamp camerastamp"),
+)
+WaitOpen = _structure("WaitOpen", *_int32("size supportevent"), ("hwait", c_void_p), ("hdcam", c_void_p))
+WaitStart = _structure("WaitStart", *_int32("size eventhappened eventmask timeout"))

@@ -56,11 +56,6 @@ class GenicamCamera(Camera):
             self._line.close()
             raise
 
-    @property
-    def name(self) -> str:
-        """Maker, model and serial number."""
-        return self._name
-
     def properties(self) -> dict[str, Property]:
         """All settings in force and further details for the record."""
         line = self._line

@@ -58,22 +58,18 @@ class CoolLED(LightSource):
 
     def _identify(self) -> None:
         answer = self._line.query("XMODEL", _MODEL)
-        self._model = f"pE-{answer[2]}"
+        model = f"pE-{answer[2]}"
+        self._name = f"CoolLED {model} channel {self._channel}"
         self._line.mark({"XMODEL": _MODEL})
         self._switch(on=False)
         channels = self._state()
         if self._channel not in channels:
             raise BadValue(f"{self._line.where} has the channels {', '.join(channels)}, but no {self._channel}")
         self._wavelengths_nm: dict[str, int] = {}
-        if self._model == "pE-4000":
+        if model == "pE-4000":
             self._load()
         elif self._wanted_nm is not None:
             raise Unsupported("only a pE-4000 can load a wavelength; leave wavelength_nm out for a pE-300")
-
-    @property
-    def name(self) -> str:
-        """Maker, model and channel."""
-        return f"CoolLED {self._model} channel {self._channel}"
 
     def properties(self) -> dict[str, Property]:
         """Properties of every light, and of this channel."""

@@ -75,22 +75,18 @@ class ThorlabsDC4100(LightSource):
         self._begin()
 
     def _identify(self) -> None:
-        self._model = self._line.query("n?", _MODEL)[1]  # sends nothing else before this is known
+        model = self._line.query("n?", _MODEL)[1]  # sends nothing else before this is known
         self._line.command("o -1 0")
         self._firmware = self._line.query("v?")[0]
-        self._serial_number = self._line.query("s?")[0]
-        self._line.mark({"n?": _MODEL, "s?": re.escape(self._serial_number), "v?": re.escape(self._firmware)})
+        serial_number = self._line.query("s?")[0]
+        self._name = f"Thorlabs {model} {serial_number} LED{self._channel + 1}"
+        self._line.mark({"n?": _MODEL, "s?": re.escape(serial_number), "v?": re.escape(self._firmware)})
         self._error()  # clear old errors
         self._choose("sm", _MULTI_SELECTION)
         self._choose("m", _CONSTANT_CURRENT)
         if fault := self._status().fault:
             raise WrongState(f"{self._where}: {fault}")
         self._wavelength_nm, self._head = self._query_head("wl"), self._query_head("hs")
-
-    @property
-    def name(self) -> str:
-        """Maker, model, serial number and channel."""
-        return f"Thorlabs {self._model} {self._serial_number} LED{self._channel + 1}"
 
     def properties(self) -> dict[str, Property]:
         """Properties of every light, and of driver and head at this channel."""

@@ -84,11 +84,6 @@ class ThorlabsDC2200(LightSource):
             raise DeviceError(f"{self._what} identifies itself as {answer[:60]!r}, which is no DC2200")
         return parts[0], parts[1], parts[2], parts[3]
 
-    @property
-    def name(self) -> str:
-        """Maker, model, serial number and terminal."""
-        return self._name
-
     def properties(self) -> dict[str, Property]:
         """Properties of every light, and of driver and head."""
         common = super().properties()

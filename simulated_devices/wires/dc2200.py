@@ -65,7 +65,7 @@ class DC2200Wire(UsbtmcWire):
         self.terminal, self.mode, self.is_output_on = 2, "CB", True
         self.current_a, self.ttl_a = 0.1, 0.1
         self.is_gate_high = False
-        self.is_driver_hot = self.is_head_hot = False
+        self.is_driver_hot = self.is_hot = False
         self.refuses_next = self.is_stuck_on = False
         self.received: list[str] = []
         self._errors: deque[tuple[int, str]] = deque()
@@ -76,7 +76,7 @@ class DC2200Wire(UsbtmcWire):
             (header("OUTPut1[:STATe]"), self._switch, lambda _: str(int(self.is_output_on))),
             (header("OUTPut1:TERMinal"), self._choose, lambda _: str(self.terminal)),
             (header("OUTPut1:PROTection:TEMPerature:DRIVer:TRIPped"), None, lambda _: str(int(self.is_driver_hot))),
-            (header("OUTPut1:PROTection:TEMPerature:HEAD:TRIPped"), None, lambda _: str(int(self.is_head_hot))),
+            (header("OUTPut1:PROTection:TEMPerature:HEAD:TRIPped"), None, lambda _: str(int(self.is_hot))),
             (header("SOURce1:MODE"), self._set_mode, lambda _: self.mode),
             (header("SOURce1:CCURent[:CURRent]"), self._set_current, lambda _: f"{self.current_a:.6E}"),
             (header("SOURce1:TTL[:CURRent]"), self._set_ttl, lambda _: f"{self.ttl_a:.6E}"),
@@ -93,7 +93,7 @@ class DC2200Wire(UsbtmcWire):
 
     def heat_up(self) -> None:
         """The LED's head becomes too hot: the output is switched off and stays off."""
-        self.is_head_hot, self.is_output_on = True, False
+        self.is_hot, self.is_output_on = True, False
 
     def receive(self, message: str) -> Iterable[str]:
         """Carry out the commands of a message."""
@@ -128,7 +128,7 @@ class DC2200Wire(UsbtmcWire):
         on = {"0": False, "OFF": False, "1": True, "ON": True}.get(argument)
         if on is None:
             raise _Refused(-104, "Data type error")
-        if on and (self.is_driver_hot or self.is_head_hot or "no head" in self.terminals[self.terminal].head):
+        if on and (self.is_driver_hot or self.is_hot or "no head" in self.terminals[self.terminal].head):
             raise _conflict()
         self._refuse(may=on)
         if on or not self.is_stuck_on:

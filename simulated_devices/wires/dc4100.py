@@ -47,7 +47,7 @@ class DC4100Wire(LineDevice):
         self.heads = [Head(), Head(maximum_ma=350, limit_ma=200), Head(is_plugged=False), Head(is_plugged=False)]
         self.mode = 1  # as somebody left it: brightness, one LED at a time
         self.selection = 1
-        self.is_over_temperature = False
+        self.is_hot = False
         self.refuses_next = False
         self.is_stuck_on = False  # a broken switch
         self._is_empty_line_an_error = is_empty_line_an_error
@@ -61,7 +61,7 @@ class DC4100Wire(LineDevice):
 
     def heat_up(self) -> None:
         """Become too hot: all LEDs are switched off and stay off."""
-        self.is_over_temperature = True
+        self.is_hot = True
         for head in self.heads:
             head.is_on = False
 
@@ -130,7 +130,7 @@ class DC4100Wire(LineDevice):
 
     def _switch(self, channel: int, *, on: bool) -> None:
         heads = [head for head in self.heads if head.is_plugged] if channel == _ALL else [self._head(str(channel))]
-        if on and self.is_over_temperature:
+        if on and self.is_hot:
             raise _Refused(_STATE_ERROR, "Over temperature")
         if on and self.selection == 1:
             for other in self.heads:
@@ -142,7 +142,7 @@ class DC4100Wire(LineDevice):
                 head.is_on = on
 
     def _status(self) -> int:
-        states = {1: False, 3: self.is_over_temperature}
+        states = {1: False, 3: self.is_hot}
         for channel, head in enumerate(self.heads):
             states[5 + 2 * channel] = not head.is_plugged
             states[13 + 2 * channel] = head.is_open

@@ -36,7 +36,7 @@ class LightStorm(Storm):
 
     def is_calm(self) -> bool:
         """No fault is pending and the device is plugged in."""
-        raise NotImplementedError
+        return not self.device.faults and not self.device.is_unplugged
 
     def recover(self) -> None:
         """Plug in again and clear all faults."""
@@ -101,6 +101,10 @@ class LightStorm(Storm):
         if self.is_calm():  # one fault at a time
             self.happen(data.draw(self.faults()))
 
+    @rule()
+    def refuse(self) -> None:
+        self.device.refuses_next = True
+
     @rule(duration_s=st.sampled_from([0.01, 0.3, 1.0]))
     def wait(self, duration_s: float) -> None:
         self.clock.sleep(duration_s)
@@ -135,3 +139,18 @@ class LightStorm(Storm):
             assert self.light is not None
             with suppress(DeviceError):
                 self.light.close()
+
+
+class HeatStorm(LightStorm):
+    """Storm of a light that switches off when it is too hot."""
+
+    def recover(self) -> None:
+        super().recover()
+        self.device.is_hot = False
+
+    @rule(is_hot=st.booleans())
+    def change_temperature(self, *, is_hot: bool) -> None:
+        if is_hot:
+            self.device.heat_up()
+        else:
+            self.device.is_hot = False

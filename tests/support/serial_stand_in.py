@@ -1,4 +1,4 @@
-"""What the tests of serial lights share: a driver over a stand-in in memory, on a clock that takes no time."""
+"""Tools for tests of serial lights: ports in memory on a manual clock, faults, storms."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from support.light_storm import LightStorm
 
 
 def wire_to(device: LineDevice, clock: ManualClock) -> Wire:
-    """Whatever port is opened, that device is there."""
+    """A wire whose every port leads to the device."""
     return Wire(open_port=lambda _port, **_settings: MemoryPort(device, clock), clock=clock.now)
 
 
 class SerialFaults:
-    """The hand at the cable of a light in memory."""
+    """Faults of a light in memory."""
 
     def __init__(self, device: Any) -> None:
         self.device = device
@@ -43,7 +43,7 @@ class SerialFaults:
 
 
 class PtyFaults(SerialFaults):
-    """The same of a light at a real port, which has another name when it is plugged in again."""
+    """Faults of a light at a pseudo-terminal, which gets a new name when plugged in again."""
 
     def __init__(self, device: Any) -> None:
         super().__init__(device)
@@ -58,7 +58,7 @@ class PtyFaults(SerialFaults):
 
 
 class ScriptedPort:
-    """Expects exactly these bytes, one write after another, and answers with those."""
+    """A port that expects the scripted writes and returns their answers."""
 
     def __init__(self, script: list[tuple[bytes, bytes]], clock: ManualClock) -> None:
         self._script, self._clock = list(script), clock
@@ -75,7 +75,7 @@ class ScriptedPort:
         return data
 
     def write(self, data: bytes, /) -> int:
-        assert self._script, f"nothing more was expected, but {data!r} came"
+        assert self._script, f"unexpected write of {data!r}"
         expected, answer = self._script.pop(0)
         assert data == expected
         self._came += answer
@@ -88,7 +88,7 @@ class ScriptedPort:
         return not self._script
 
     def opener(self, seen: dict[str, Any]) -> Callable[..., ScriptedPort]:
-        """A stand-in for `serial.Serial` that notes how it was opened."""
+        """A replacement for `serial.Serial` that records its arguments."""
 
         def open_port(port: str, **settings: object) -> ScriptedPort:
             seen.update(settings, port=port)
@@ -98,7 +98,7 @@ class ScriptedPort:
 
 
 class SerialStorm(LightStorm):
-    """The faults of a serial line."""
+    """Storm of a light on a serial line."""
 
     device: LineDevice
 
@@ -107,9 +107,6 @@ class SerialStorm(LightStorm):
 
     def happen(self, fault: LineFault) -> None:
         self.device.faults.append(fault)
-
-    def is_calm(self) -> bool:
-        return not self.device.faults and not self.device.is_unplugged
 
     def recover(self) -> None:
         super().recover()

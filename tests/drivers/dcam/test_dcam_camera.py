@@ -24,18 +24,6 @@ SENSOR = Region(0, 0, 512, 512)
 INVALIDVALUE, OUTOFRANGE = 0x80000821, 0x80000822
 
 
-@pytest.fixture
-def stand_in() -> Iterator[StandIn]:
-    with dcam_stand_in() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
-    with open_camera(stand_in) as camera:
-        yield camera
-
-
 class Hand:
     """At the camera's cable."""
 

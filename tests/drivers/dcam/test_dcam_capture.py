@@ -22,12 +22,6 @@ LOSTFRAME, INVALIDIMAGE, COOLINGTROUBLE = 0x80000301, 0x80000321, 0x80000302
 
 
 @pytest.fixture
-def stand_in() -> Iterator[StandIn]:
-    with dcam_stand_in() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
 def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
     with open_camera(stand_in, ring_frames=RING, exposure_s=0.02, region=REGION) as camera:
         camera.start()

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
-from support.dcam_tools import dcam_stand_in, library, open_camera
+from support.dcam_tools import library, open_camera
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
@@ -21,18 +19,6 @@ from drivers.interface import (
 from simulated_devices.wires.dcam.stand_in import Plug, StandIn
 
 OUTOFRANGE = 0x80000822
-
-
-@pytest.fixture
-def stand_in() -> Iterator[StandIn]:
-    with dcam_stand_in() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
-    with open_camera(stand_in) as camera:
-        yield camera
 
 
 def read_patiently(camera: DcamCamera) -> Frame:

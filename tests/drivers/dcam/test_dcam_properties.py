@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
-from support.dcam_tools import dcam_stand_in, open_camera
+from support.dcam_tools import open_camera
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
@@ -20,18 +18,6 @@ from simulated_devices.wires.dcam.stand_in import StandIn
 
 SENSOR = Region(0, 0, 512, 512)
 EM_PROPERTIES = (0x00400310, 0x00200220, 0x00200250, 0x00200260, 0x00200270, 0x00200290, 0x002002A0, 0x002002B0)
-
-
-@pytest.fixture
-def stand_in() -> Iterator[StandIn]:
-    with dcam_stand_in() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
-    with open_camera(stand_in) as camera:
-        yield camera
 
 
 def test_the_em_gain_is_the_true_multiplication(camera: DcamCamera) -> None:

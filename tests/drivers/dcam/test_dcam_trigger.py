@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-from support.dcam_tools import dcam_stand_in, open_camera
+from support.dcam_tools import open_camera
 
 from drivers.dcam.camera import DcamCamera
 from drivers.interface import (
@@ -19,18 +17,6 @@ from simulated_devices.wires.dcam.stand_in import StandIn, pattern
 
 SENSOR = Region(0, 0, 512, 512)
 LOSTFRAME, NOTREADY = 0x80000301, 0x80000103
-
-
-@pytest.fixture
-def stand_in() -> Iterator[StandIn]:
-    with dcam_stand_in() as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
-    with open_camera(stand_in) as camera:
-        yield camera
 
 
 def test_an_external_trigger_makes_a_frame(stand_in: StandIn) -> None:

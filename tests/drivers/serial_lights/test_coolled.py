@@ -21,11 +21,6 @@ from simulated_devices.wires.coolled import CoolLEDWire
 from simulated_devices.wires.serial import FaultKind, LineFault
 
 
-@pytest.fixture
-def clock() -> ManualClock:
-    return ManualClock()
-
-
 @pytest.fixture(params=["nothing", "command", "channel", "state"])
 def device(request: pytest.FixtureRequest) -> CoolLEDWire:
     return CoolLEDWire(echo=request.param)
@@ -39,14 +34,6 @@ def open_light(device: CoolLEDWire, clock: ManualClock, **settings: Any) -> Cool
 @pytest.fixture
 def reopen(device: CoolLEDWire, clock: ManualClock) -> Callable[[], CoolLED]:
     return lambda: open_light(device, clock)
-
-
-@pytest.fixture
-def light(reopen: Callable[[], CoolLED]) -> Iterator[CoolLED]:
-    light = reopen()
-    yield light
-    with suppress(DeviceError):
-        light.close()
 
 
 class TestContract(LightFaultContract):
@@ -268,10 +255,6 @@ class Storm(SerialStorm):
     @rule()
     def knob(self) -> None:
         self.device.turn_knob("B", 55)
-
-    @rule()
-    def refuse(self) -> None:
-        self.device.refuses_next = True
 
 
 TestStorm = Storm.TestCase

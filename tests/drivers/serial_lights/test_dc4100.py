@@ -13,9 +13,8 @@ from typing import Any
 
 import pytest
 import serial
-from hypothesis import strategies as st
-from hypothesis.stateful import rule
 from support.device_contract import LightFaultContract
+from support.light_storm import HeatStorm
 from support.patience import own_time
 from support.serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to
 from support.storm import storm_settings
@@ -60,11 +59,6 @@ CLOSING = [(b"o -1 0\r\n", b""), (b"e?\r\n", b"ERROR 0: No error\r\n"), (b"o? 1\
 
 
 @pytest.fixture
-def clock() -> ManualClock:
-    return ManualClock()
-
-
-@pytest.fixture
 def device() -> DC4100Wire:
     device = DC4100Wire()
     device.heads[0].is_on = True  # as somebody left it
@@ -77,18 +71,11 @@ def open_light(device: DC4100Wire, clock: ManualClock, **settings: Any) -> Thorl
 
 
 @pytest.fixture
-def light(device: DC4100Wire, clock: ManualClock) -> Iterator[ThorlabsDC4100]:
-    light = open_light(device, clock)
-    yield light
-    with suppress(DeviceError):
-        light.close()
+def reopen(device: DC4100Wire, clock: ManualClock) -> Callable[[], ThorlabsDC4100]:
+    return lambda: open_light(device, clock)
 
 
 class TestContract(LightFaultContract):
-    @pytest.fixture
-    def reopen(self, device: DC4100Wire, clock: ManualClock) -> Callable[[], ThorlabsDC4100]:
-        return lambda: open_light(device, clock)
-
     @pytest.fixture
     def faults(self, device: DC4100Wire) -> SerialFaults:
         return SerialFaults(device)
@@ -104,11 +91,6 @@ class TestContractOnAPort(LightFaultContract):
     @pytest.fixture
     def reopen(self, faults: PtyFaults) -> Callable[[], ThorlabsDC4100]:
         return lambda: ThorlabsDC4100(DC4100Settings(port=faults.server.port))
-
-    @pytest.fixture
-    def light(self, reopen: Callable[[], ThorlabsDC4100]) -> Iterator[ThorlabsDC4100]:
-        with reopen() as light:
-            yield light
 
 
 def test_every_byte_of_opening_setting_and_closing(clock: ManualClock) -> None:
@@ -300,7 +282,7 @@ def test_over_temperature_while_lit(device: DC4100Wire, light: ThorlabsDC4100) -
     assert not light.is_on  # told once
     with pytest.raises(DeviceError, match="too hot"):
         light.set_on(True)
-    device.is_over_temperature = False
+    device.is_hot = False
     light.set_on(True)
     assert device.is_lit
 
@@ -484,7 +466,7 @@ def test_off_when_the_interpreter_ends(ending: str) -> None:
         assert not device.is_lit
 
 
-class Storm(SerialStorm):
+class Storm(SerialStorm, HeatStorm):
     device: DC4100Wire
 
     def make(self) -> DC4100Wire:
@@ -498,21 +480,6 @@ class Storm(SerialStorm):
 
     def true_maximum_a(self) -> float:
         return self.device.heads[0].maximum_ma / 1000
-
-    def recover(self) -> None:
-        super().recover()
-        self.device.is_over_temperature = False
-
-    @rule(is_hot=st.booleans())
-    def temperature(self, *, is_hot: bool) -> None:
-        if is_hot:
-            self.device.heat_up()
-        else:
-            self.device.is_over_temperature = False
-
-    @rule()
-    def refuse(self) -> None:
-        self.device.refuses_next = True
 
 
 TestStorm = Storm.TestCase

@@ -34,11 +34,6 @@ class Counter(LineDevice):
 
 
 @pytest.fixture
-def clock() -> ManualClock:
-    return ManualClock()
-
-
-@pytest.fixture
 def device() -> Counter:
     return Counter()
 

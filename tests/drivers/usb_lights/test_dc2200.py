@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from typing import Any, get_args
 
 import pytest
 from hypothesis import strategies as st
-from hypothesis.stateful import rule
 from support.device_contract import LightFaultContract
-from support.light_storm import LightStorm
+from support.light_storm import HeatStorm
 from support.storm import storm_settings
 from support.usb_stand_in import Bus, Plug
 
@@ -20,11 +18,6 @@ from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, discover
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.dc2200 import DC2200Wire, header
 from simulated_devices.wires.usbtmc import UsbFault, UsbFaultKind
-
-
-@pytest.fixture
-def clock() -> ManualClock:
-    return ManualClock()
 
 
 @pytest.fixture
@@ -40,14 +33,6 @@ def open_light(device: DC2200Wire, clock: ManualClock, **settings: Any) -> Thorl
 @pytest.fixture
 def reopen(device: DC2200Wire, clock: ManualClock) -> Callable[[], ThorlabsDC2200]:
     return lambda: open_light(device, clock)
-
-
-@pytest.fixture
-def light(reopen: Callable[[], ThorlabsDC2200]) -> Iterator[ThorlabsDC2200]:
-    light = reopen()
-    yield light
-    with suppress(DeviceError):
-        light.close()
 
 
 class Faults:
@@ -237,7 +222,7 @@ def test_over_temperature_while_lit(device: DC2200Wire, light: ThorlabsDC2200) -
     assert not light.is_on
     with pytest.raises(DeviceError, match="too hot"):
         light.set_on(True)
-    device.is_head_hot = False
+    device.is_hot = False
     light.set_on(True)
     assert device.is_lit
 
@@ -341,7 +326,7 @@ def test_the_stand_in_knows_short_and_long_headers_alone(word: str, *, fits: boo
     assert bool(header("SOURce1:CCURent[:CURRent]").fullmatch(word)) == fits
 
 
-class Storm(LightStorm):
+class Storm(HeatStorm):
     device: DC2200Wire
 
     def make(self) -> DC2200Wire:
@@ -362,24 +347,9 @@ class Storm(LightStorm):
     def happen(self, fault: UsbFault) -> None:
         self.device.faults.append(fault)
 
-    def is_calm(self) -> bool:
-        return not self.device.faults and not self.device.is_unplugged
-
     def recover(self) -> None:
         super().recover()
         self.device.plug_in()
-        self.device.is_head_hot = False
-
-    @rule(is_hot=st.booleans())
-    def temperature(self, *, is_hot: bool) -> None:
-        if is_hot:
-            self.device.heat_up()
-        else:
-            self.device.is_head_hot = False
-
-    @rule()
-    def refuse(self) -> None:
-        self.device.refuses_next = True
 
 
 TestStorm = Storm.TestCase

@@ -34,11 +34,6 @@ class Echo(UsbtmcWire):
 
 
 @pytest.fixture
-def clock() -> ManualClock:
-    return ManualClock()
-
-
-@pytest.fixture
 def wire() -> Echo:
     return Echo()
 
