@@ -23,20 +23,14 @@ from drivers.interface import (
 )
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
-from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.geometry import Field, Lattice
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
+from support.optics import sensor_of
 
 FULL_SCALE = 65535
-SENSOR = Sensor(
-    lenslet_rows=9,
-    lenslet_columns=13,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+SENSOR = sensor_of(9, 13)
 LATTICE = Lattice(center_x_px=215.0, center_y_px=150.5, pitch_px=31.25)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
 BENCH = Bench(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -10,20 +11,14 @@ from scipy.special import erf
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
+from support.optics import sensor_of
 
 Shape = Literal["square", "disc", "ring", "stars", "pinhole", "corner"]
 
 
 def sensor_with(rows: int, columns: int, pitch_px: float) -> Sensor:
     """A sensor that is designed to have that pitch."""
-    return Sensor(
-        lenslet_rows=rows,
-        lenslet_columns=columns,
-        lenslet_pitch_m=pitch_px * 16e-6,
-        lenslet_focal_length_m=46.7e-3,
-        wavelength_m=462e-9,
-        pixel_pitch_m=16e-6,
-    )
+    return replace(sensor_of(rows, columns), lenslet_pitch_m=pitch_px * 16e-6)
 
 
 def image_of(shape: Shape, pitch_px: float, half_width: float, blur_px: float) -> Floats:

@@ -6,21 +6,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.geometry import Field, Lattice
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall
 from simulated_devices.clock import ManualClock
 from simulated_devices.light import SimulatedLight
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
+from support.optics import sensor_of
 
-SENSOR = Sensor(
-    lenslet_rows=3,
-    lenslet_columns=4,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+SENSOR = sensor_of(3, 4)
 LATTICE = Lattice(center_x_px=70.0, center_y_px=50.0, pitch_px=31.25)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
 STILL = Simulation(object_samples=5, pupil_samples=10, screen=Screen(correlation_length_m=0.5e-3, samples=150))

@@ -23,6 +23,7 @@ import xarray as xr
 from support.command_line import run
 from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, wait_until
+from support.pictures import assert_drawn
 
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
@@ -71,7 +72,7 @@ def test_reconstruct_matches_truth(
         residual = rms(result["wavefront"].to_numpy() - np.load(FRAMES / "truth.npz")["wavefront_rad"])
     assert residual.mean() < figure_rad
     assert "225 of 225 lenslets valid" in capsys.readouterr().out
-    assert picture.stat().st_size > 10_000
+    assert_drawn(picture)
 
 
 def test_reconstructing_simulated_frame_gives_truth(

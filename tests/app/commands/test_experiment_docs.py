@@ -14,6 +14,7 @@ from support.command_line import run
 from support.gui_bench import FakeCamera, opener
 from support.manual_bench import MANUAL, Person
 from support.paths import DOCS
+from support.pictures import assert_drawn
 
 import app.bench.presets
 from app.acquisition.start_up import FRAMES
@@ -123,7 +124,8 @@ def test_prompts_match_documentation(
 def test_linked_pictures_and_pages_exist() -> None:
     for name in re.findall(r"\]\((\w+\.(?:md|png))\)", TEXT):
         assert (DOCS / name).is_file()
-        assert not name.endswith("png") or (DOCS / name).stat().st_size < 200_000
+        if name.endswith("png"):
+            assert_drawn(DOCS / name)
 
 
 def test_measure_options_mask_average_auto_expose(

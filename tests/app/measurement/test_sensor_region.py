@@ -13,6 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from support.dcam_tools import dcam_stand_in, open_camera
 from support.gui_bench import BENCH, FakeCamera, opener
+from support.optics import sensor_of
 from support.patience import HANG_S, wait_until
 
 from app.acquisition.devices import open_devices
@@ -33,19 +34,12 @@ from app.recording.reader import Recording
 from drivers.dcam.settings import DcamSettings
 from drivers.interface import BadValue, CameraCapabilities, Disconnected, Region, WrongState
 from drivers.serial_lights.settings import CoolLEDSettings
-from reconstruction.geometry import Lattice, Sensor
+from reconstruction.geometry import Lattice
 from simulated_devices.wires.dcam.stand_in import pattern
 
 SENSOR = Region(0, 0, 500, 700)
 LATTICE = Lattice(center_x_px=121.3, center_y_px=84.6, pitch_px=31.25, rotation_rad=0.003)
-LENSLETS = Sensor(
-    lenslet_rows=5,
-    lenslet_columns=7,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+LENSLETS = sensor_of(5, 7)
 regions = st.builds(Region, *[st.integers(-50, 750)] * 2, *[st.integers(1, 900)] * 2)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.command_line import run
+from support.pictures import assert_drawn
 from support.recordings import edit_line, record
 
 from app.acquisition.devices import open_camera, open_devices
@@ -496,7 +497,7 @@ def test_the_window_opens_on_it(
     bench, out = tmp_path / "bench.toml", tmp_path / "out"
     bench.write_text(bench_text(small_toml, steady.folder, repeat=True))
     assert run(monkeypatch, "live", "--bench", bench, "--seconds", "0.5", "--out", out) == 0
-    assert (out / "window.png").stat().st_size > 10_000
+    assert_drawn(out / "window.png")
     reconstructor = steady.calibration(0).reconstructor()
     expected = [rms(reconstructor(steady.pixels(index)).views) for index in range(FRAMES)]
     with xr.open_dataset(out / "result.nc") as shown:

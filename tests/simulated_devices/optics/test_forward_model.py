@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.optics import FIELD, sensor_of
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.geometry import Lattice
 from simulated_devices.optics import source
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
@@ -22,16 +23,8 @@ from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.optics.source import SourcePoints
 from simulated_devices.settings import Source
 
-SENSOR = Sensor(  # not square, so that an exchange of x and y cannot hide
-    lenslet_rows=7,
-    lenslet_columns=9,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+SENSOR = sensor_of(7, 9)
 LATTICE = Lattice(center_x_px=151.3, center_y_px=118.9, pitch_px=31.25, rotation_rad=0.03)
-FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
 ROWS, COLUMNS = 240, 300
 SAMPLES = 12
 RAY_MAP = RayMap.near_pupil(distance_m=0.195, collimator_focal_length_m=0.2)

@@ -10,23 +10,15 @@ import pytest
 import tifffile
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
+from support.optics import FIELD, sensor_of
 
 from app.bench.config import load_bench
-from reconstruction.geometry import Field, Sensor
 from simulated_devices.optics.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
 from simulated_devices.optics.ray_map import truth_wavefront
 from simulated_devices.sample import _enlargement, make_sample, mean_view_rms, ray_map, shift_m
 from simulated_devices.settings import Screen, Simulation
 
-SENSOR = Sensor(
-    lenslet_rows=15,
-    lenslet_columns=15,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
-FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
+SENSOR = sensor_of(15, 15)
 
 
 def quick(samples: int = 120, seed: int = 0) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.optics import sensor_of
 
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Field
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.ray_map import RayMap, truth_wavefront
 
-SENSOR = Sensor(
-    lenslet_rows=7,
-    lenslet_columns=9,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+SENSOR = sensor_of(7, 9)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, view_rows=2, view_columns=3, view_spacing_m=0.5e-3)
 
 

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from support.optics import sensor_of
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.geometry import Field, Lattice
 from simulated_devices.optics import source
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.rendering import Scene
@@ -120,14 +121,7 @@ def test_a_bright_corner_of_an_image_stays_in_its_corner(tmp_path: Path, suffix:
     assert found[:12, 25:].min() == pytest.approx(1)
     assert found[14:].max() == 0
     assert found[:, :23].max() == 0
-    sensor = Sensor(
-        lenslet_rows=2,
-        lenslet_columns=3,
-        lenslet_pitch_m=500e-6,
-        lenslet_focal_length_m=46.7e-3,
-        wavelength_m=462e-9,
-        pixel_pitch_m=16e-6,
-    )
+    sensor = sensor_of(2, 3)
     lattice = Lattice(center_x_px=46.5, center_y_px=31.0, pitch_px=31.0)
     field = Field(collimator_focal_length_m=0.2, half_width_m=HALF_M)
     model = ForwardModel(sensor, lattice, field, rows=62, columns=93, pupil_samples=12)
@@ -188,14 +182,7 @@ def test_an_image_is_a_mask_only_where_there_is_a_file() -> None:
 def test_rendered_images_are_named_by_the_masks_file_but_not_by_the_first_mask(tmp_path: Path) -> None:
     def fingerprint(settings: Source) -> str:
         return Scene(
-            sensor=Sensor(
-                lenslet_rows=2,
-                lenslet_columns=3,
-                lenslet_pitch_m=500e-6,
-                lenslet_focal_length_m=46.7e-3,
-                wavelength_m=462e-9,
-                pixel_pitch_m=16e-6,
-            ),
+            sensor=sensor_of(2, 3),
             lattice=Lattice(center_x_px=46.5, center_y_px=31.0, pitch_px=31.0),
             field=Field(collimator_focal_length_m=0.2, half_width_m=HALF_M),
             simulation=Simulation(source=settings),
