@@ -12,7 +12,6 @@ from app.cache import cache_folder
 from app.errors import InputError
 from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
-from app.recording.selection import chosen_frames
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
@@ -63,7 +62,7 @@ def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack
 
 def _open_recording(bench: Bench, settings: RecordingSettings, stack: ExitStack) -> Devices:
     recording = Recording(settings.folder)
-    frames = chosen_frames(recording, None)
+    frames = recording.select(None)
     devices = stack.enter_context(recorded_devices(recording, frames, pace=settings.pace, repeat=settings.repeat))
     _check_pitch(bench, devices.camera)
     stack.pop_all()

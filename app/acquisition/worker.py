@@ -14,7 +14,7 @@ from app.measurement.measurement import Counts, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea
-from app.recording.background import RecordingState
+from app.recording.recorder import RecordingState
 from drivers.interface import Frame, WrongState
 
 T = TypeVar("T")

@@ -17,8 +17,7 @@ from app.bench.config import Bench
 from app.commands.prompt import ask
 from app.errors import InputError, Interrupted, RunError
 from app.progress import Progress
-from app.recording.folder import check_free
-from app.recording.layout import RUN
+from app.recording.folder import RUN, check_free
 from app.recording.reader import Recording
 from app.results.recording_results import Measured, write_measured
 from drivers.interface import DeviceError

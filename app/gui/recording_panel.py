@@ -9,8 +9,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
 
 from app.gui import theme
 from app.gui.widgets import ElidedLabel, button, toggle
-from app.recording.background import RecordingState
-from app.recording.recorder import RECENT_S
+from app.recording.recorder import RECENT_S, RecordingState
 
 _WIDEST = "000000 frames   00:00   000 wait for the disk   disk space for 000 min"
 _BEHIND = 70  # waiting frames from which the number is shown

@@ -10,7 +10,7 @@ from app.acquisition.instrument import Status
 from app.acquisition.worker import Activity, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.sensor_region import SensorArea, lenslets_outside
-from app.recording.background import RecordingState
+from app.recording.recorder import RecordingState
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.lattice.search import Survey
 

@@ -1,1 +1,1 @@
-"""Recordings: a folder of frames that survives whatever ends it; docs/recording.md says what lies in it."""
+"""Recordings: folders of frames that survive a crash; docs/recording.md describes their files."""

@@ -1,4 +1,4 @@
-"""A camera that plays a recording: its frames, or where the light is off or the sample out, its dark or reference."""
+"""Camera that plays a recording: its frames, or its dark and reference while the light is off or the sample out."""
 
 from __future__ import annotations
 
@@ -7,29 +7,33 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
 
 from app.bench.recording_settings import Pace
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.routines.averages import Average
-from app.recording.averaged import AveragedFrames
-from app.recording.frame_line import FrameLine
+from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Disconnected, Frame, FrameLost, Range
+from reconstruction.arrays import Floats
 
-_LONGEST_GAP_S = 1.0  # beyond an exposure, in which nothing was recorded: as while a new reference was taken
-_LATE_S = 1.0  # when nobody has read for so long, the recording waits
-_FULL_SCALE = 65535  # where no calibration tells it
+_LONGEST_GAP_S = 1.0  # beyond an exposure; longer gaps, for example for a new reference, are shortened
+_LATE_S = 1.0  # the recording waits for a reader that is later
+_FULL_SCALE = 65535  # without a calibration
+_ROUNDING = 1 / 6  # variance of the difference of two rounded numbers, counts^2
 
 
 class RecordedCamera(Camera):
-    """Plays frames by the times at which they arrived; those that were lost are lost again.
+    """Plays frames at the times of their arrival; lost frames are lost again.
 
-    When it is stopped and started it goes on where it was. It sees what the light and the stage let it see: the frames
-    with the light on and the sample in, else frames whose average is the dark, or the reference, that belongs to the
-    next frame. At the fastest pace a frame comes as soon as it is waited for, and its time on the camera's clock is
-    when it would have come. A frame whose pixels are missing or damaged is lost; a folder that cannot be read any more,
-    as on a disk or a share that is gone, is a camera that was unplugged.
+    After a stop it continues at the same frame. With the light on and the sample in it returns the recorded frames,
+    else frames whose average is the dark or the reference of the next frame. At the fastest pace a frame comes as soon
+    as it is read, and its camera time is when it would have come. A frame with missing or damaged pixels counts as
+    lost; a folder that has become unreadable, for example on a lost network share, as an unplugged camera.
     """
 
     def __init__(
@@ -45,31 +49,31 @@ class RecordedCamera(Camera):
         super().__init__()
         self._recording, self._frames, self._now, self._sleep = recording, frames, now, sleep
         self._pace, self._repeat = pace, repeat
-        self._position = 0  # among `frames`, of the next one
+        self._position = 0  # of the next frame in `frames`
         self._runs = False
-        self._count = 0  # since the start, lost ones included: the index of the next frame
-        self._due_s = 0.0  # when the next one comes
+        self._count = 0  # index of the next frame since the start, lost ones included
+        self._due_s = 0.0  # time of the next frame
         self._averaged = lru_cache(maxsize=2)(AveragedFrames)
         self._shape = recording.frame_shape
         self._pixel_pitch_m = recording.bench.sensor.pixel_pitch_m
-        self.line = recording.line(frames[0])  # of the recorded frame that was read last, at first of the first
+        self.line = recording.line(frames[0])  # of the recorded frame that was read last, or of the first
         self.is_lit = self.is_sample_in = False
-        self.in_force: int | None = None  # the calibration that frames are measured by: those of another wait for it
+        self.in_force: int | None = None  # number of the calibration in use; frames of another wait for theirs
 
     @property
     def name(self) -> str:
-        """Which recording it is."""
+        """Name of the recording."""
         return f"recording {self._recording.folder.name}"
 
     @property
     def next_frame(self) -> int:
-        """The index in the recording of the frame that comes next; at its end, of the last."""
+        """Index of the next frame in the recording; at the end, of the last."""
         return self._frames[min(self._position, len(self._frames) - 1)]
 
     def see(self, *, is_lit: bool, is_sample_in: bool) -> None:
-        """See something else from now on."""
+        """Set the light and the sample."""
         self.is_lit, self.is_sample_in = is_lit, is_sample_in
-        self._cached_capabilities = None  # it may have been taken otherwise
+        self._cached_capabilities = None  # exposure and gain may differ
 
     def _read_capabilities(self) -> CameraCapabilities:
         rows, columns = self._shape
@@ -94,6 +98,8 @@ class RecordedCamera(Camera):
     def _stop(self) -> None:
         self._runs = False
 
+    _close = _stop
+
     def _read(self, timeout_s: float) -> Frame:
         average, absence = self._average(), self._absence()
         wait_s = self._due_s - self._now()
@@ -106,44 +112,43 @@ class RecordedCamera(Camera):
         return self._play() if average is None else self._show(average)
 
     def _play(self) -> Frame:
-        """Return the next of the recorded frames, and find out which one follows, and when."""
+        """Return the next recorded frame and schedule the one after it."""
         damage = None
         try:
             frame = self._recording.frame(self.next_frame)
-        except InputError as error:  # or the folder is gone, as its line tells now
+        except InputError as error:  # if the folder is gone, the next line raises
             damage = error
         before = self._line()
         self._position += 1
         if self._repeat:
             self._position %= len(self._frames)
         after = self._line()
-        self.line, self._cached_capabilities = before, None  # other frames may have been taken otherwise
+        self.line, self._cached_capabilities = before, None  # exposure and gain may differ
         follows = after.index > before.index
         gap_s = after.host_time_s - before.host_time_s if follows else after.exposure_s
-        index, due_s = self._pass(
-            gap_s=min(max(gap_s, 0.0), after.exposure_s + _LONGEST_GAP_S), lost=after.lost if follows else 0
-        )
+        gap_s = min(max(gap_s, 0.0), after.exposure_s + _LONGEST_GAP_S)
+        index, due_s = self._advance(gap_s, lost=after.lost if follows else 0)
         if damage is not None:
             raise FrameLost(str(damage)) from damage
         return replace(frame, index=index, camera_time_s=due_s, host_time_s=self._now())
 
     def _show(self, average: Average) -> Frame:
-        """Return the next of the frames that have an average."""
+        """Return the next frame of an average."""
         pixels = self._averaged(average, self.capabilities.full_scale).pixels(self._count)
-        index, due_s = self._pass(gap_s=average.exposure_s, lost=0)
+        index, due_s = self._advance(average.exposure_s, lost=0)
         return Frame(pixels, index, due_s, self._now(), average.exposure_s, average.em_gain)
 
-    def _pass(self, *, gap_s: float, lost: int) -> tuple[int, float]:
-        """Go on behind a frame, to that after a gap and so many lost ones; return its index and when it was due."""
-        passed = self._count, self._due_s
+    def _advance(self, gap_s: float, *, lost: int) -> tuple[int, float]:
+        """Schedule the next frame after a gap and some lost frames; return index and time of the present one."""
+        present = self._count, self._due_s
         self._count += 1 + lost
         if self._pace == "own":
             self._due_s = max(self._due_s, self._now() - _LATE_S)
         self._due_s += gap_s
-        return passed
+        return present
 
     def _absence(self) -> str:
-        """Why no frame comes any more; empty when one does."""
+        """Why no frame comes; empty if one does."""
         if self.is_lit and self.is_sample_in:
             if self._position == len(self._frames):
                 return f"{self.name} has ended: its {len(self._frames)} frames have been shown"
@@ -154,14 +159,14 @@ class RecordedCamera(Camera):
         return "" if self._average() is not None else f"{self.name} holds no {what}"
 
     def _average(self) -> Average | None:
-        """The dark or the reference, if it is that which is seen, and there is one."""
+        """The dark or reference, if that is in view and exists."""
         calibration = self._calibration()
         if calibration is None or (self.is_lit and self.is_sample_in):
             return None
         return calibration.reference if self.is_lit else calibration.dark
 
     def _calibration(self) -> Calibration | None:
-        """The one that belongs to the next frame."""
+        """The calibration of the next frame."""
         number = self._line().calibration
         try:
             return None if number is None else self._recording.calibration(number)
@@ -169,14 +174,14 @@ class RecordedCamera(Camera):
             raise Disconnected(str(error)) from error
 
     def _line(self) -> FrameLine:
-        """What there is to say of the next frame; whether the recording is there at all."""
+        """The line of the next frame."""
         try:
             return self._recording.line(self.next_frame)
         except InputError as error:
             raise Disconnected(str(error)) from error
 
     def _taken(self) -> Average | FrameLine:
-        """What says how that was taken which is seen."""
+        """Holder of exposure and gain of what is in view."""
         return self._average() or self.line
 
     def _read_exposure(self) -> float:
@@ -188,5 +193,39 @@ class RecordedCamera(Camera):
     def _read_em_gain(self) -> float:
         return self._taken().em_gain
 
-    def _close(self) -> None:
-        self._runs = False
+
+class AveragedFrames:
+    """Frames that repeat with the period of an average: their mean is exact, their variance nearly.
+
+    Each pixel alternates above and below its mean by its spread, between 0 and `full_scale`.
+    """
+
+    def __init__(self, average: Average, full_scale: int) -> None:
+        self._frames, self._spread = average.frames, _spread(average, full_scale)
+        self._sum = np.rint(average.mean.astype(np.float64) * average.frames)
+        rng, shape = np.random.default_rng(0), average.mean.shape  # so that pixels do not alternate together
+        self._first = rng.integers(self._frames, size=shape)
+        self._remainder = rng.random(shape, np.float32)  # count; decorrelates rounding from the alternation
+
+    def pixels(self, index: int) -> NDArray[np.uint16]:
+        """Frame number `index` (row, column), counts, read-only."""
+        step = (self._first + index) % self._frames
+        pixels = (self._total(step + 1) - self._total(step)).astype(np.uint16)
+        pixels.flags.writeable = False
+        return pixels
+
+    def _total(self, frames: NDArray[np.int64]) -> Floats:
+        """Sum of each pixel's first frames, in whole counts, so that rounding errors do not add up."""
+        is_up = (frames % 2 == 1) & (frames < self._frames)
+        total: Floats = np.floor(frames * self._sum / self._frames + is_up * self._spread + self._remainder)
+        return total
+
+
+def _spread(average: Average, full_scale: int) -> Floats:
+    """Amplitude of each pixel's alternation that gives its variance, counts."""
+    pairs, mean = average.frames // 2, average.mean.astype(np.float64)
+    scale = sqrt((average.frames - 1) / (2 * pairs)) if pairs else 0.0
+    wanted = scale * np.sqrt(np.maximum(average.variance.astype(np.float64) - _ROUNDING, 0))
+    room = np.floor(np.minimum(mean, full_scale - mean))
+    spread: Floats = np.clip(wanted, 0, np.maximum(room, 0))
+    return spread

@@ -1,4 +1,4 @@
-"""A recording in place of the devices that it was made with: a camera that plays it, a light and a stage beside it."""
+"""A recording in place of the devices of a bench: camera, light and stage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.stage import OneMaskStage
 
 
 def recorded_devices(recording: Recording, frames: range, *, pace: Pace = "own", repeat: bool = True) -> Devices:
-    """The devices that show some frames of a recording when the light is on and the sample in."""
+    """Open the devices that play some frames of a recording while the light is on and the sample in."""
     with ExitStack() as stack:
         camera = stack.enter_context(RecordedCamera(recording, frames, pace=pace, repeat=repeat))
         stage = stack.enter_context(RecordedStage(camera, recording.bench.simulation.source.mask))
@@ -21,17 +21,14 @@ def recorded_devices(recording: Recording, frames: range, *, pace: Pace = "own",
 
 
 class RecordedLight(LightSource):
-    """Decides whether the camera sees a dark; its current is that of the frame that was read last."""
+    """Light of a recording; its current is that of the frame that was read last."""
+
+    name = "as recorded"
 
     def __init__(self, camera: RecordedCamera) -> None:
         super().__init__()
         self._camera = camera
         self._begin()
-
-    @property
-    def name(self) -> str:
-        """What it is."""
-        return "as recorded"
 
     def _read_range(self) -> Range:
         return Range(self._read_current(), self._read_current())
@@ -49,20 +46,17 @@ class RecordedLight(LightSource):
         self._camera.see(is_lit=on, is_sample_in=self._camera.is_sample_in)
 
     def _close(self) -> None:
-        """There is nothing to let go of."""
+        pass
 
 
 class RecordedStage(OneMaskStage):
-    """Decides whether the camera sees the recorded frames, or a reference."""
+    """Stage of a recording: with the sample out, the camera sees the reference."""
+
+    name = "as recorded"
 
     def __init__(self, camera: RecordedCamera, mask: str) -> None:
         super().__init__(mask)
         self._camera = camera
-
-    @property
-    def name(self) -> str:
-        """What it is."""
-        return "as recorded"
 
     def _is_sample_in(self) -> bool:
         return self._camera.is_sample_in
@@ -71,4 +65,4 @@ class RecordedStage(OneMaskStage):
         self._camera.see(is_lit=self._camera.is_lit, is_sample_in=sample_in)
 
     def _close(self) -> None:
-        """There is nothing to let go of."""
+        pass

@@ -1,34 +1,77 @@
-"""The folder in which a recording begins: one that holds none, or a new one beside those that are there."""
+"""The folder of a recording: names in it, `run.json`, free folders and the lock."""
 
 from __future__ import annotations
 
+import json
 import os
+import sys
 from itertools import chain, count
 from pathlib import Path
+from typing import IO, Any
 
 from app.errors import InputError
 from app.files import nearest_existing
-from app.recording.layout import FRAMES, RUN, STORE
+
+FORMAT = "svwfs recording 1"
+
+RUN = "run.json"
+FRAMES = "frames.jsonl"
+STORE = "frames.zarr"
+PIXELS = "0"  # the array of frames in the store: the finest scale of an OME-NGFF image
+BEFORE = -1  # in place of a frame index: the frame before the recording
+
+
+def results_of(calibration: int | str) -> str:
+    """Group in the store with the results of one calibration."""
+    return f"results/{calibration}"
+
+
+def calibration_folder(folder: Path, number: int) -> Path:
+    """Folder of one calibration."""
+    return folder / "calibrations" / str(number)
+
+
+def bias_file(folder: Path, number: int) -> Path:
+    """File of one bias (lenslet_row, lenslet_column, field_mode, xy), px."""
+    return folder / "biases" / f"{number}.npy"
+
+
+def start_file(folder: Path) -> Path:
+    """File of the displacement of the frame before the first, px."""
+    return folder / "start.npy"
+
+
+def read_run(folder: Path) -> dict[str, Any]:
+    """Read `run.json`; `InputError` if the folder holds no recording."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: not a folder" if folder.exists() else f"{folder}: no such folder")
+    path = folder / RUN
+    try:
+        run = json.loads(path.read_text("utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{folder}: holds no recording: there is no {RUN} in it") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(run, dict) or run.get("format") != FORMAT or "complete" not in run or "bench" not in run:
+        raise InputError(f"{path}: not the file of a recording ({FORMAT})")
+    return run
 
 
 def check_free(folder: Path) -> None:
-    """Raise `InputError` when no recording can begin in the folder: it holds one, or it can be no folder for one."""
+    """Raise `InputError` if no recording can begin in the folder."""
     try:
         for name in (RUN, FRAMES, STORE):
             if (folder / name).exists():
                 raise InputError(f"{folder}: holds a recording already: {name}")
-        _check_place(folder)
+        _check_writable(folder)
     except OSError as error:
         raise _unusable(folder, error) from error
 
 
 def new_folder(wanted: Path) -> Path:
-    """Make the folder and return it; with -2, -3, ... after its name where that one is there already.
-
-    Each who asks gets one of its own, also of two programs that ask at once. `InputError` when none can be made.
-    """
+    """Make a new folder, named with -2, -3, ... if the name is taken (also by another program at the same moment)."""
     try:
-        _check_place(wanted.parent)
+        _check_writable(wanted.parent)
         wanted.parent.mkdir(parents=True, exist_ok=True)
         numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
         return next(folder for folder in chain([wanted], numbered) if _is_made(folder))
@@ -37,7 +80,6 @@ def new_folder(wanted: Path) -> Path:
 
 
 def _is_made(folder: Path) -> bool:
-    """Make a folder; False where there is something already."""
     try:
         folder.mkdir()
     except FileExistsError:
@@ -45,14 +87,25 @@ def _is_made(folder: Path) -> bool:
     return True
 
 
-def _check_place(folder: Path) -> None:
-    """Raise `InputError` when it is no folder, or cannot be made one."""
-    there = nearest_existing(folder)
-    if not there.is_dir():
-        raise InputError(f"{there}: is no folder")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise InputError(f"{there}: nothing may be written there")
+def _check_writable(folder: Path) -> None:
+    existing = nearest_existing(folder)
+    if not existing.is_dir():
+        raise InputError(f"{existing}: not a folder")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"{existing}: no permission to write there")
 
 
 def _unusable(folder: Path, error: OSError) -> InputError:
     return InputError(f"{folder}: cannot be used: {error.strerror or error}")
+
+
+def lock(file: IO[bytes]) -> None:
+    """Lock an open file until it is closed or the process ends; `InputError` if it is locked already."""
+    if sys.platform == "win32":  # a locked file could not be read there
+        return
+    import fcntl  # noqa: PLC0415 - not there on Windows
+
+    try:
+        fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise InputError(f"{file.name}: is still being recorded") from error

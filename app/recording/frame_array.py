@@ -1,9 +1,9 @@
-"""An array in a Zarr v3 store that grows by one frame after another, each a chunk, and so a file, of its own.
+"""A Zarr v3 array that grows frame by frame; each frame is one chunk, and so one file.
 
-Zarr's own library makes the store. The chunks, which are nothing but the values, little-endian, are written and read
-here: that takes a tenth of the library's time, in which the live path could not run; it can tell a frame that is
-missing from one of zeros; and it can read what is still growing, whatever length the store has said so far. At each
-call of the operating system another thread may take its turn, for 5 ms: a frame is written with as few as can be.
+The Zarr library makes the store. Chunks hold plain little-endian values and are written and read here: ten times
+faster, which leaves the processor to the live path; missing frames are distinguished from zeros; and an array can be
+read while it grows, beyond the length in its metadata. A frame takes few system calls, because at each one another
+thread may take over for 5 ms.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}]
 
 
 def is_array(path: Path) -> bool:
-    """Whether an array has been made there."""
+    """Whether there is an array."""
     return (path / _METADATA).exists()
 
 
 class FrameArray:
-    """One such array of values (frame, ...)."""
+    """An array of values (frame, ...)."""
 
     def __init__(self, path: Path) -> None:
-        """Open an array; `InputError` when it is none, or not one of these."""
+        """Open an array; `InputError` if it is not one of a recording."""
         try:
             self._metadata = json.loads((path / _METADATA).read_text())
             self.length, *shape = (int(count) for count in self._metadata["shape"])
@@ -47,9 +47,9 @@ class FrameArray:
             is_ours = self._metadata["codecs"] == _CODECS
             is_ours &= self._metadata["chunk_grid"]["configuration"]["chunk_shape"] == [1, *shape]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: is no array of a recording: {error}") from error
+            raise InputError(f"{path}: not an array of a recording: {error}") from error
         if not is_ours:
-            raise InputError(f"{path}: is an array of another kind than a recording's: one plain chunk a frame")
+            raise InputError(f"{path}: not an array of a recording, which has one plain chunk for each frame")
         self.shape = tuple(shape)
         self._path = path
         self._last = self._separator.join("0" * len(shape))
@@ -58,9 +58,9 @@ class FrameArray:
     def create(
         cls, store: Path, name: str, values: NDArray[Any], dimensions: tuple[str, ...], separator: Separator
     ) -> Self:
-        """Make an array for values like these, with the names of their dimensions; the first is `t`, the frame.
+        """Make an array for values of this shape and type; its first dimension is `t`, the frame.
 
-        With the separator "/", which OME-NGFF wants for images, each frame lies in a folder of its own; with "." all
+        With the separator "/", which OME-NGFF demands for images, each frame has its own folder; with "." all chunks
         lie in one.
         """
         zarr.open_group(store, mode="a").create_array(
@@ -80,7 +80,7 @@ class FrameArray:
         return made
 
     def write(self, index: int, values: NDArray[Any]) -> int:
-        """Write the values of one frame, growing if need be; return how many bytes that were."""
+        """Write the values of one frame, growing if necessary; return the number of bytes."""
         if values.shape != self.shape:
             raise RunError(f"the size has changed from {_size(self.shape)} to {_size(values.shape)}")
         if index >= self.length:
@@ -88,7 +88,7 @@ class FrameArray:
         if self._separator == "/":
             folder = f"{self._path}/c/{index}"
             for _ in self.shape:
-                os.mkdir(folder)  # noqa: PTH102 - pathlib's takes longer
+                os.mkdir(folder)  # noqa: PTH102 - pathlib is slower
                 folder += "/0"
         file = os.open(self._chunk(index), _WRITE, 0o666)
         try:
@@ -100,7 +100,7 @@ class FrameArray:
         return self._bytes
 
     def read(self, index: int) -> NDArray[Any] | None:
-        """The values of one frame; None where there are none, `InputError` when they are damaged."""
+        """The values of one frame, None if they are missing; `InputError` if they are damaged."""
         chunk = self._chunk(index)
         try:
             values = np.fromfile(chunk, self._type)
@@ -114,21 +114,21 @@ class FrameArray:
         return values.reshape(self.shape).astype(self._type.newbyteorder("="), copy=False)
 
     def is_whole(self, index: int) -> bool:
-        """Whether the values of a frame are there, all of them."""
+        """Whether all values of a frame exist."""
         try:
             return self._chunk(index).stat().st_size == self._bytes
         except OSError:
             return False
 
     def set_length(self, length: int) -> None:
-        """Make it longer or shorter for whoever opens the store; the chunks stay."""
+        """Change the length in the metadata; chunks stay."""
         self._metadata["shape"][0] = length
         with atomic_write(self._path / _METADATA) as temporary:
             temporary.write_text(json.dumps(self._metadata, indent=2))
         self.length = length
 
     def remove(self, index: int) -> None:
-        """Remove what has been written of a frame."""
+        """Remove the values of a frame."""
         self._chunk(index).unlink(missing_ok=True)
 
     @property

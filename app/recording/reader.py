@@ -1,12 +1,7 @@
-"""Reads a recording: a finished one, one that was cut short by whatever, or one that is still growing.
-
-What `frames.jsonl` names is there; a last line without an end is not yet. Nothing is changed on the disk, and memory
-stays flat however many frames there are.
-"""
+"""Reader of recordings: finished, cut short, or still growing."""
 
 from __future__ import annotations
 
-import json
 from array import array
 from functools import lru_cache
 from pathlib import Path
@@ -18,97 +13,129 @@ from numpy.typing import NDArray
 from app.bench.config import Bench, parse_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.recording.frame_array import FrameArray, is_array
-from app.recording.frame_line import FrameLine
-from app.recording.kept_calibration import read_calibration
-from app.recording.layout import (
+from app.recording.calibration_files import read_array, read_calibration
+from app.recording.folder import (
     BEFORE,
-    FORMAT,
     FRAMES,
     PIXELS,
     RUN,
     STORE,
     bias_file,
     calibration_folder,
+    read_run,
     results_of,
     start_file,
 )
+from app.recording.frame_array import FrameArray, is_array
+from app.recording.frame_lines import FrameLine
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 
-_PIECE = 1 << 20  # bytes read at once
-_TELLS = "svwfs recover tells which frames are whole"
+_PIECE_BYTES = 1 << 20
+_HINT = "svwfs recover lists the readable frames"
 
 
 class Recording:
-    """One recording, by its folder; whatever is wrong with it is an `InputError` of one sentence."""
+    """A recording on disk, opened for reading; nothing on disk is changed.
+
+    It holds no pixels: each call reads one frame, so that memory does not grow with the number of frames. Frames are
+    counted from 0; `len` is the number of complete lines in `frames.jsonl`.
+
+    Parameters
+    ----------
+    folder
+        Folder of the recording.
+
+    Attributes
+    ----------
+    folder
+        Path of the folder.
+    run
+        Contents of `run.json`.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no recording, and by every method if what it reads is missing or damaged.
+    """
 
     def __init__(self, folder: Path | str) -> None:
         self.folder = Path(folder)
         self.run = read_run(self.folder)
-        self._ends = array("q", [0])  # where each line ends, bytes; the first number is where the first begins
+        self._ends = array("q", [0])  # end of each line, bytes; the first number is the start of the first line
         self._arrays: dict[str, FrameArray | None] = {}
-        self._calibrations = lru_cache(maxsize=4)(
-            lambda number: read_calibration(calibration_folder(self.folder, number))
-        )
-        self._biases = lru_cache(maxsize=4)(lambda number: _load(bias_file(self.folder, number)))
+        self._calibrations = lru_cache(4)(lambda number: read_calibration(calibration_folder(self.folder, number)))
+        self._biases = lru_cache(4)(lambda number: read_array(bias_file(self.folder, number)))
         self.refresh()
 
     def __len__(self) -> int:
         return len(self._ends) - 1
 
     def refresh(self) -> int:
-        """Look for frames that have come since, and whether it is complete now; return how many there are."""
+        """Look for new frames and for the end of the recording; return the number of frames."""
         try:
             with (self.folder / FRAMES).open("rb") as file:
                 file.seek(self._ends[-1])
-                while piece := file.read(_PIECE):
+                while piece := file.read(_PIECE_BYTES):
                     after = file.tell() - len(piece) + 1
                     self._ends.extend((np.flatnonzero(np.frombuffer(piece, np.uint8) == ord("\n")) + after).tolist())
-        except FileNotFoundError:  # it has only just begun
+        except FileNotFoundError:  # the recording has just begun
             pass
         except OSError as error:
-            raise InputError(f"{self.folder / FRAMES}: cannot be read: {error.strerror or error}") from error
+            raise self._unreadable(error) from error
         if not self.is_complete:
             self.run = read_run(self.folder)
         return len(self)
 
     @property
     def is_complete(self) -> bool:
-        """Whether it was finished; else it still grows, or its program has died and `svwfs recover` finishes it."""
+        """Whether the recording was finished; if not, it still grows, or its program died (`svwfs recover`)."""
         return bool(self.run["complete"])
 
     @property
     def ended_early(self) -> str:
-        """Why it ended before it was to; empty when it did not."""
+        """Why the recording ended early; empty if it did not."""
         return str(self.run.get("ended_early", ""))
 
     @property
     def bench(self) -> Bench:
-        """The bench as it was when it began; each calibration has its own, with the lattice in force."""
+        """The bench at the beginning; each calibration has its own, with the lattice in force."""
         return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench")
 
+    def select(self, text: str | None) -> range:
+        """Parse FIRST:END, counted from 0, END excluded, each optional; None selects all frames."""
+        if not len(self):
+            raise InputError(f"{self.folder}: holds no frame")
+        try:
+            first, end = (int(part) if part.strip() else None for part in (text or ":").split(":"))
+            frames = range(len(self))[first:end]
+        except ValueError as error:
+            raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100") from error
+        if not frames:
+            raise InputError(f'--frames "{text}" means no frame; {self.folder} has {len(self)}')
+        return frames
+
     def line(self, index: int) -> FrameLine:
-        """What there is to say of a frame."""
+        """Times, exposure, light, calibration and outcome of a frame."""
         if not 0 <= index < len(self):
             raise InputError(f"{self.folder}: has no frame {index}; it has {len(self)}")
         try:
             with (self.folder / FRAMES).open("rb") as file:
                 file.seek(self._ends[index])
                 text = file.read(self._ends[index + 1] - self._ends[index])
-        except OSError as error:  # the folder was on a disk that is gone
-            raise InputError(f"{self.folder / FRAMES}: cannot be read: {error.strerror or error}") from error
+        except OSError as error:  # for example, the disk is gone
+            raise self._unreadable(error) from error
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
-            raise InputError(f"{self.folder / FRAMES}: line {index + 1} is damaged; {_TELLS}") from error
+            raise InputError(f"{self.folder / FRAMES}: line {index + 1} is damaged; {_HINT}") from error
         if line.index != index:
-            said = f"line {index + 1} is of frame {line.index} instead of {index}"
-            raise InputError(f"{self.folder / FRAMES}: {said}; {_TELLS}")
+            found = f"line {index + 1} is of frame {line.index} instead of {index}"
+            raise InputError(f"{self.folder / FRAMES}: {found}; {_HINT}")
         return line
 
     def pixels(self, index: int) -> NDArray[np.uint16]:
-        """A frame's pixels (row, column), counts."""
+        """Pixels of a frame (row, column), counts, read-only."""
         pixels = self._read(PIXELS, index)
         if pixels is None:
             raise InputError(f"{self.folder}: the pixels of frame {index} are missing")
@@ -117,29 +144,29 @@ class Recording:
 
     @property
     def frame_shape(self) -> tuple[int, ...]:
-        """Rows and columns of all frames, whether or not they are whole."""
+        """Rows and columns of the frames."""
         pixels = self._array(PIXELS)
         if pixels is None:
             raise InputError(f"{self.folder}: the pixels of all frames are missing")
         return pixels.shape
 
     def is_whole(self, index: int) -> bool:
-        """Whether all pixels of a frame are there; they are, unless a power cut took them."""
+        """Whether all pixels of a frame exist; after a power failure some may not."""
         pixels = self._array(PIXELS)
         return pixels is not None and pixels.is_whole(index)
 
     def has_results(self, line: FrameLine) -> bool:
-        """Whether what was found live is there, if anything was."""
+        """Whether the live results of a frame exist, or there were none."""
         if line.calibration is None or line.problem:
             return True
         group = results_of(line.calibration)
         displacement, coefficients = self._array(f"{group}/displacement"), self._array(f"{group}/coefficients")
         if displacement is None or not displacement.is_whole(line.index):
             return False
-        return coefficients is None or coefficients.is_whole(line.index)  # None: of the zonal method
+        return coefficients is None or coefficients.is_whole(line.index)  # None: zonal method
 
     def frame(self, index: int) -> Frame:
-        """A frame as it left the camera."""
+        """A frame as the camera returned it."""
         line = self.line(index)
         return Frame(
             pixels=self.pixels(index),
@@ -151,66 +178,45 @@ class Recording:
         )
 
     def displacement(self, index: int) -> Floats | None:
-        """How a frame was registered, px, (lenslet_row, lenslet_column, field_mode, xy); None if it was not."""
+        """Live displacement, px, (lenslet_row, lenslet_column, field_mode, xy), before any bias; None without one."""
         return self._result("displacement", index)
 
     def coefficients(self, index: int) -> Floats | None:
-        """The coefficients e_pq of a frame, rad, (pupil_mode, field_mode); None if it was not reconstructed so."""
+        """Live coefficients e_pq, rad, (pupil_mode, field_mode); None if there are none."""
         return self._result("coefficients", index)
 
     def calibration(self, number: int) -> Calibration:
-        """The calibration that lines call by this number; the same object while it is wanted."""
+        """Calibration by its number in the lines; cached."""
         return self._calibrations(number)
 
     def bias(self, number: int) -> Floats:
-        """The bias that lines call by this number, px, (lenslet_row, lenslet_column, field_mode, xy)."""
+        """Bias by its number in the lines, px, (lenslet_row, lenslet_column, field_mode, xy); cached."""
         return self._biases(number)
 
     def start(self, index: int) -> Floats | None:
-        """Where the registration of a frame began, px, as `displacement`; None when it began cold."""
+        """Starting point of a frame's registration, px, as `displacement`; None if it had none."""
         line = self.line(index)
         if line.start is None:
             return None
         if line.start == BEFORE:
-            return _load(start_file(self.folder))
+            return read_array(start_file(self.folder))
         if line.calibration is None:
             return None
-        return self._read(f"{results_of(line.calibration)}/displacement", line.start)  # of the same, always
+        return self._read(f"{results_of(line.calibration)}/displacement", line.start)  # always of the same calibration
 
     def _result(self, name: str, index: int) -> Floats | None:
         calibration = self.line(index).calibration
         return None if calibration is None else self._read(f"{results_of(calibration)}/{name}", index)
 
     def _read(self, name: str, index: int) -> NDArray[Any] | None:
-        found = self._array(name)
-        return None if found is None else found.read(index)
+        values = self._array(name)
+        return None if values is None else values.read(index)
 
     def _array(self, name: str) -> FrameArray | None:
-        if self._arrays.get(name) is None:  # or it was not there when it was looked for last
+        if self._arrays.get(name) is None:  # it may have appeared since
             path = self.folder / STORE / name
             self._arrays[name] = FrameArray(path) if is_array(path) else None
         return self._arrays[name]
 
-
-def _load(path: Path) -> Floats:
-    try:
-        values: Floats = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    return values
-
-
-def read_run(folder: Path) -> dict[str, Any]:
-    """What `run.json` says; `InputError` when the folder holds no recording."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder" if not folder.exists() else f"{folder}: is no folder")
-    path = folder / RUN
-    try:
-        run = json.loads(path.read_text("utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{folder}: holds no recording: there is no {RUN} in it") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(run, dict) or run.get("format") != FORMAT or "complete" not in run or "bench" not in run:
-        raise InputError(f"{path}: is not that of a recording ({FORMAT})")
-    return run
+    def _unreadable(self, error: OSError) -> InputError:
+        return InputError(f"{self.folder / FRAMES}: cannot be read: {error.strerror or error}")

@@ -1,29 +1,190 @@
-"""Takes every measurement: keeps the last seconds in memory, and has them written while a recording is on."""
+"""Recorder of the live frames: keeps the last seconds in memory and writes recordings in the background.
+
+Frames go through a bounded queue to a thread that writes them. If the disk is full, too slow or fails, the recording
+ends with what was written and says why; the live view goes on.
+"""
 
 from __future__ import annotations
 
 import math
 import shutil
 import threading
+import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.files import nearest_existing
 from app.measurement.measurement import Measurement
-from app.recording.background import BackgroundRecording, RecordingState
 from app.recording.folder import check_free, new_folder
-from app.recording.record import Record
+from app.recording.writer import Record, RecordingWriter
+from app.run_facts import timing_facts
 from app.timing import Timings
 
 RECENT_S = 10.0
 _RECENT_BYTES = 1e9
+_QUEUED_FRAMES, _QUEUED_BYTES = 512, 512e6
+_SYNC_S = 1.0
+
+Stage = Literal["recording", "finishing", "finished", "ended early"]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingState:
+    """Progress of a recording."""
+
+    folder: Path
+    stage: Stage
+    frames: int  # written
+    waiting: int  # in the queue
+    seconds: float  # duration of the recording so far
+    free_minutes: float  # until the disk is full at this rate; infinite as long as the rate is unknown
+    problem: str  # why it ended early; empty if it did not
+
+
+class BackgroundRecording:
+    """One recording and the thread that writes it, started at once.
+
+    `records` are written first; with `frames`, the recording ends after so many more.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        facts: Mapping[str, Any],
+        timings: Timings,
+        *,
+        records: Sequence[Record] = (),
+        frames: int | None = None,
+    ) -> None:
+        self._folder, self._facts, self._timings = folder, facts, timings
+        self._waiting = deque(records)
+        self._waiting_bytes = sum(record.nbytes for record in records)
+        self._acquired = len(records)
+        self._left = frames
+        self._changed = threading.Condition()
+        self._is_open = True  # for more frames
+        self._problem = ""
+        self._is_finished = False
+        self._frames = 0
+        self._free_minutes = math.inf
+        self._began_s = time.perf_counter()
+        self._ended_s: float | None = None
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    def take(self, record: Record) -> None:
+        """Queue a frame; never waits for the disk."""
+        with self._changed:
+            if not self._is_open:
+                return
+            self._acquired += 1
+            if len(self._waiting) >= _QUEUED_FRAMES or self._waiting_bytes > _QUEUED_BYTES:
+                self._end(f"the disk cannot follow: {len(self._waiting)} frames are waiting for it")
+                return
+            self._waiting.append(record)
+            self._waiting_bytes += record.nbytes
+            if self._left is not None:
+                self._left -= 1
+                if self._left == 0:
+                    self._end("")
+            self._changed.notify()
+
+    def stop(self, problem: str = "") -> None:
+        """End the recording once the queue is written; `problem` says why, if early."""
+        with self._changed:
+            self._end(problem)
+
+    def join(self, timeout_s: float | None = None) -> None:
+        """Wait until it is finished."""
+        self._thread.join(timeout_s)
+
+    @property
+    def state(self) -> RecordingState:
+        """Present state."""
+        stage: Stage = "recording" if self._is_open else "finishing"
+        if self._is_finished:
+            stage = "ended early" if self._problem else "finished"
+        seconds = (self._ended_s or time.perf_counter()) - self._began_s
+        waiting = len(self._waiting)
+        return RecordingState(self._folder, stage, self._frames, waiting, seconds, self._free_minutes, self._problem)
+
+    def _end(self, problem: str) -> None:
+        if self._is_open:
+            self._is_open, self._problem, self._ended_s = False, problem, time.perf_counter()
+        self._changed.notify()
+
+    def _work(self) -> None:
+        try:
+            writer = RecordingWriter(self._folder, self._facts)
+            try:
+                self._write(writer)
+            finally:
+                writer.close()
+        except (OSError, InputError, RunError) as error:
+            self._fail(self._in_words(error))
+        except Exception as error:
+            self._fail(f"{type(error).__name__}: {error}")
+            raise
+        finally:
+            self._is_finished = True
+
+    def _write(self, writer: RecordingWriter) -> None:
+        try:
+            with ThreadPoolExecutor(1, "recorder-sync") as syncing:
+                synced, synced_s = syncing.submit(writer.sync), time.perf_counter()
+                for record in self._records():
+                    with self._timings.of("record"):
+                        writer.write(record)
+                    self._frames = writer.frames
+                    if synced.done() and time.perf_counter() > synced_s + _SYNC_S:
+                        synced = self._sync(writer, synced, syncing)
+                        synced_s = time.perf_counter()
+                synced.result()
+        except (OSError, InputError, RunError) as error:
+            self._fail(self._in_words(error))
+        writer.finish(self._problem, acquired=self._acquired, facts={"timings": timing_facts(self._timings)})
+
+    def _records(self) -> Iterator[Record]:
+        """Take frames from the queue until the recording ends."""
+        while True:
+            with self._changed:
+                while not self._waiting:
+                    if not self._is_open:
+                        return
+                    self._changed.wait()
+                record = self._waiting.popleft()
+                self._waiting_bytes -= record.nbytes
+            yield record
+
+    def _sync(self, writer: RecordingWriter, before: Future[None], syncing: ThreadPoolExecutor) -> Future[None]:
+        """Start the next sync in its own thread; raise the error of the one before."""
+        before.result()
+        seconds = time.perf_counter() - self._began_s
+        free = shutil.disk_usage(self._folder).free
+        self._free_minutes = free / (writer.bytes / seconds) / 60 if writer.bytes else math.inf
+        return syncing.submit(writer.sync)
+
+    def _fail(self, problem: str) -> None:
+        """End the recording early and drop the queue."""
+        with self._changed:
+            self._is_open, self._problem = False, self._problem or problem
+            self._ended_s = self._ended_s or time.perf_counter()
+            self._waiting.clear()
+            self._waiting_bytes = 0
+
+    def _in_words(self, error: Exception) -> str:
+        if isinstance(error, OSError):
+            return f"{error.filename or self._folder}: cannot be written: {error.strerror or error}"
+        return str(error)
 
 
 class Recorder:
-    """The recorder of one acquisition, whose worker gives it the measurements."""
+    """Recorder of one acquisition, whose worker thread passes every measurement to `take`."""
 
     def __init__(self, timings: Timings) -> None:
         self._timings = timings
@@ -35,7 +196,7 @@ class Recorder:
         self._changing = threading.Lock()
 
     def take(self, measurement: Measurement) -> None:
-        """Take one more; nothing here waits for the disk."""
+        """Keep a measurement and record it if a recording is on; never waits for the disk."""
         record = Record.of(measurement, measurement.counts.lost - self._lost)
         self._lost = measurement.counts.lost
         with self._changing:
@@ -50,10 +211,23 @@ class Recorder:
     def start(
         self, folder: Path, facts: Mapping[str, Any], *, frames: int | None = None, may_rename: bool = False
     ) -> None:
-        """Record into a folder from the next measurement on, `frames` of them or until it is stopped.
+        """Record from the next measurement on.
 
-        `InputError` when the folder holds a recording, or one is under way. With `may_rename` a number is put after a
-        name that is taken; `state` tells the folder.
+        Parameters
+        ----------
+        folder
+            Where to record.
+        facts
+            Contents of `run.json` about bench and devices.
+        frames
+            Number of frames after which the recording ends; without it, `stop` ends it.
+        may_rename
+            Append a number to a name that is taken; `state` has the folder.
+
+        Raises
+        ------
+        InputError
+            If the folder holds a recording, or a recording is on.
         """
         if not may_rename:
             check_free(folder)
@@ -64,12 +238,12 @@ class Recorder:
             self._recording = BackgroundRecording(folder, facts, self._timings, frames=frames)
 
     def stop(self, problem: str = "") -> None:
-        """End the recording that is under way, if any; it is finished soon after."""
+        """End the recording, if one is on; it is finished soon after."""
         if self._recording is not None:
             self._recording.stop(problem)
 
     def keep_recent(self, folder: Path, facts: Mapping[str, Any], *, may_rename: bool = False) -> None:
-        """Write the last seconds as a recording, whether or not one is under way; see `start`."""
+        """Write the last seconds as a recording of their own; parameters as of `start`."""
         if not may_rename:
             check_free(folder)
         with self._changing:
@@ -82,13 +256,13 @@ class Recorder:
             self._kept.stop()
 
     def forget_recent(self) -> None:
-        """Keep nothing of what came until now: frames that come from now on are of another kind."""
+        """Drop the last seconds, because the next frames will be of another kind."""
         with self._changing:
             self._recent.clear()
             self._recent_bytes = 0
 
     def close(self, problem: str) -> None:
-        """End and finish whatever is being written; `problem` is why, if it is early."""
+        """End and finish all recordings; `problem` says why, if early."""
         self.stop(problem)
         for recording in (self._recording, self._kept):
             if recording is not None:
@@ -96,23 +270,23 @@ class Recorder:
 
     @property
     def state(self) -> RecordingState | None:
-        """How the recording stands that is under way, or the last one; None before the first."""
+        """State of the present or last recording; None before the first."""
         return None if self._recording is None else self._recording.state
 
     @property
     def kept_state(self) -> RecordingState | None:
-        """Likewise of the last seconds that were kept last."""
+        """State of the last `keep_recent`; None before the first."""
         return None if self._kept is None else self._kept.state
 
     @property
     def recent_frames(self) -> int:
-        """How many frames could be kept."""
+        """Number of frames in memory."""
         return len(self._recent)
 
     def free_minutes(self, folder: Path) -> float:
-        """How long could be recorded into a folder, there or not yet, at the rate of the last seconds.
+        """Time until the disk of a folder is full at the present rate; infinite without frames.
 
-        Infinite when no frames come; `OSError` when the disk cannot be asked. It may take long on a network.
+        Slow on a network disk; `OSError` if the disk cannot be asked.
         """
         with self._changing:
             spanned_s = self._recent[-1].frame.host_time_s - self._recent[0].frame.host_time_s if self._recent else 0.0

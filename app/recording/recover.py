@@ -1,39 +1,38 @@
-"""Finishes a recording whose program died before it could, and says what of a recording is damaged."""
+"""Recovery of a recording: lists its damage, and finishes it if its program died before it could."""
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
 
-from app.errors import RunError
+from app.errors import InputError, RunError
 from app.files import atomic_write
-from app.recording.damage import Examined, examine, frames_in_words, ranges_of
+from app.recording.folder import FRAMES, PIXELS, RUN, STORE, lock, results_of
 from app.recording.frame_array import FrameArray, is_array
-from app.recording.layout import FRAMES, PIXELS, RUN, STORE, results_of
-from app.recording.line_places import LinePlaces, find_lines
-from app.recording.lock import lock
+from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
 from app.run_facts import now, write_record
 
 _WHY = "recovered: the program ended before it could finish the recording"
+_LISTED_RANGES = 20
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Recovered:
-    """What was found in a recording."""
+    """State of a recording after recovery."""
 
-    was_complete: bool  # then nothing has been done, but for lines that did not stand where they belong
+    was_complete: bool  # then only misplaced lines were put in their places
     frames: int
-    reconstructed: int
-    lost: int  # by the camera, in gaps
-    gaps: int
-    damage: tuple[str, ...]  # a sentence for each kind; empty when all is whole
-    whole: Sequence[int]  # frames whose line and pixels can be read
-    put_aside: str  # what no longer is in `frames.jsonl`, and where it is; empty when all still is
+    reconstructed: int = 0
+    lost: int = 0  # by the camera, in gaps
+    gaps: int = 0
+    damage: tuple[str, ...] = ()  # a sentence for each kind
+    whole: list[int] = field(default_factory=list)  # frames whose line and pixels are readable
+    put_aside: str = ""  # what was removed from `frames.jsonl`, and where it is
 
     @property
     def summary(self) -> str:
@@ -43,98 +42,159 @@ class Recovered:
 
     @property
     def readable(self) -> str:
-        """Which frames are whole, in words, and how a command is told to take them; empty when all are."""
+        """Which frames are whole and how to select them; empty if all are."""
         if len(self.whole) == self.frames:
             return ""
         if not self.whole:
             return "no frame is whole"
-        longest = max(ranges_of(self.whole), key=len)
+        longest = max(_ranges_of(self.whole), key=len)
         chosen = f"{longest.start}:{longest.stop}"
         return f"whole: {frames_in_words(self.whole)}; replay, export and report take some with --frames, as {chosen}"
 
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
-    """Finish a recording: arrays as long as there are frames, `run.json` complete. Nothing that was read is lost.
+    """Finish a recording: set the length of its arrays and mark it complete.
 
-    Damaged frames in the middle stay among the others, which all can be read; at the end of one that was not complete
-    their lines are put aside. `InputError` when the folder holds no recording, or it is still being recorded.
+    Damaged frames in the middle stay, so that all others keep their index; lines of damaged frames at the end of an
+    unfinished recording are moved to `frames.damaged.jsonl`.
+
+    Parameters
+    ----------
+    folder
+        Folder of the recording.
+    progress
+        Called with the fraction done, 0 ... 1.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no recording, or it is still being recorded.
     """
     recording = Recording(folder)
     path = folder / FRAMES
     try:
         if not path.exists():
             path.touch()
-        mode = "rb" if recording.is_complete else "rb+"  # what is complete may lie where nothing can be written
+        mode = "rb" if recording.is_complete else "rb+"  # a complete recording may be read-only
         with path.open(mode) as file:
             lock(file)
             recording.refresh()
-            was_complete = recording.is_complete
             lines = find_lines(path)
-            frames = _length(recording, lines)
-            examined = examine(recording, lines, frames, progress)
-            put_aside = _put_in_place(lines, frames, is_complete=was_complete)
-            if not was_complete:
-                _finish(recording, frames, examined)
+            found = Recovered(recording.is_complete, _length(recording, lines))
+            _examine(recording, lines, found, progress)
+            found.put_aside = _put_in_place(lines, found.frames, is_complete=found.was_complete)
+            if not found.was_complete:
+                _finish(recording, found)
     except OSError as error:
         raise RunError(f"{error.filename or folder}: {error.strerror or error}") from error
-    return Recovered(
-        was_complete,
-        frames,
-        examined.reconstructed,
-        examined.lost,
-        examined.gaps,
-        examined.damage,
-        examined.whole,
-        put_aside,
-    )
+    return found
 
 
-def _length(recording: Recording, lines: LinePlaces) -> int:
-    """How many frames there are: up to the last that is whole; after a power cut a line may have outlived its frame."""
+def _length(recording: Recording, lines: FoundLines) -> int:
+    """Number of frames, up to the last whole one: after a power failure a line may exist without its frame."""
     if recording.is_complete:
         counts = recording.run.get("frames")
         recorded = counts.get("recorded") if isinstance(counts, dict) else None
-        return recorded if type(recorded) is int and recorded >= 0 else len(recording)  # true is no number
+        return recorded if type(recorded) is int and recorded >= 0 else len(recording)  # True is not a number
     return max((index + 1 for index in lines.spans if recording.is_whole(index)), default=0)
 
 
-def _put_in_place(lines: LinePlaces, frames: int, *, is_complete: bool) -> str:
-    """Have each line where it belongs, and nothing after them; whatever was there but a half line is put aside."""
+def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress: Callable[[float], None]) -> None:
+    """Check line, pixels and results of each frame, and the calibrations and biases that the lines name."""
+    without_line, without_pixels, without_results = [], [], []
+    calibrations: set[int | None] = set()
+    biases: set[int | None] = set()
+    for index in range(found.frames):
+        line, has_pixels = lines.line(index), recording.is_whole(index)
+        if line is None:
+            without_line.append(index)
+        else:
+            found.reconstructed += not line.problem
+            found.lost, found.gaps = found.lost + line.lost, found.gaps + (line.lost > 0)
+            calibrations.add(line.calibration)
+            biases.add(line.bias)
+            if has_pixels and not recording.has_results(line):
+                without_results.append(index)
+        if not has_pixels:
+            without_pixels.append(index)
+        elif line is not None:
+            found.whole.append(index)
+        progress((index + 1) / found.frames)
+    of_frames = (
+        (without_line, "there is no line that can be read"),
+        (without_pixels, "the pixels are missing, or some of them"),
+        (without_results, "what was found live is missing; svwfs replay finds it again"),
+    )
+    damaged = [f"{frames_in_words(which)}: {what}" for which, what in of_frames if which]
+    found.damage = (*damaged, *_faults(recording.calibration, calibrations), *_faults(recording.bias, biases))
+
+
+def _faults(read: Callable[[int], object], numbers: Iterable[int | None]) -> Iterator[str]:
+    """Errors of those that cannot be read."""
+    for number in sorted(number for number in numbers if number is not None):
+        try:
+            read(number)
+        except InputError as error:
+            yield str(error)
+
+
+def frames_in_words(frames: Sequence[int]) -> str:
+    """Name sorted frames: "frames 0 to 2 and 4"."""
+    ranges = _ranges_of(frames)
+    named = [f"{some[0]}" if len(some) == 1 else f"{some[0]} to {some[-1]}" for some in ranges[:_LISTED_RANGES]]
+    if len(ranges) > _LISTED_RANGES:
+        named.append(f"{sum(map(len, ranges[_LISTED_RANGES:]))} more")
+    text = " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
+    return f"frame{'s' * (len(frames) != 1)} {text or 'none'}"
+
+
+def _ranges_of(frames: Sequence[int]) -> list[range]:
+    """Join consecutive frames into ranges."""
+    ranges: list[range] = []
+    for index in frames:
+        if ranges and ranges[-1].stop == index:
+            ranges[-1] = range(ranges[-1].start, index + 1)
+        else:
+            ranges.append(range(index, index + 1))
+    return ranges
+
+
+def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
+    """Put each line in its place and remove what follows; return where the original is, empty if only a half line."""
     path, end = lines.path, lines.end_in_place(frames)
     if end is None:
-        aside = _aside(path)
+        aside = _free_name(path)
         with atomic_write(aside) as temporary:
             shutil.copyfile(path, temporary)
         with atomic_write(path) as temporary, temporary.open("wb") as file:
             file.writelines(lines.in_place(frames))
-        return f"{FRAMES} as it was is in {aside.name}; in the new one every line stands where it belongs"
+        return f"the original {FRAMES} is in {aside.name}; in the new one every line is in its place"
     if is_complete:
         return ""
-    said = ""
+    put_aside = ""
     with path.open("rb") as file:
         file.seek(end)
         rest = file.read()
     if left_out := rest.count(b"\n"):
-        aside = _aside(path)
+        aside = _free_name(path)
         with atomic_write(aside) as temporary:
             temporary.write_bytes(rest)
-        said = f"the lines after the last whole frame, {left_out} of them, are in {aside.name}"
+        put_aside = f"the lines after the last whole frame, {left_out} of them, are in {aside.name}"
     os.truncate(path, end)
-    return said
+    return put_aside
 
 
-def _aside(path: Path) -> Path:
-    """A name that is free, for what is put aside."""
+def _free_name(path: Path) -> Path:
     names = chain(["damaged"], (f"damaged-{number}" for number in count(2)))
     return next(each for name in names if not (each := path.with_suffix(f".{name}{path.suffix}")).exists())
 
 
-def _finish(recording: Recording, frames: int, examined: Examined) -> None:
-    """Make the arrays as long as there are frames, and say in `run.json` that it is complete."""
+def _finish(recording: Recording, found: Recovered) -> None:
+    """Set the length of the arrays and mark the recording complete."""
     store = recording.folder / STORE
     for path in (store / PIXELS, *sorted(store.glob(results_of("*") + "/*"))):
         if is_array(path):
-            FrameArray(path).set_length(frames)
-    counts = {"recorded": frames, "reconstructed": examined.reconstructed, "lost": examined.lost}
+            FrameArray(path).set_length(found.frames)
+    counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
     ended = {"complete": True, "ended": now(), "ended_early": _WHY, "frames": counts}
     write_record(recording.folder / RUN, {**recording.run, **ended})

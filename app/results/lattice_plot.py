@@ -70,13 +70,7 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
             axes.add_collection(cells)
     axes.plot(lattice.center_x_px, lattice.center_y_px, "+", color="white", markersize=14, markeredgewidth=3)
     axes.plot(
-        lattice.center_x_px,
-        lattice.center_y_px,
-        "+",
-        color=_CENTER,
-        markersize=13,
-        markeredgewidth=1.4,
-        label="centre",
+        lattice.center_x_px, lattice.center_y_px, "+", color=_CENTER, markersize=13, markeredgewidth=1.4, label="centre"
     )
     rows, columns = reference.shape
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x (px)", ylabel="y (px)")

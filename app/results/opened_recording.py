@@ -14,7 +14,7 @@ from xarray.core import indexing
 from app.bench.config import Bench
 from app.errors import InputError
 from app.recording.reader import Recording
-from app.recording.repeat import repeated
+from app.recording.reprocess import reprocess
 from app.results.replay.results import results_in_pieces
 
 
@@ -67,7 +67,7 @@ class OpenedRecording:
         path = self._recording.folder / "results.nc"
         if path.exists():
             return xr.load_dataset(path, engine="h5netcdf")
-        pieces = list(results_in_pieces((made, {}) for made in repeated(self._recording)))
+        pieces = list(results_in_pieces((made, {}) for made in reprocess(self._recording)))
         if not pieces:
             raise InputError(f"{self._recording.folder}: no frame can be reconstructed")
         return xr.concat(pieces, "frame", join="exact", coords="minimal", compat="override")

@@ -12,7 +12,7 @@ from app.bench.config import Bench
 from app.files import write_image
 from app.progress import Progress
 from app.recording.reader import Recording
-from app.recording.repeat import Repeated, repeated
+from app.recording.reprocess import Reprocessed, reprocess
 from app.results.dataset import write_pieces
 from app.results.replay.results import results_in_pieces
 from reconstruction.arrays import Floats
@@ -36,7 +36,7 @@ class Measured:
         """Standard deviation of each view's RMS over the frames, rad, (view_row, view_column)."""
         return np.sqrt(np.maximum(self.square_rms_rad - self.mean_rms_rad**2, 0))
 
-    def take(self, made: Repeated) -> None:
+    def take(self, made: Reprocessed) -> None:
         """Take one more frame into account."""
         self.recorded, self.lost = self.recorded + 1, self.lost + made.line.lost
         if made.wavefront is None:
@@ -73,9 +73,9 @@ def _write_calibration(recording: Recording) -> None:
                 write_image(recording.folder / f"{name}.tif", average.mean)
 
 
-def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Repeated]:
+def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Reprocessed]:
     """Every frame, counted as it comes."""
-    for made in repeated(recording):
+    for made in reprocess(recording):
         measured.take(made)
         progress("writing the results", (made.line.index + 1) / len(recording))
         yield made

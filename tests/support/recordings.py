@@ -20,11 +20,10 @@ from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench, write_bench
 from app.measurement.measurement import Counts, Measurement
+from app.recording.folder import PIXELS, STORE
 from app.recording.frame_array import FrameArray
-from app.recording.layout import PIXELS, STORE
 from app.recording.reader import Recording
-from app.recording.record import Record
-from app.recording.run_writer import RunWriter
+from app.recording.writer import Record, RecordingWriter
 from reconstruction.runtime.threads import one_blas_thread
 from support.patience import HANG_S
 
@@ -41,7 +40,7 @@ def record(
         one_blas_thread(),
         open_devices(bench, lambda _: None) as devices,
         closing(Instrument(devices, bench)) as instrument,
-        closing(RunWriter(folder, {"command": "measure", "bench": write_bench(bench)})) as writer,
+        closing(RecordingWriter(folder, {"command": "measure", "bench": write_bench(bench)})) as writer,
     ):
         devices.light.set_on(True)
         instrument.take_dark(4, progress=lambda *_: None, should_stop=lambda: False)

@@ -13,10 +13,8 @@ from app.bench.config import Bench
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import LightState
 from app.measurement.routines.averages import Average
-from app.recording.background import BackgroundRecording, RecordingState
-from app.recording.record import Record
-from app.recording.recorder import Recorder
-from app.recording.run_writer import RunWriter
+from app.recording.recorder import BackgroundRecording, Recorder, RecordingState
+from app.recording.writer import Record, RecordingWriter
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from support.optics import FIELD, SmallBench
@@ -60,8 +58,8 @@ def make_chain(calibration: Calibration, count: int) -> list[Record]:
     return records
 
 
-def write(folder: Path, records: list[Record], *, finish: bool = True) -> RunWriter:
-    writer = RunWriter(folder, FACTS)
+def write(folder: Path, records: list[Record], *, finish: bool = True) -> RecordingWriter:
+    writer = RecordingWriter(folder, FACTS)
     for record in records:
         writer.write(record)
     if finish:

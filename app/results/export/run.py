@@ -12,8 +12,7 @@ from app.bench.config import write_bench
 from app.errors import InputError, RunError
 from app.progress import Progress
 from app.recording.reader import Recording
-from app.recording.repeat import repeated
-from app.recording.selection import chosen_frames
+from app.recording.reprocess import reprocess
 from app.results.dataset import write_pieces
 from app.results.export.imagej import write_stack
 from app.results.export.psf_grid import psf_grid, psf_reach, write_psf_grid
@@ -38,7 +37,7 @@ def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite
     if out.exists() and not overwrite:
         raise InputError(f"{out}: is there already; --overwrite replaces it")
     recording = Recording(folder)
-    chosen = chosen_frames(recording, frames)
+    chosen = recording.select(frames)
     with one_blas_thread():
         _WRITERS[to](recording, chosen, out, progress)
     return len(chosen)
@@ -63,11 +62,11 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progre
 
 
 def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    write_table(out, _reported(repeated(recording, chosen), len(chosen), progress, "reconstructing frames"))
+    write_table(out, _reported(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames"))
 
 
 def _write_netcdf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    frames = _reported(repeated(recording, chosen), len(chosen), progress, "reconstructing frames")
+    frames = _reported(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
     bench, inputs = first_bench(recording, chosen), {"recording": recording.folder.name}
     write_pieces(out, results_in_pieces((frame, {}) for frame in frames), bench=bench, inputs=inputs)
 
@@ -85,7 +84,7 @@ def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progres
 
 def _views(recording: Recording, chosen: range, progress: Progress, text: str) -> Iterator[Floats]:
     """The wavefronts of those frames that have one."""
-    for frame in _reported(repeated(recording, chosen), len(chosen), progress, text):
+    for frame in _reported(reprocess(recording, chosen), len(chosen), progress, text):
         if frame.wavefront is not None:
             yield frame.wavefront.views
 

@@ -11,19 +11,19 @@ import numpy as np
 
 from app.errors import InputError, RunError
 from app.files import atomic_write
-from app.recording.repeat import Repeated
+from app.recording.reprocess import Reprocessed
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 
-def write_table(path: Path, frames: Iterable[Repeated]) -> None:
+def write_table(path: Path, frames: Iterable[Reprocessed]) -> None:
     """Write the table; a frame without a wavefront has nan. The head names each column with its unit.
 
     `rms_R_C_rad` is the RMS at view row R, view column C, `e_P_Q_rad` the coefficient of pupil mode P and field mode Q,
     `e_P_Q_sigma_rad` its standard deviation; with the zonal method there are none.
     """
     remaining = iter(frames)
-    before: list[Repeated] = []  # the first that has a wavefront says which columns there are
+    before: list[Reprocessed] = []  # the first that has a wavefront says which columns there are
     for frame in remaining:
         before.append(frame)
         if frame.wavefront is not None:
@@ -37,7 +37,7 @@ def write_table(path: Path, frames: Iterable[Repeated]) -> None:
         writer.writerows(_row(each, names) for each in chain(before, remaining))
 
 
-def _row(frame: Repeated, names: list[str]) -> list[float]:
+def _row(frame: Reprocessed, names: list[str]) -> list[float]:
     line, found = frame.line, dict.fromkeys(names, np.nan)
     if frame.wavefront is not None:
         found = dict(_values(frame.wavefront))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from app.bench.config import load_bench, parse_bench, write_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.recording.repeat import Change
+from app.recording.reprocess import Change
 from reconstruction.errors import ReconstructionError
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.recording.repeat import Repeated
+from app.recording.reprocess import Reprocessed
 from app.results.view_quality import Variable, about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
@@ -21,7 +21,7 @@ class Comparison:
         self.field: Field | None = None
         self._sums: list[Floats] = []
 
-    def take(self, then: Repeated, now: Repeated) -> dict[str, Variable]:
+    def take(self, then: Reprocessed, now: Reprocessed) -> dict[str, Variable]:
         """Compare one frame; return what there is to say of it, for its results."""
         if then.wavefront is None or now.wavefront is None or not are_alike(then.wavefront, now.wavefront):
             return {}

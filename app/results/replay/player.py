@@ -15,7 +15,6 @@ from app.measurement.measurement import Measurement
 from app.recording.camera import RecordedCamera
 from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
-from app.recording.selection import chosen_frames
 from app.results.replay.change import change_of
 from drivers.interface import Devices
 
@@ -28,7 +27,7 @@ class Player:
     ) -> None:
         """With another `bench`, or `settings` of its own changed, the frames are shown as these make them."""
         self._recording = Recording(folder)
-        self._frames = chosen_frames(self._recording, frames)
+        self._frames = self._recording.select(frames)
         self._change = change_of(bench, settings)
         self._camera: RecordedCamera | None = None
         self._acquisition: Acquisition | None = None

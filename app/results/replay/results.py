@@ -8,14 +8,14 @@ from itertools import islice
 
 import xarray as xr
 
-from app.recording.repeat import Repeated
+from app.recording.reprocess import Reprocessed
 from app.results.dataset import result_dataset, stack_frames
 from app.results.view_quality import Variable, about
 
 _PIECE = 32  # frames in memory at once
 
 
-def results_in_pieces(frames: Iterable[tuple[Repeated, Mapping[str, Variable]]]) -> Iterator[xr.Dataset]:
+def results_in_pieces(frames: Iterable[tuple[Reprocessed, Mapping[str, Variable]]]) -> Iterator[xr.Dataset]:
     """Put the results of frames, each with some more variables, along `frame`; those without a wavefront are left out.
 
     `recording_index` says which they are.
@@ -25,7 +25,7 @@ def results_in_pieces(frames: Iterable[tuple[Repeated, Mapping[str, Variable]]])
         yield _stacked(piece)
 
 
-def _stacked(piece: list[tuple[Repeated, Mapping[str, Variable]]]) -> xr.Dataset:
+def _stacked(piece: list[tuple[Reprocessed, Mapping[str, Variable]]]) -> xr.Dataset:
     datasets = [
         result_dataset(frame.wavefront).assign(more)
         for frame, more in piece
@@ -42,6 +42,6 @@ def _stacked(piece: list[tuple[Repeated, Mapping[str, Variable]]]) -> xr.Dataset
     return stacked.assign_coords(recording_index=("frame", [frame.line.index for frame in frames], index))
 
 
-def _bias_age_s(frame: Repeated) -> float:
+def _bias_age_s(frame: Reprocessed) -> float:
     age_s = frame.line.bias_age_s
     return math.nan if age_s is None or not frame.is_refined else age_s

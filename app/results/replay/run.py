@@ -10,8 +10,7 @@ from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.progress import Progress
 from app.recording.reader import Recording
-from app.recording.repeat import Change, Repeated, repeated
-from app.recording.selection import chosen_frames
+from app.recording.reprocess import Change, Reprocessed, reprocess
 from app.results.dataset import write_pieces
 from app.results.replay.change import change_of
 from app.results.replay.comparison import Comparison
@@ -32,7 +31,7 @@ class Replay:
     unrefined: int = 0  # frames that were refined when they were recorded, and are not by this bench
     problem: str = ""  # of the first frame that could not be reconstructed
 
-    def take(self, frame: Repeated) -> None:
+    def take(self, frame: Reprocessed) -> None:
         """Count one frame."""
         self.frames += 1
         self.reconstructed += frame.wavefront is not None
@@ -56,7 +55,7 @@ def replay(
     a `RunError` when anything differs from what was recorded.
     """
     recording = Recording(folder)
-    chosen = chosen_frames(recording, frames)
+    chosen = recording.select(frames)
     change = change_of(bench, settings)
     if verify and change is not None:
         raise InputError("--verify asks whether the recorded bench makes the same again: leave --bench and --set out")
@@ -79,10 +78,10 @@ def replay(
 
 def _frames(
     recording: Recording, chosen: range, change: Change | None, made: Replay, progress: Progress
-) -> Iterator[tuple[Repeated, Mapping[str, Variable]]]:
+) -> Iterator[tuple[Reprocessed, Mapping[str, Variable]]]:
     """Make frame after frame, as recorded or both ways, and pass on what is to be written of each."""
-    originals = repeated(recording, chosen)
-    others = originals if change is None else repeated(recording, chosen, change)
+    originals = reprocess(recording, chosen)
+    others = originals if change is None else reprocess(recording, chosen, change)
     for done, frame in enumerate(others, 1):
         more: dict[str, Variable] = {}
         if made.verification is not None:

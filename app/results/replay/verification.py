@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.measurement.measurement import PASSED_OVER
 from app.recording.reader import Recording
-from app.recording.repeat import Repeated
+from app.recording.reprocess import Reprocessed
 from reconstruction.refinement import mean_rms
 from reconstruction.solve.modal import ModalSolution
 
@@ -24,7 +24,7 @@ class Verification:
         self.frames = 0  # that were reconstructed, or refused, when they were recorded
         self.different = 0
 
-    def take(self, repeated: Repeated) -> None:
+    def take(self, repeated: Reprocessed) -> None:
         """Compare one frame; one that was passed over when it was recorded says nothing."""
         if repeated.line.calibration is None or repeated.line.problem == PASSED_OVER:
             return
@@ -51,7 +51,7 @@ class Verification:
         return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"
 
 
-def _differences(recording: Recording, repeated: Repeated) -> str:
+def _differences(recording: Recording, repeated: Reprocessed) -> str:
     """In what a frame differs, and by how much; empty when in nothing."""
     line, wavefront = repeated.line, repeated.wavefront
     if line.problem != repeated.problem:

@@ -10,7 +10,7 @@ from typing import Any
 from app.bench.config import Bench
 from app.measurement.calibration import Calibration
 from app.measurement.routines.averages import Average
-from app.recording.frame_line import FrameLine
+from app.recording.frame_lines import FrameLine
 from app.results.report.summary import Summary
 
 Fact = tuple[str, str]  # what it is about, and what there is to say

@@ -47,10 +47,7 @@ def draw_overview(figure: FigureBase, summary: Summary) -> None:
         _draw_images(below, summary)
     else:
         draw_views(
-            below,
-            summary.found.mean,
-            summary.found.wavefront.field,
-            f"mean wavefront of {summary.frames_looked_at}",
+            below, summary.found.mean, summary.found.wavefront.field, f"mean wavefront of {summary.frames_looked_at}"
         )
 
 

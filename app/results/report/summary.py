@@ -12,10 +12,9 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.progress import Progress
-from app.recording.frame_line import FrameLine
+from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
-from app.recording.repeat import Change, Repeated, repeated
-from app.recording.selection import chosen_frames
+from app.recording.reprocess import Change, Reprocessed, reprocess
 from app.results.replay.comparison import are_alike
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -75,13 +74,13 @@ def summarise(recording: Recording, frames: str | None, progress: Progress, *, c
 
     With a `change` of their calibrations, something else is made of them.
     """
-    chosen = chosen_frames(recording, frames)
+    chosen = recording.select(frames)
     lines = [recording.line(index) for index in chosen]
     numbers = [line.calibration for line in lines if line.calibration is not None]
     some = chosen[:: -(-len(chosen) // _LOOKED_AT)]
     again: Counter[str] = Counter()
     sums = _Sums()
-    for done, frame in enumerate(repeated(recording, some, change), 1):
+    for done, frame in enumerate(reprocess(recording, some, change), 1):
         if frame.problem and not frame.line.problem:
             again[frame.problem] += 1
         sums.take(frame, is_early=2 * done <= len(some) + 1)
@@ -111,7 +110,7 @@ class _Sums:
         self._outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # how often each, (outcome, ...)
         self._refined = 0
 
-    def take(self, frame: Repeated, *, is_early: bool) -> None:
+    def take(self, frame: Reprocessed, *, is_early: bool) -> None:
         """Add a frame; the last early one that has a wavefront is kept whole, or else the first of all."""
         wavefront = frame.wavefront
         if wavefront is None:

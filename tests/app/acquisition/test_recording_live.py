@@ -18,10 +18,10 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.measurement import PASSED_OVER, Measurement
-from app.recording.background import RecordingState
 from app.recording.reader import Recording
+from app.recording.recorder import RecordingState
 from app.recording.recover import recover
-from app.recording.repeat import repeated
+from app.recording.reprocess import reprocess
 from drivers.interface import Devices, Frame
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Unplug
 
@@ -71,7 +71,7 @@ def make_live(small_toml: Path) -> Iterator[Callable[..., Live]]:
 
 def assert_made_again(recording: Recording) -> None:
     """Every frame is reconstructed again, to the last bit as it was live."""
-    for made in repeated(recording):
+    for made in reprocess(recording):
         index = made.line.index
         if made.line.problem:
             continue
@@ -144,7 +144,7 @@ def test_gaps_and_skipped_frames_are_recorded(
     camera_index = np.array([line.camera_index for line in lines])
     assert np.diff(camera_index).tolist() == [line.lost + 1 for line in lines[1:]]
     assert_made_again(recording)
-    assert all(made.wavefront is not None for made in repeated(recording))  # those passed over, too
+    assert all(made.wavefront is not None for made in reprocess(recording))  # those passed over, too
 
 
 def test_skipped_frames_keep_previous_refinement(
@@ -160,7 +160,7 @@ def test_skipped_frames_keep_previous_refinement(
     lines = [recording.line(index) for index in range(len(recording))]
     assert sum(line.problem == PASSED_OVER for line in lines) > 20
     before = lines[0]
-    for line, made in zip(lines[1:], list(repeated(recording))[1:], strict=True):
+    for line, made in zip(lines[1:], list(reprocess(recording))[1:], strict=True):
         if line.problem == PASSED_OVER:
             assert (line.bias, made.is_refined) == (before.bias, before.bias is not None)
             if line.bias_age_s is not None and before.bias_age_s is not None:
@@ -189,9 +189,9 @@ def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live],
     wait_until(lambda: len(live.measurements) > 20)
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     live.acquisition.keep_recent(tmp_path / "kept").result(HANG_S)
+    wait_until(lambda: live.recording.frames > 5)
     with pytest.raises(InputError, match="holds a recording already"):
         live.acquisition.keep_recent(tmp_path / "r").result(HANG_S)
-    wait_until(lambda: live.recording.frames > 5)
     live.acquisition.close()  # which finishes both
     for name in ("kept", "r"):
         recording = Recording(tmp_path / name)

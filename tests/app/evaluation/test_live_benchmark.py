@@ -36,8 +36,8 @@ from app.evaluation.benchmark.live.output import live_json, missed, print_live
 from app.evaluation.benchmark.live.plan import LivePlan, recording_folder
 from app.evaluation.benchmark.live.tally import FrameCounts, Tally
 from app.measurement.measurement import PASSED_OVER, Counts
-from app.recording.background import RecordingState
 from app.recording.reader import Recording
+from app.recording.recorder import RecordingState
 from app.signals import ended_by
 from app.timing import Stage, Timings
 from drivers.interface import Devices, Disconnected, Frame

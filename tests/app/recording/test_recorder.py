@@ -16,11 +16,10 @@ from support.records import FACTS, make_frame, make_record, wait, write
 
 from app.errors import InputError, RunError
 from app.measurement.measurement import Counts, Measurement
-from app.recording import recorder, run_writer
-from app.recording.background import BackgroundRecording
+from app.recording import recorder, writer
 from app.recording.reader import Recording
-from app.recording.recorder import Recorder
-from app.recording.run_writer import RunWriter
+from app.recording.recorder import BackgroundRecording, Recorder
+from app.recording.writer import RecordingWriter
 from app.timing import Timings
 
 
@@ -95,13 +94,13 @@ def test_a_folder_that_cannot_be_is_refused_before_anything_is_measured(
 ) -> None:
     (tmp_path / "file").write_text("in the way")
     for folder, said in (
-        (tmp_path / "file" / "deep" / "er", "file: is no folder"),
+        (tmp_path / "file" / "deep" / "er", "file: not a folder"),
         (tmp_path / ("a" * 300), "too long"),
     ):
         with pytest.raises(InputError, match=said):
             Recorder(Timings()).start(folder, FACTS)
     monkeypatch.setattr("os.access", lambda *_: False)  # as for anybody but root in somebody else's folder
-    with pytest.raises(InputError, match="nothing may be written there"):
+    with pytest.raises(InputError, match="no permission to write there"):
         Recorder(Timings()).start(tmp_path / "new" / "er", FACTS)
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
@@ -153,11 +152,11 @@ def test_programs_that_ask_for_one_name_at_once_get_a_folder_each(tmp_path: Path
 def test_of_two_writers_that_find_a_folder_free_at_once_the_second_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_writer, "check_free", lambda _: None)  # both have looked before either began
-    first = RunWriter(tmp_path / "r", FACTS)
+    monkeypatch.setattr(writer, "check_free", lambda _: None)  # both have looked before either began
+    first = RecordingWriter(tmp_path / "r", FACTS)
     before = (tmp_path / "r" / "run.json").read_bytes()
     with pytest.raises(InputError, match="r: holds a recording already"):
-        RunWriter(tmp_path / "r", {**FACTS, "command": "measure"})
+        RecordingWriter(tmp_path / "r", {**FACTS, "command": "measure"})
     assert (tmp_path / "r" / "run.json").read_bytes() == before
     first.write(make_record(0))
     first.close()
@@ -169,9 +168,9 @@ def test_a_recording_that_could_not_begin_is_no_recording(tmp_path: Path, monkey
         raise RunError("the disk is full")
 
     with monkeypatch.context() as full:
-        full.setattr(run_writer, "write_record", fail)
+        full.setattr(writer, "write_record", fail)
         with pytest.raises(RunError):
-            RunWriter(tmp_path / "r", FACTS)
+            RecordingWriter(tmp_path / "r", FACTS)
     assert not list((tmp_path / "r").iterdir())
     write(tmp_path / "r", [make_record(0)])
     assert len(Recording(tmp_path / "r")) == 1

@@ -20,7 +20,7 @@ from app.measurement.routines.averages import Average
 from app.recording import frame_array
 from app.recording.reader import Recording
 from app.recording.recover import recover
-from app.recording.run_writer import RunWriter
+from app.recording.writer import RecordingWriter
 from drivers.interface import Frame
 
 
@@ -113,7 +113,7 @@ def test_a_calibration_comes_back_bit_for_bit(tmp_path: Path, calibration: Calib
 
 def test_it_can_be_read_while_it_grows(tmp_path: Path, calibration: Calibration) -> None:
     records = make_chain(calibration, 3)
-    writer = RunWriter(tmp_path / "r", FACTS)
+    writer = RecordingWriter(tmp_path / "r", FACTS)
     recording = Recording(tmp_path / "r")
     assert (len(recording), recording.is_complete) == (0, False)
     for index, record in enumerate(records):

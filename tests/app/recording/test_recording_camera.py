@@ -24,22 +24,11 @@ from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Counts, Measurement
 from app.measurement.routines.averages import Average, average, take_dark, take_reference
-from app.recording.averaged import AveragedFrames
-from app.recording.camera import RecordedCamera
+from app.recording.camera import AveragedFrames, RecordedCamera
 from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
-from app.recording.record import Record
-from app.recording.run_writer import RunWriter
-from drivers.interface import (
-    BadValue,
-    Camera,
-    DeviceTimeout,
-    Disconnected,
-    Frame,
-    FrameLost,
-    Range,
-    WrongState,
-)
+from app.recording.writer import Record, RecordingWriter
+from drivers.interface import BadValue, Camera, DeviceTimeout, Disconnected, Frame, FrameLost, Range, WrongState
 from reconstruction.wavefront import rms
 from simulated_devices.clock import ManualClock
 
@@ -268,7 +257,7 @@ def two_references(steady: Recording, tmp_path_factory: pytest.TempPathFactory) 
 
 def written(source: Recording, folder: Path, calibrations: tuple[Calibration | None, ...]) -> Recording:
     """The frames of a recording again, each so many with the next of some calibrations."""
-    with closing(RunWriter(folder, {"command": "live", "bench": write_bench(source.bench)})) as writer:
+    with closing(RecordingWriter(folder, {"command": "live", "bench": write_bench(source.bench)})) as writer:
         for index in range(FRAMES):
             calibration = calibrations[index * len(calibrations) // FRAMES]
             frame = replace(source.frame(index), exposure_s=0.02 if index < FRAMES // 2 else 0.04)
@@ -409,10 +398,7 @@ def test_a_bench_names_a_recording(small_toml: Path, steady: Recording) -> None:
 @pytest.mark.parametrize(
     ("override", "sentence"),
     [
-        (
-            'light.driver="thorlabs_dc2200"',
-            "is of no use: a recording sees no real light",
-        ),
+        ('light.driver="thorlabs_dc2200"', "is of no use: a recording sees no real light"),
         ('camera.pace="slow"', 'camera.pace: must be one of "own", "fastest"'),
         ("camera.repeat=1", "camera.repeat: must be true or false"),
         ("camera.exposure_s=0.1", "camera: unknown key exposure_s"),
@@ -437,7 +423,7 @@ def test_a_recording_that_cannot_be_is_refused_when_it_is_opened(
     small_toml: Path, steady: Recording, tmp_path: Path
 ) -> None:
     empty = tmp_path / "empty"
-    with closing(RunWriter(empty, {"command": "live", "bench": write_bench(steady.bench)})) as writer:
+    with closing(RecordingWriter(empty, {"command": "live", "bench": write_bench(steady.bench)})) as writer:
         writer.finish("", acquired=0, facts={})
     damaged = copied(steady, tmp_path / "damaged").folder
     (damaged / "run.json").write_text("{")

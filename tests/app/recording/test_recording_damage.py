@@ -24,12 +24,15 @@ def calibration(small_bench: SmallBench) -> Calibration:
     ("make", "said"),
     [
         (lambda folder: None, "no such folder"),
-        (lambda folder: folder.write_text("x"), "is no folder"),
+        (lambda folder: folder.write_text("x"), "not a folder"),
         (lambda folder: folder.mkdir(), "holds no recording"),
         (lambda folder: (folder.mkdir(), (folder / "run.json").write_text("{")), "cannot be read"),
         (lambda folder: (folder.mkdir(), (folder / "run.json").write_bytes(b"\xff\xfe")), "cannot be read"),
-        (lambda folder: (folder.mkdir(), (folder / "run.json").write_text('{"command": "live"}')), "not that of a rec"),
-        (lambda folder: (folder.mkdir(), (folder / "run.json").write_text("[]")), "not that of a rec"),
+        (
+            lambda folder: (folder.mkdir(), (folder / "run.json").write_text('{"command": "live"}')),
+            "not the file of",
+        ),
+        (lambda folder: (folder.mkdir(), (folder / "run.json").write_text("[]")), "not the file of"),
     ],
 )
 def test_a_folder_that_is_no_recording_is_told(tmp_path: Path, make: Callable[[Path], object], said: str) -> None:
@@ -50,7 +53,11 @@ def test_a_folder_that_is_no_recording_is_told(tmp_path: Path, make: Callable[[P
         (lambda r: None, lambda r: r.calibration(7), "7"),
         (lambda r: None, lambda r: r.line(2), "has no frame 2; it has 2"),
         (lambda r: None, lambda r: r.line(-1), "has no frame -1"),
-        (lambda r: (r / "frames.zarr/0/zarr.json").write_text("{}"), lambda r: r.pixels(0), "no array of a recording"),
+        (
+            lambda r: (r / "frames.zarr/0/zarr.json").write_text("{}"),
+            lambda r: r.pixels(0),
+            "not an array of",
+        ),
         (lambda r: (r / "frames.zarr/0/zarr.json").unlink(), lambda r: r.pixels(0), "pixels of frame 0 are missing"),
     ],
 )

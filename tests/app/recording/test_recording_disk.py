@@ -17,12 +17,12 @@ from support.patience import HANG_S
 from support.records import FACTS, make_chain, make_record, noisy_calibration, wait
 
 from app.measurement.calibration import Calibration
-from app.recording import background
-from app.recording.background import BackgroundRecording
+from app.recording import recorder
 from app.recording.frame_array import FrameArray
 from app.recording.reader import Recording
+from app.recording.recorder import BackgroundRecording
 from app.recording.recover import recover
-from app.recording.run_writer import RunWriter
+from app.recording.writer import RecordingWriter
 from app.timing import Timings
 from reconstruction.arrays import Floats
 
@@ -77,13 +77,13 @@ def test_a_line_that_finds_half_the_room_it_needs_is_taken_back(
         def __getattr__(self, name: str) -> Any:
             return getattr(self._file, name)
 
-    begin = RunWriter.__init__
+    begin = RecordingWriter.__init__
 
-    def begin_on_full_disk(writer: RunWriter, folder: Path, facts: Any) -> None:
+    def begin_on_full_disk(writer: RecordingWriter, folder: Path, facts: Any) -> None:
         begin(writer, folder, facts)
         writer._lines = Filling(writer._lines, 1000)  # type: ignore[assignment] # it acts like one
 
-    monkeypatch.setattr(RunWriter, "__init__", begin_on_full_disk)
+    monkeypatch.setattr(RecordingWriter, "__init__", begin_on_full_disk)
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings(), records=make_chain(calibration, 9))
     state = wait(recording, {"ended early"})
     assert state.problem == f"{tmp_path / 'r'}: cannot be written: No space left on device"
@@ -118,7 +118,7 @@ def test_a_disk_that_takes_nothing_at_all_leaves_what_recover_finishes(
 def test_a_disk_that_cannot_follow_ends_the_recording_and_nobody_waits_for_it(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(background, "_QUEUED_FRAMES", 8)
+    monkeypatch.setattr(recorder, "_QUEUED_FRAMES", 8)
     is_free, put = threading.Event(), FrameArray.write
 
     def slowly(array: FrameArray, index: int, values: Floats) -> int:
@@ -141,7 +141,7 @@ def test_the_queue_is_bounded_in_bytes_too(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record = make_record(0, calibration)
-    monkeypatch.setattr(background, "_QUEUED_BYTES", 2.5 * record.nbytes)
+    monkeypatch.setattr(recorder, "_QUEUED_BYTES", 2.5 * record.nbytes)
     is_free = threading.Event()
     monkeypatch.setattr(FrameArray, "write", lambda *_: is_free.wait(HANG_S))
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
@@ -155,12 +155,12 @@ def test_the_queue_is_bounded_in_bytes_too(
 def test_a_sync_that_fails_is_not_swallowed(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(_: RunWriter) -> None:
+    def fail(_: RecordingWriter) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
-    monkeypatch.setattr(background, "_SYNC_S", 0.0)
-    monkeypatch.setattr(RunWriter, "sync", fail)
+    monkeypatch.setattr(recorder, "_SYNC_S", 0.0)
+    monkeypatch.setattr(RecordingWriter, "sync", fail)
     for record in make_chain(calibration, 3):
         recording.take(record)
         time.sleep(0.05)
@@ -171,6 +171,6 @@ def test_a_sync_is_asked_of_the_operating_system(tmp_path: Path, monkeypatch: py
     """Else a power cut would take lines that had long been acknowledged."""
     synced: list[int] = []
     monkeypatch.setattr("os.fsync", lambda number: synced.append(os.fstat(number).st_ino))
-    with closing(RunWriter(tmp_path / "r", FACTS)) as writer:
+    with closing(RecordingWriter(tmp_path / "r", FACTS)) as writer:
         writer.sync()
     assert synced == [(tmp_path / "r" / "frames.jsonl").stat().st_ino]

@@ -19,10 +19,8 @@ from support.records import RANDOM, SHAPE, make_chain, make_record, noisy_calibr
 from app.cli.tables import print_recovered
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.recording.damage import frames_in_words
 from app.recording.reader import Recording
-from app.recording.recover import recover
-from app.recording.selection import chosen_frames
+from app.recording.recover import frames_in_words, recover
 
 
 @pytest.fixture(scope="module")
@@ -144,12 +142,7 @@ NO_LINE, NO_PIXELS = "there is no line that can be read", "the pixels are missin
     ],
 )
 def test_a_damaged_frame_in_the_middle_is_told_and_all_others_stay(
-    tmp_path: Path,
-    calibration: Calibration,
-    damage: Callable[[Path], None],
-    said: str,
-    is_changed: bool,
-    finish: bool,
+    tmp_path: Path, calibration: Calibration, damage: Callable[[Path], None], said: str, is_changed: bool, finish: bool
 ) -> None:
     records = make_chain(calibration, 6)
     write(tmp_path / "r", records, finish=finish)
@@ -238,7 +231,7 @@ def test_lines_are_brought_back_to_where_they_belong(
     assert len(recording) == 10
     for index in range(10):
         if index in without:
-            with pytest.raises(InputError, match=f"line {index + 1} is damaged; svwfs recover tells which"):
+            with pytest.raises(InputError, match=f"line {index + 1} is damaged; svwfs recover lists"):
                 recording.line(index)
         else:
             assert recording.line(index) == lines[index]
@@ -305,7 +298,7 @@ def test_what_recover_says_can_be_typed(tmp_path: Path, capsys: pytest.CaptureFi
         "r: whole: frames 0 and 3 to 7; replay, export and report take some with --frames, as 3:8",
     ]
     recording = Recording(tmp_path / "r")
-    for index in chosen_frames(recording, "3:8"):
+    for index in recording.select("3:8"):
         recording.frame(index)
     _lose_pixels(tmp_path / "r", 0, 3, 4, 5, 6, 7)
     print_recovered(recover(tmp_path / "r"), Path("r"))

@@ -20,8 +20,7 @@ from app.bench.config import write_bench
 from app.errors import InputError
 from app.measurement.measurement import PASSED_OVER, Counts, Measurement
 from app.recording.reader import Recording
-from app.recording.record import Record
-from app.recording.run_writer import RunWriter
+from app.recording.writer import Record, RecordingWriter
 from app.results.replay.player import Player
 from drivers.interface import Frame
 from reconstruction.runtime.threads import one_blas_thread
@@ -42,7 +41,7 @@ def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
     folder = tmp_path_factory.mktemp("recording") / "changing"
     kept = recording.calibration(0)
     fewer = replace(kept, bench=replace(kept.bench, reconstruction=ReconstructionSettings(pupil_modes=6)))
-    writer = RunWriter(folder, {"command": "live", "bench": write_bench(kept.bench)})
+    writer = RecordingWriter(folder, {"command": "live", "bench": write_bench(kept.bench)})
     for index in range(FRAMES):
         calibration = kept if index < FRAMES // 2 else fewer
         with one_blas_thread():
@@ -106,7 +105,7 @@ def test_other_settings_show_something_else(changing: Recording) -> None:
 
 def test_frames_without_a_calibration_cannot_be_played(changing: Recording, tmp_path: Path) -> None:
     frame = changing.frame(0)
-    writer = RunWriter(tmp_path / "run", {"command": "live", "bench": write_bench(changing.bench)})
+    writer = RecordingWriter(tmp_path / "run", {"command": "live", "bench": write_bench(changing.bench)})
     writer.write(Record.of(Measurement(frame, None, "no reference yet", Counts(), 0, 0), 0))
     writer.finish("", acquired=1, facts={})
     writer.close()
@@ -129,4 +128,4 @@ def test_frames_of_no_recording_are_a_mistake(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "live", "--frames", "0:2") == 2
-    assert "give --replay RECORDING" in capsys.readouterr().err
+    assert "add --replay RECORDING" in capsys.readouterr().err

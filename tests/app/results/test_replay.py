@@ -20,8 +20,7 @@ from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
 from app.measurement.measurement import PASSED_OVER, Counts, Measurement
 from app.recording.reader import Recording
-from app.recording.record import Record
-from app.recording.run_writer import RunWriter
+from app.recording.writer import Record, RecordingWriter
 from app.results.replay import results
 from app.results.replay.run import Replay, replay
 from reconstruction.displacement import Displacement
@@ -119,10 +118,7 @@ def test_another_software_is_named(mine: Recording) -> None:
 
 
 DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
-    "a result is missing": (
-        lambda mine: remove_coefficients(mine, 6),
-        "frame 6: coefficients were not recorded",
-    ),
+    "a result is missing": (lambda mine: remove_coefficients(mine, 6), "frame 6: coefficients were not recorded"),
     "a problem is invented": (
         lambda mine: edit_line(mine, 2, problem="too dark"),
         'frame 2: the problem was "too dark" and is ""',
@@ -219,7 +215,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
     kept = plain.calibration(0)
     fewer = replace(kept.bench, reconstruction=ReconstructionSettings(pupil_modes=10))
     calibrations = [kept] * CHANGED + [replace(kept, bench=fewer)] * 2
-    writer = RunWriter(folder, {"command": "live", "bench": write_bench(kept.bench)})
+    writer = RecordingWriter(folder, {"command": "live", "bench": write_bench(kept.bench)})
     before: Displacement | None = None
     with one_blas_thread():
         for index, calibration in enumerate(calibrations):

@@ -20,7 +20,7 @@ from app.acquisition.devices import open_devices
 from app.bench.config import load_bench, parse_bench, write_bench
 from app.bench.recording_settings import RecordingSettings
 from app.recording.reader import Recording
-from app.recording.repeat import repeated
+from app.recording.reprocess import reprocess
 from app.results.dataset import result_dataset
 from app.run_facts import software_facts
 from reconstruction.runtime.threads import one_blas_thread
@@ -76,7 +76,7 @@ def test_recording_of_0_1_opens() -> None:
 def test_replay_repeats_the_results_of_0_1() -> None:
     recording = Recording(RECORDING)
     with one_blas_thread():
-        for made in repeated(recording):
+        for made in reprocess(recording):
             assert made.registered is not None
             assert made.wavefront is not None
             now = made.registered.coefficients, made.wavefront.coefficients
@@ -149,7 +149,7 @@ def schema(dataset: xr.Dataset) -> dict[Any, Any]:
 
 def test_result_of_0_1_has_the_names_dimensions_and_units_of_today() -> None:
     with one_blas_thread():
-        wavefront = next(iter(repeated(Recording(RECORDING)))).wavefront
+        wavefront = next(iter(reprocess(Recording(RECORDING)))).wavefront
     assert wavefront is not None
     today = result_dataset(wavefront, with_psf=True)
     with xr.open_dataset(FILES / "result.nc") as result:

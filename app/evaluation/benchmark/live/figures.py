@@ -9,7 +9,7 @@ from typing import Any
 from app.bench.config import write_bench
 from app.evaluation.benchmark.live.course import Span
 from app.evaluation.benchmark.live.plan import LivePlan
-from app.recording.background import RecordingState
+from app.recording.recorder import RecordingState
 from app.run_facts import timing_facts
 
 

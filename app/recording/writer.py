@@ -1,24 +1,24 @@
-"""Writes one recording, frame by frame: a frame is acknowledged when its line is in `frames.jsonl`."""
+"""Writer of recordings: a frame counts once its line is in `frames.jsonl`."""
 
 from __future__ import annotations
 
 import os
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
 
+import numpy as np
 import zarr
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
 from app.files import make_folder
 from app.measurement.calibration import Calibration
-from app.recording.folder import check_free
-from app.recording.frame_array import FrameArray, Separator
-from app.recording.frame_line import FrameLine
-from app.recording.kept_calibration import write_array, write_calibration
-from app.recording.layout import (
+from app.measurement.measurement import LightState, Measurement
+from app.recording.calibration_files import write_array, write_calibration
+from app.recording.folder import (
     BEFORE,
     FORMAT,
     FRAMES,
@@ -27,24 +27,90 @@ from app.recording.layout import (
     STORE,
     bias_file,
     calibration_folder,
+    check_free,
+    lock,
     results_of,
     start_file,
 )
-from app.recording.lock import lock
-from app.recording.record import Record
+from app.recording.frame_array import FrameArray, Separator
+from app.recording.frame_lines import FrameLine
 from app.run_facts import now, software_facts, write_record
+from drivers.interface import Frame
 from reconstruction.arrays import Floats
+from reconstruction.solve.modal import ModalSolution
+from reconstruction.wavefront import rms
 
 T = TypeVar("T")
 
 _LENSLET = ("lenslet_row", "lenslet_column")
 
 
-class RunWriter:
-    """One recording that is being written, by one thread."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """Recorded subset of a `Measurement`; 10 s of them fit in memory."""
+
+    frame: Frame
+    lost: int  # frames lost just before this one
+    light: LightState | None
+    problem: str
+    calibration: Calibration | None
+    bias: Floats | None  # px, (lenslet_row, lenslet_column, field_mode, xy)
+    bias_age_s: float | None
+    start: Floats | None  # px, as bias: starting point of the registration
+    displacement: Floats | None  # px, as bias
+    coefficients: Floats | None  # rad, (pupil_mode, field_mode)
+    views: Floats | None  # rad, (view_row, view_column, lenslet_row, lenslet_column)
+    valid: int | None
+
+    @classmethod
+    def of(cls, measurement: Measurement, lost: int) -> Record:
+        """Take the recorded parts of a measurement, without a copy."""
+        wavefront, registered, start = measurement.wavefront, measurement.registered, measurement.start
+        solution = None if wavefront is None else wavefront.solution
+        bias = measurement.refinement.bias
+        return cls(
+            frame=measurement.frame,
+            lost=lost,
+            light=measurement.light,
+            problem=measurement.problem,
+            calibration=measurement.calibration,
+            bias=bias,
+            bias_age_s=None if bias is None else measurement.refinement.age_s,
+            start=None if start is None else start.coefficients,
+            displacement=None if registered is None else registered.coefficients,
+            coefficients=solution.coefficients if isinstance(solution, ModalSolution) else None,
+            views=None if wavefront is None else wavefront.views,
+            valid=None if registered is None else int(np.count_nonzero(registered.valid)),
+        )
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays that belong to this record alone."""
+        arrays = (self.frame.pixels, self.displacement, self.coefficients, self.views)
+        return sum(array.nbytes for array in arrays if array is not None)
+
+    @property
+    def rms_rad(self) -> float | None:
+        """RMS of the wavefront, mean over the views in the field; None without a wavefront."""
+        if self.views is None:
+            return None
+        values = rms(self.views)
+        known = values[np.isfinite(values)]
+        return float(known.mean()) if known.size else None
+
+
+class RecordingWriter:
+    """Writes one recording, from one thread.
+
+    Parameters
+    ----------
+    folder
+        Folder that holds no recording yet.
+    facts
+        Contents of `run.json` about bench and devices.
+    """
 
     def __init__(self, folder: Path, facts: Mapping[str, Any]) -> None:
-        """Begin a recording in a folder that holds none; `facts` are what `run.json` says of devices and bench."""
         check_free(folder)
         make_folder(folder)
         self._folder = folder
@@ -56,7 +122,7 @@ class RunWriter:
             **facts,
             **software_facts(),
         }
-        self._lines = _claim(folder)
+        self._lines = _create_lines(folder)
         try:
             write_record(folder / RUN, self._run)
         except BaseException:
@@ -68,15 +134,15 @@ class RunWriter:
             lambda number, calibration: write_calibration(calibration_folder(folder, number), calibration)
         )
         self._biases = _Numbered[Floats](lambda number, bias: write_array(bias_file(folder, number), bias))
-        self._registered: tuple[int, Floats] | None = None  # the last frame that was: its index and displacement
-        self._acknowledged = 0  # bytes of all lines
+        self._registered: tuple[int, Floats] | None = None  # index and displacement of the last registered frame
+        self._lines_bytes = 0
         self.frames = self.reconstructed = self.lost = self.bytes = 0
 
     def write(self, record: Record) -> None:
-        """Write a frame and, when all of it can be read, acknowledge it."""
+        """Write a frame, and then its line."""
         index = self.frames
         calibration, bias = self._calibrations.number_of(record.calibration), self._biases.number_of(record.bias)
-        if self._registered is None and record.start is not None:  # the frame before it is not in this recording
+        if self._registered is None and record.start is not None:  # the frame before is not in this recording
             write_array(start_file(self._folder), record.start)
             self._registered = BEFORE, record.start
         start = self._registered[0] if record.start is not None and self._registered is not None else None
@@ -89,7 +155,7 @@ class RunWriter:
             if record.coefficients is not None:
                 modes = ("pupil_mode", "field_mode")
                 written += self._put(f"{results}/coefficients", index, record.coefficients, modes)
-        self._acknowledge(_line(record, index, calibration, bias, start))
+        self._write_line(_line(record, index, calibration, bias, start))
         if record.displacement is not None:
             self._registered = index, record.displacement
         self.frames += 1
@@ -98,16 +164,23 @@ class RunWriter:
         self.bytes += written
 
     def sync(self) -> None:
-        """Have the operating system put the lines where they survive a power cut, too."""
+        """Force the lines to disk, so that they survive a power failure."""
         os.fsync(self._lines.fileno())
 
     def finish(self, ended_early: str, *, acquired: int, facts: Mapping[str, Any]) -> None:
-        """Make it complete: arrays of the right length, and `run.json` with why it ended early and more `facts`.
+        """Set the length of the arrays and mark the recording complete.
 
-        So many were `acquired` for it; those that it lacks are among those that could not be written.
+        Parameters
+        ----------
+        ended_early
+            Why the recording ended early; empty if it did not.
+        acquired
+            Number of frames acquired for it; those beyond the recorded ones could not be written.
+        facts
+            More contents of `run.json`.
         """
         if ended_early:
-            self._take_back()
+            self._remove_unfinished()
         for array in self._arrays.values():
             array.set_length(self.frames)
         self.sync()
@@ -116,21 +189,21 @@ class RunWriter:
         write_record(self._folder / RUN, {**self._run, **ended, **facts})
 
     def close(self) -> None:
-        """Let go of the files, whether it is complete or not."""
+        """Close the files."""
         self._lines.close()
 
-    def _take_back(self) -> None:
-        """Remove what was written of a frame that was not acknowledged; on a full disk this is the room to finish."""
+    def _remove_unfinished(self) -> None:
+        """Remove the parts of a frame without a line; on a full disk this makes room for the rest."""
         for array in self._arrays.values():
             array.remove(self.frames)
-        os.ftruncate(self._lines.fileno(), self._acknowledged)
+        os.ftruncate(self._lines.fileno(), self._lines_bytes)
 
-    def _acknowledge(self, line: FrameLine) -> None:
+    def _write_line(self, line: FrameLine) -> None:
         left = memoryview((line.to_json() + "\n").encode())
         length = len(left)
         while left:
             left = left[self._lines.write(left) :]
-        self._acknowledged += length
+        self._lines_bytes += length
 
     def _put(self, name: str, index: int, values: NDArray[Any], dimensions: tuple[str, ...]) -> int:
         if name not in self._arrays:
@@ -145,25 +218,24 @@ class RunWriter:
 
 
 class _Numbered(Generic[T]):
-    """Things of which each frame has one, the same for many: written once, when a new one comes, by its number."""
+    """Numbers objects that many frames share, and writes each once."""
 
     def __init__(self, write: Callable[[int, T], None]) -> None:
         self._write = write
         self._newest: T | None = None
         self._count = 0
 
-    def number_of(self, thing: T | None) -> int | None:
-        """The number by which a frame's line calls it; None where there is none."""
-        if thing is None:
+    def number_of(self, item: T | None) -> int | None:
+        if item is None:
             return None
-        if thing is not self._newest:
-            self._write(self._count, thing)
-            self._newest, self._count = thing, self._count + 1
+        if item is not self._newest:
+            self._write(self._count, item)
+            self._newest, self._count = item, self._count + 1
         return self._count - 1
 
 
-def _claim(folder: Path) -> IO[bytes]:
-    """Make the file of lines: of two programs that begin in one folder at once, this refuses the second."""
+def _create_lines(folder: Path) -> IO[bytes]:
+    """Create and lock `frames.jsonl`; refused to the second of two programs that begin at the same moment."""
     try:
         lines = (folder / FRAMES).open("xb", buffering=0)
     except FileExistsError as error:
@@ -195,7 +267,7 @@ def _line(record: Record, index: int, calibration: int | None, bias: int | None,
 
 
 def _make_store(path: Path) -> None:
-    """The group, which OME-NGFF 0.5 readers take for an image with one scale."""
+    """Make the Zarr group, which is an OME-NGFF 0.5 image with one scale."""
     axes = [{"name": "t", "type": "time"}, {"name": "y", "type": "space"}, {"name": "x", "type": "space"}]
     scale = {"path": PIXELS, "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}
     multiscales = [{"name": "frames", "axes": axes, "datasets": [scale]}]

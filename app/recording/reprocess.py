@@ -1,4 +1,4 @@
-"""The frames of a recording through the pipeline again: the same software makes the same of them, bit for bit."""
+"""Recorded frames through the pipeline again: the same software makes the same results, bit for bit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.recording.frame_line import FrameLine
+from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
@@ -23,25 +23,43 @@ Change = Callable[[Calibration], Calibration]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Repeated:
-    """A recorded frame and what has become of it this time."""
+class Reprocessed:
+    """A recorded frame and its new results."""
 
     line: FrameLine
     wavefront: Wavefront | None
-    problem: str  # why there is no wavefront; empty when there is one
+    problem: str  # why there is no wavefront; empty if there is one
     registered: Displacement | None  # before the bias
-    calibration: Calibration | None  # as changed, if it was
-    is_refined: bool = False  # whether a bias was taken away
+    calibration: Calibration | None  # after the change
+    is_refined: bool = False  # whether a bias was subtracted
 
 
-def repeated(
+def reprocess(
     recording: Recording, frames: Sequence[int] | None = None, change: Change | None = None
-) -> Iterator[Repeated]:
-    """Reconstruct frames, all or some in their order, each with its own calibration, start and bias.
+) -> Iterator[Reprocessed]:
+    """Reconstruct recorded frames, each with its own calibration, starting point and bias.
 
-    Frames that were passed over are reconstructed, too; those that had no calibration have a problem. A `change` of the
-    calibrations makes something else of the frames; if it is the registration that differs, each begins where the frame
-    before it was, and none has a bias, which would be that of another registration.
+    Frames that were skipped live are reconstructed, too; frames without a calibration have a problem instead.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    frames
+        Indices in increasing order; all without.
+    change
+        Changes each calibration. If the registration differs, each frame starts from the one before, and no bias is
+        subtracted, because it belongs to the recorded registration.
+
+    Yields
+    ------
+    Reprocessed
+        Results of one frame.
+
+    Raises
+    ------
+    InputError
+        If a frame or its calibration cannot be read, or does not fit the changed bench.
     """
     in_force: _InForce | None = None
     before: Displacement | None = None
@@ -49,7 +67,7 @@ def repeated(
         for index in range(len(recording)) if frames is None else frames:
             line = recording.line(index)
             if line.calibration is None:
-                yield Repeated(line, None, line.problem, None, None)
+                yield Reprocessed(line, None, line.problem, None, None)
                 continue
             if in_force is None or line.calibration != in_force.number:
                 in_force, before = _InForce.of(recording, line.calibration, change), None
@@ -80,7 +98,7 @@ class _InForce:
                 f"{recording.folder}: calibration {number} does not go with this bench: {error}"
             ) from error
 
-    def reconstruct(self, recording: Recording, line: FrameLine, start: Displacement | None) -> Repeated:
+    def reconstruct(self, recording: Recording, line: FrameLine, start: Displacement | None) -> Reprocessed:
         try:
             registered = self.reconstructor.register(recording.pixels(line.index), start=start)
             bias = recording.bias(line.bias) if self.registers_as_recorded and line.bias is not None else None
@@ -88,18 +106,18 @@ class _InForce:
                 raise InputError(f"{recording.folder}: bias {line.bias} is not of these lenslets and field modes")
             wavefront = self.reconstructor.solve(registered, bias=bias)
         except ReconstructionError as error:
-            return Repeated(line, None, str(error), None, self.calibration)
-        return Repeated(line, wavefront, "", registered, self.calibration, is_refined=bias is not None)
+            return Reprocessed(line, None, str(error), None, self.calibration)
+        return Reprocessed(line, wavefront, "", registered, self.calibration, is_refined=bias is not None)
 
 
 def _of_registration(calibration: Calibration) -> object:
-    """All that decides, with dark and reference, how frames are registered: not how many threads share the work."""
+    """Settings that affect the registration, besides dark and reference; the number of threads does not."""
     bench = calibration.bench
     return bench.sensor, calibration.lattice, bench.field, replace(bench.registration, threads=1)
 
 
 def _as_start(coefficients: Floats | None) -> Displacement | None:
-    """A displacement that is only to start from: of that, nothing but the coefficients counts."""
+    """A starting point; only its coefficients are used."""
     if coefficients is None:
         return None
     shape = coefficients.shape

@@ -1,4 +1,4 @@
-"""Calibrations on the disk: `bench.toml` with the lattice in force, `dark.npz`, `reference.npz`, `camera.json`."""
+"""Calibrations on disk: `bench.toml` with the lattice in force, `dark.npz`, `reference.npz`, `camera.json`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from reconstruction.arrays import Floats
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
-    """Write a calibration into a folder of its own, whole or not at all."""
+    """Write a calibration into its own folder (atomic)."""
     temporary = folder.with_name(f".{folder.name}.partial")
     temporary.mkdir(parents=True)
     bench = replace(calibration.bench, lattice=calibration.lattice)
@@ -31,7 +31,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 
 def read_calibration(folder: Path) -> Calibration:
-    """Read it back; its reconstructor is bit-identical. `InputError` when it is missing or damaged."""
+    """Read a calibration, bit-identical; `InputError` if it is missing or damaged."""
     bench = load_bench(folder / "bench.toml")
     try:
         full_scale = float(json.loads((folder / "camera.json").read_text())["full_scale"])
@@ -50,9 +50,18 @@ def read_calibration(folder: Path) -> Calibration:
 
 
 def write_array(path: Path, values: Floats) -> None:
-    """Write an array as NPY, whole or not at all."""
+    """Write an array as NPY (atomic)."""
     with atomic_write(path) as temporary:
         np.save(temporary, values, allow_pickle=False)
+
+
+def read_array(path: Path) -> Floats:
+    """Read an array; `InputError` if it is missing or damaged."""
+    try:
+        values: Floats = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    return values
 
 
 def _write_average(path: Path, average: Average) -> None:
@@ -61,14 +70,8 @@ def _write_average(path: Path, average: Average) -> None:
 
 def _read_average(path: Path) -> Average:
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            return Average(
-                mean=kept["mean"],
-                variance=kept["variance"],
-                frames=int(kept["frames"]),
-                exposure_s=float(kept["exposure_s"]),
-                em_gain=float(kept["em_gain"]),
-                amplifier=str(kept["amplifier"]),
-            )
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {field.name: stored[field.name] for field in fields(Average)}
+        return Average(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error

@@ -1,0 +1,111 @@
+"""The lines of `frames.jsonl`: one for each frame, written after its pixels; and how to find them after damage."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import cattrs
+
+UNREADABLE = b"{}\n"  # replaces a line that cannot be read, so that the others keep their places
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameLine:
+    """One frame of a recording without its pixels; times in s."""
+
+    index: int  # in the recording, from 0
+    camera_index: int  # the camera's own count since its start
+    camera_time_s: float  # end of the exposure on the camera's clock
+    host_time_s: float  # arrival, on the clock of `began_host_s` in run.json
+    exposure_s: float
+    em_gain: float
+    is_light_on: bool | None
+    light_current_a: float | None
+    lost: int  # frames that the camera lost just before this one
+    calibration: int | None  # number of the calibration in force
+    bias: int | None  # number of the bias that was subtracted
+    bias_age_s: float | None  # from the frame that gave the bias to this one
+    start: int | None  # frame whose displacement was the starting point, or BEFORE; None: none
+    problem: str  # why it was not reconstructed; empty if it was
+    rms_rad: float | None  # RMS of the wavefront, mean over the views
+    valid: int | None  # lenslets that yield a slope
+
+    def to_json(self) -> str:
+        """Return the line without its newline."""
+        return json.dumps({field.name: getattr(self, field.name) for field in fields(self)}, allow_nan=False)
+
+    @classmethod
+    def from_json(cls, line: str | bytes) -> FrameLine:
+        """Read a line; `ValueError` if it is damaged."""
+        try:
+            return _CONVERTER.structure(json.loads(line), cls)
+        except (cattrs.BaseValidationError, TypeError, RecursionError) as error:
+            raise ValueError("not the line of a frame") from error
+
+
+_CONVERTER = cattrs.Converter()
+
+
+@dataclass(frozen=True, slots=True)
+class FoundLines:
+    """Positions of the readable lines. A lost disk block takes newlines with it, and later lines come too early."""
+
+    path: Path
+    spans: Mapping[int, tuple[int, int]]  # first byte and end of each frame's line
+    unreadable: frozenset[int]  # first byte of each `UNREADABLE`
+
+    def line(self, index: int) -> FrameLine | None:
+        """The line of a frame; None if it cannot be read."""
+        return FrameLine.from_json(_text(self.path, *self.spans[index])) if index in self.spans else None
+
+    def end_in_place(self, frames: int) -> int | None:
+        """End of the first `frames` lines if each is in its place, else None."""
+        end = 0
+        for index in range(frames):
+            begin, after = self.spans.get(index, (end, end + len(UNREADABLE)) if end in self.unreadable else (-1, -1))
+            if begin != end:
+                return None
+            end = after
+        return end
+
+    def in_place(self, frames: int) -> Iterator[bytes]:
+        """The first `frames` lines, each in its place."""
+        with self.path.open("rb") as file:
+            for index in range(frames):
+                begin, end = self.spans.get(index, (0, 0))
+                file.seek(begin)
+                yield file.read(end - begin) or UNREADABLE
+
+
+def find_lines(path: Path) -> FoundLines:
+    """Find every readable line; if two different ones have the same index, neither counts."""
+    spans: dict[int, tuple[int, int]] = {}
+    unreadable, ambiguous = set(), set()
+    with path.open("rb") as file:
+        end = 0
+        for text in file:
+            begin, end = end, end + len(text)
+            if text == UNREADABLE:
+                unreadable.add(begin)
+            elif text.endswith(b"\n") and (index := _index_of(text)) is not None:
+                first = spans.setdefault(index, (begin, end))
+                if first != (begin, end) and _text(path, *first) != text:
+                    ambiguous.add(index)
+    sure = {index: span for index, span in spans.items() if index not in ambiguous}
+    return FoundLines(path, sure, frozenset(unreadable))
+
+
+def _text(path: Path, begin: int, end: int) -> bytes:
+    with path.open("rb") as file:
+        file.seek(begin)
+        return file.read(end - begin)
+
+
+def _index_of(text: bytes) -> int | None:
+    try:
+        return FrameLine.from_json(text).index
+    except ValueError:
+        return None
