@@ -5,6 +5,7 @@ Positions are normalised: x, y in [-1, 1] over the half width of the field.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -69,6 +70,30 @@ class ZernikeModes:
     def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
         return zernike_gradients(self.count, x, y)
+
+
+def gradient_basis(modes: PolynomialModes) -> Floats:
+    """Displacements within the span of some field modes that are gradients of a potential over the field.
+
+    Layers crossed by straight rays make no others (physics.md, section 8): a subimage shears and stretches, but does
+    not rotate.
+
+    Parameters
+    ----------
+    modes
+        Q polynomial field modes that span all polynomials up to a degree.
+
+    Returns
+    -------
+    Floats
+        Orthonormal coefficients (x modes, y modes), (parameter, 2Q): 2, 5, 9, 14 for Q = 1, 3, 6, 10.
+    """
+    degree = round((math.sqrt(8 * modes.count + 1) - 3) / 2)
+    x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)))
+    potentials = legendre_gradients((degree + 2) * (degree + 3) // 2, x, y)[1:]  # without the constant
+    to_modes = np.linalg.pinv(modes.values(x, y))
+    coefficients = np.concatenate([potentials[..., 0] @ to_modes, potentials[..., 1] @ to_modes], axis=1)
+    return np.asarray(np.linalg.qr(coefficients.T)[0].T)
 
 
 class SampledModes:

@@ -24,7 +24,9 @@ def prepare_registration(
         return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
     modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
     if settings.method == "gauss_newton":
-        return GaussNewton(reference, modes, conserve_flux=settings.conserve_flux, threads=settings.threads)
+        return GaussNewton(
+            reference, modes, conserve_flux=settings.conserve_flux, rotation=settings.rotation, threads=settings.threads
+        )
     if settings.method == "itk_affine":
         from reconstruction.registration.peers.itk_affine import ItkAffine
 

@@ -34,13 +34,17 @@ _PIVOT = 1e-12  # of the elimination; below it the pixels that are left do not t
 
 
 class Grid(NamedTuple):
-    """The reference as the steps of one warp see it: L lenslets, N pixels, Q field modes, P = 2Q + 2 parameters."""
+    """The reference as the steps of one warp see it: L lenslets, N pixels, Q field modes, P parameters.
+
+    The last two parameters are gain and offset, the others those of the displacement.
+    """
 
     uv: Image  # normalised positions of the pixels about the lenslet centre, (xy, N)
     scale: tuple[np.float32, np.float32]  # px per unit of u and v; 1 over that where flux is conserved, else 0
     monomials: Image  # the field modes as polynomials of u and v, (Q, monomial)
+    basis: Image  # the displacement (x modes, y modes) of each parameter, (P - 2, 2Q)
     light: Image  # I0, counts, (L, N)
-    inverse: Image  # A: x modes, y modes, gain, offset, (L, P, N)
+    inverse: Image  # A, (L, P, N)
     descent: Image  # J, the steepest-descent images, (L, P, N)
     weight: Image  # of the pixels, one on average; 0 for those that do not count, (L, N)
 
@@ -78,6 +82,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
     modes, inverse, weight = displacement.shape[1], grid.inverse[lenslet], grid.weight[lenslet]
     parameters = inverse.shape[0]
     change, step = np.zeros(parameters, np.float32), np.float32(np.inf)
+    shift = np.zeros(2 * modes, np.float32)
     gain, offset, contrast = np.float32(1.0), np.float32(0.0), np.float32(0.0)
     gain_before, offset_before, before, square = gain, offset, np.float32(np.inf), np.float32(np.inf)
     is_partial: bool = False
@@ -111,19 +116,20 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
                 change[p] *= np.float32(0.5)
             for axis in range(2):
                 for q in range(modes):
-                    displacement[axis, q] += change[axis * modes + q]
+                    shift[axis * modes + q] *= np.float32(0.5)
+                    displacement[axis, q] += shift[axis * modes + q]
             step *= np.float32(0.5)
         else:
             before, gain_before, offset_before = square, gain, offset
             _project(inverse, scratch.residual, change)
             if is_partial and not _solve(left.copy(), change):
                 return State(square, LOST_PX, gain, contrast, is_partial)
-            _carry(change, warp, grid.scale[0])
+            _shift(change, warp, grid, shift)
             last, step = step, np.float32(0.0)
             for axis in range(2):
                 for q in range(modes):
-                    displacement[axis, q] -= change[axis * modes + q]
-                    step = max(step, abs(change[axis * modes + q]))
+                    displacement[axis, q] -= shift[axis * modes + q]
+                    step = max(step, abs(shift[axis * modes + q]))
             # What is still to come, if the steps go on to shrink as they did.
             shrinks = _FIRST_SHRINKS if iteration == 0 else min(max(step / last, _SHRINKS), np.float32(0.9))
             if step * shrinks / (np.float32(1.0) - shrinks) < limits[1]:
@@ -137,16 +143,31 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
 
 
 @compiled
-def _carry(change: Image, warp: Image, per_unit: np.float32) -> None:
-    """Turn a change of the displacement (P,) as the reference sees it into one as the frame does, in place.
+def _shift(change: Image, warp: Image, grid: Grid, shift: Image) -> None:
+    """Turn a change of the parameters (P,) into one of the displacement (2Q,) in the frame.
 
-    A warp (xy, monomial) that stretches the image stretches what is still missing, too: by its gradient in the middle.
+    A warp (xy, monomial) that stretches the image also stretches the remaining displacement, by its gradient in the
+    middle. What then lies outside the basis is projected out.
     """
-    modes = change.size // 2 - 1
+    basis, per_unit = grid.basis, grid.scale[0]
+    count, modes = basis.shape[0], basis.shape[1] // 2
+    shift[:] = 0
+    for p in range(count):
+        for k in range(2 * modes):
+            shift[k] += change[p] * basis[p, k]
     for q in range(modes):
-        x, y = change[q], change[modes + q]
-        change[q] += (warp[0, 1] * x + warp[0, 2] * y) / per_unit
-        change[modes + q] += (warp[1, 1] * x + warp[1, 2] * y) / per_unit
+        x, y = shift[q], shift[modes + q]
+        shift[q] += (warp[0, 1] * x + warp[0, 2] * y) / per_unit
+        shift[modes + q] += (warp[1, 1] * x + warp[1, 2] * y) / per_unit
+    if count < 2 * modes:
+        within = np.zeros(count, np.float32)
+        for p in range(count):
+            for k in range(2 * modes):
+                within[p] += basis[p, k] * shift[k]
+        shift[:] = 0
+        for p in range(count):
+            for k in range(2 * modes):
+                shift[k] += within[p] * basis[p, k]
 
 
 @compiled

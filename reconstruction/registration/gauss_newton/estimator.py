@@ -47,7 +47,13 @@ class GaussNewton:
     """Registers frames against one reference; everything that depends on the reference alone is prepared here."""
 
     def __init__(
-        self, reference: ReferenceSubimages, modes: PolynomialModes, *, conserve_flux: bool, threads: int = 2
+        self,
+        reference: ReferenceSubimages,
+        modes: PolynomialModes,
+        *,
+        conserve_flux: bool,
+        rotation: bool = True,
+        threads: int = 2,
     ) -> None:
         """Prepare for warps of the given field modes, and for so many threads that share the lenslets."""
         self._reference, self._modes, self._threads = reference, modes, threads
@@ -55,7 +61,9 @@ class GaussNewton:
         near = np.abs(offset_px).max(axis=1) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
         coarse = near & np.all(np.mod(offset_px - offset_px[0], 2) == 0, axis=1)
         self._start = prepare_template(reference, LegendreModes(1), coarse, conserve_flux=conserve_flux)
-        self._warp = prepare_template(reference, modes, near, conserve_flux=conserve_flux, noise=reference.noise)
+        self._warp = prepare_template(
+            reference, modes, near, conserve_flux=conserve_flux, rotation=rotation, noise=reference.noise
+        )
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(reference, self._warp, near)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2

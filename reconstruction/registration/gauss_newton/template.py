@@ -18,7 +18,7 @@ from scipy import ndimage
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import require
-from reconstruction.modes.field_modes import PolynomialModes
+from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
 from reconstruction.registration.gauss_newton.alignment import Grid
 from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -50,7 +50,7 @@ class Propagated(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Template:
-    """The reference as one warp sees it: L lenslets, N pixels a window, Q field modes, P = 2Q + 2 parameters."""
+    """The reference as one warp sees it: L lenslets, N pixels a window, Q field modes, P parameters."""
 
     grid: Grid  # what the steps need
     contrast: Floats  # standard deviation of the light, counts, (L,)
@@ -73,7 +73,8 @@ class Template:
         weight *= ~excluded
         weight *= whole / np.maximum(weight.sum(axis=1, keepdims=True), _NOTHING)
         light = np.maximum(self.grid.light[lenslets], 0)
-        return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share
+        basis = np.asarray(self.grid.basis, np.float64)
+        return *(_propagated(v, inverse, weight, descent, basis) for v in (np.ones_like(light), light)), share
 
 
 def prepare_template(
@@ -82,22 +83,26 @@ def prepare_template(
     pixels: Mask,
     *,
     conserve_flux: bool,
+    rotation: bool = True,
     noise: CameraNoise | None = None,
 ) -> Template:
     """Prepare the steps of the warp with the field modes T_q on some pixels (N,) of the windows.
 
     For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, of which the second term is
-    the flux; those of gain and offset are I0 and 1. Without `noise` all pixels count alike.
+    the flux; those of gain and offset are I0 and 1. Without `noise` all pixels count alike. Without `rotation` the
+    displacement is the gradient of a potential over the field, as layers make it.
     """
     u, v = reference.offset_px[pixels].T / reference.half_width_px
     values = modes.values(u, v)
     slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
     flux = 1 / reference.half_width_px if conserve_flux else 0.0
-    lenslets, parameters, count = len(reference.light), 2 * modes.count + 2, len(u)
+    basis = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
+    lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
     grid = Grid(
         uv=np.ascontiguousarray([u, v], np.float32),
         scale=(np.float32(reference.half_width_px), np.float32(flux)),
         monomials=_monomials(modes),
+        basis=basis.astype(np.float32),
         light=np.empty((lenslets, count), np.float32),
         inverse=np.empty((lenslets, parameters, count), np.float32),
         descent=np.empty((lenslets, parameters, count), np.float32),
@@ -108,15 +113,15 @@ def prepare_template(
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, pixels], reference.gradient[some][:, pixels]
-        descent = np.concatenate(
+        warp = np.concatenate(
             [
                 gradient[:, None, :, 0] * values + light[:, None] * slopes[..., 0],
                 gradient[:, None, :, 1] * values + light[:, None] * slopes[..., 1],
-                light[:, None],
-                np.ones((len(light), 1, count)),
             ],
             axis=1,
         )
+        warp = warp if rotation else basis @ warp
+        descent = np.concatenate([warp, light[:, None], np.ones((len(light), 1, count))], axis=1)
         expected = np.maximum(smooth[some][:, pixels], 0)
         weight = np.ones_like(light) if noise is None else _weight(expected, noise)
         weight *= reference.usable[some][:, pixels] & reference.lit[some, None]
@@ -128,8 +133,8 @@ def prepare_template(
         inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
         grid.light[some], grid.weight[some] = light, weight
         grid.inverse[some], grid.descent[some] = inverse, descent
-        per_pixel.put(some, _propagated(np.ones_like(light), inverse, weight, descent))
-        per_light.put(some, _propagated(expected, inverse, weight, descent))
+        per_pixel.put(some, _propagated(np.ones_like(light), inverse, weight, descent, basis))
+        per_light.put(some, _propagated(expected, inverse, weight, descent, basis))
     return Template(grid, reference.light[:, pixels].std(axis=1), per_pixel, per_light)
 
 
@@ -152,11 +157,13 @@ def _weight(expected: Floats, noise: CameraNoise) -> Floats:
     return np.asarray(1 / (noise.variance(expected) / peak**2 + _MODEL_ERROR**2))
 
 
-def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floats) -> Propagated:
+def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floats, basis: Floats) -> Propagated:
     """Carry noise of independent pixels, (L, N), through the fit with A = `inverse` (L, P, N) and J = `descent`."""
-    modes = inverse.shape[1] // 2 - 1
-    warp = inverse[:, : 2 * modes]
+    count, modes = len(basis), basis.shape[1] // 2
+    warp = inverse[:, :count]
     covariance = (warp * variance[:, None]) @ np.swapaxes(warp, 1, 2)
+    if count < 2 * modes:
+        covariance = basis.T @ covariance @ basis
     covariance = covariance.reshape(-1, 2, modes, 2, modes)
     leverage = np.einsum("lkn,lkn->ln", inverse, descent)
     return Propagated(
