@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from reconstruction.displacement import Displacement, diagonal_covariance
-from reconstruction.modes.field_modes import LegendreModes, SampledModes
+from reconstruction.modes.field_modes import LegendreModes, SampledModes, ZernikeModes, gradient_basis
 
 
 def test_a_sampled_mode_is_one_at_its_node_and_zero_at_the_others() -> None:
@@ -31,3 +32,27 @@ def test_the_mean_displacement_is_the_mean_over_the_field() -> None:
         steps = (steps[1:] + steps[:-1]) / 2
         values = modes.values(*np.meshgrid(steps, steps)).mean(axis=(1, 2))
         np.testing.assert_allclose(displacement.mean, np.einsum("rcqv,q->rcv", coefficients, values), atol=1e-4)
+
+
+@pytest.mark.parametrize(("count", "parameters"), [(1, 2), (3, 5), (6, 9), (10, 14)])
+@pytest.mark.parametrize("kind", [LegendreModes, ZernikeModes])
+def test_gradient_basis_spans_all_gradients_and_has_no_circulation(
+    kind: type[LegendreModes | ZernikeModes], count: int, parameters: int
+) -> None:
+    modes = kind(count)
+    basis = gradient_basis(modes)
+    assert basis.shape == (parameters, 2 * count)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(parameters), atol=1e-12)
+    x, y = np.random.default_rng(2).uniform(-0.7, 0.7, (2, 40))
+    slopes = modes.gradients(x, y)
+    curl = basis[:, count:] @ slopes[..., 0] - basis[:, :count] @ slopes[..., 1]
+    np.testing.assert_allclose(curl, 0, atol=1e-10)
+    values = modes.values(x, y)
+    fields = np.concatenate([basis[:, :count] @ values, basis[:, count:] @ values], axis=1)
+    degree = {1: 1, 3: 2, 6: 3, 10: 4}[count]
+    powers = [(m, n) for m in range(5) for n in range(5) if 0 < m + n <= degree]
+    assert len(powers) == parameters
+    for m, n in powers:  # the potential x^m y^n
+        gradient = np.concatenate([m * x ** max(m - 1, 0) * y**n, n * x**m * y ** max(n - 1, 0)])
+        fitted = fields.T @ np.linalg.lstsq(fields.T, gradient)[0]
+        np.testing.assert_allclose(fitted, gradient, atol=1e-10)
