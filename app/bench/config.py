@@ -1,6 +1,6 @@
-"""One TOML file is one bench: read into frozen dataclasses, each owned by the package that understands it.
+"""Bench configuration: one TOML file, read into frozen dataclasses of the packages that use them.
 
-Whatever is wrong with the file is one line that names the key and what would be right.
+An invalid file raises one sentence that names the key and what is allowed.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 CameraSettings: TypeAlias = SimulatedCameraSettings | DcamSettings | GenicamSettings | RecordingSettings
 LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings
 
-AUTOMATIC = "automatic"  # the word for what is left out
-_CHOSEN_IF_LEFT_OUT = (("registration", "warp"), ("reconstruction", "pupil_modes"))
+AUTOMATIC = "automatic"  # same as omitting the setting
+_CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
 _UNKNOWN = "unknown key"
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """A whole configuration: the sections of the TOML file by their names."""
+    """A whole configuration; the attributes are the sections of the TOML file."""
 
     sensor: Sensor
     field: Field
-    lattice: Lattice | None = None  # found from the reference
+    lattice: Lattice | None = None  # None: found in the reference
     registration: RegistrationSettings = RegistrationSettings()
     reconstruction: ReconstructionSettings = ReconstructionSettings()
     camera: CameraSettings = SimulatedCameraSettings()
@@ -63,7 +63,7 @@ class Bench:
         has_real_light = not isinstance(self.light, SimulatedLightSettings)
         if has_real_light and not self.is_worked_by_hand:
             kind = "simulated camera" if self.is_simulated else "recording"
-            raise ValueError(f'light.driver = "{self.light.driver}" is of no use: a {kind} sees no real light')
+            raise ValueError(f'light.driver = "{self.light.driver}" cannot be used: a {kind} sees no real light')
         if self.is_worked_by_hand and not has_real_light:
             known = ", ".join(f'"{driver}"' for driver in drivers_of(LightSettings) if driver != "simulated")
             raise ValueError(f'light.driver is missing: camera.driver = "{self.camera.driver}" needs one of {known}')
@@ -76,21 +76,21 @@ class Bench:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether the simulated bench serves it, with camera, light and stage."""
+        """Whether camera, light and stage are simulated."""
         return isinstance(self.camera, SimulatedCameraSettings)
 
     @property
     def is_worked_by_hand(self) -> bool:
-        """Whether a person moves the sample: there is no motor, and nothing that only seems to move."""
+        """Whether the user moves the sample, because the devices are real and there is no motor."""
         return not isinstance(self.camera, SimulatedCameraSettings | RecordingSettings)
 
     @property
     def camera_model(self) -> SimulatedCameraSettings:
-        """The camera as physics, for what is computed instead of seen; for a real one, a typical EMCCD."""
+        """Settings of the camera for simulations; a typical EMCCD in place of a real one."""
         return self.camera if isinstance(self.camera, SimulatedCameraSettings) else SimulatedCameraSettings()
 
     def design_lattice(self, rows: int, columns: int) -> Lattice:
-        """The configured lattice, or the lattice as designed in the middle of a frame of rows x columns pixels."""
+        """The configured lattice, or else the designed one in the middle of a frame of rows x columns pixels."""
         return self.lattice or nominal_lattice(self.sensor, rows, columns)
 
     def reconstructor(
@@ -121,17 +121,17 @@ class Bench:
 
     @property
     def light_model(self) -> SimulatedLightSettings:
-        """The light as physics, likewise."""
+        """Settings of the light for simulations."""
         return self.light if isinstance(self.light, SimulatedLightSettings) else SimulatedLightSettings()
 
 
 def drivers_of(kind: Any) -> dict[str, type]:
-    """Return the settings' classes of a union by the name of their driver."""
+    """Return the settings classes of a union by driver name."""
     return {get_args(get_type_hints(each)["driver"])[0]: each for each in get_args(kind)}
 
 
 def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
-    """Read a bench from a TOML file, or a preset by its name; `overrides` are "section.key=value" as in TOML."""
+    """Read a bench from a TOML file or a preset; `overrides` are "section.key=value" as in TOML."""
     name = str(source)
     path = Path(source) if Path(source).exists() else PRESETS.get(name, Path(source))
     try:
@@ -145,38 +145,40 @@ def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
 
 
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
-    """Turn TOML text into a bench; `name` is what errors call it."""
+    """Parse a bench from TOML text; `name` stands for it in errors."""
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: not valid TOML: {error}") from error
     for override in overrides:
         _override(tree, override)
-    for section, key in _CHOSEN_IF_LEFT_OUT:
+    for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
     try:
         return _converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
         faults = cattrs.transform_error(error, format_exception=_sentence)
-        faults.sort(key=lambda fault: not fault.startswith(_UNKNOWN))  # a misspelt key, then what it leaves missing
+        faults.sort(
+            key=lambda fault: not fault.startswith(_UNKNOWN)
+        )  # a misspelt key before the key that it leaves missing
         sentence, _, path = faults[0].rpartition(" @ $")
         raise InputError(f"{name}: {path.lstrip('.')}{': ' if path else ''}{sentence}") from error
 
 
 def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:
-    """Change those of the values that the settings of this driver have."""
+    """Replace the values that these settings have; ignore the others."""
     known = {field.name for field in dataclasses.fields(settings)}
     return dataclasses.replace(settings, **{name: value for name, value in values.items() if name in known})
 
 
 def write_bench(bench: Bench) -> str:
-    """Return the bench as TOML text that `parse_bench` reads back to the same bench."""
+    """Return the bench as TOML text; `parse_bench` restores it exactly."""
     return tomli_w.dumps(_without_none(dataclasses.asdict(bench)))
 
 
 def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
-    """TOML has no null: what is not set is left out."""
+    """Omit unset values, because TOML has no null."""
     return {
         key: _without_none(value) if isinstance(value, dict) else value
         for key, value in tree.items()
@@ -190,18 +192,18 @@ def _override(tree: dict[str, Any], override: str) -> None:
     try:
         parsed = tomllib.loads(f"value = {value}")["value"] if equals else None
     except tomllib.TOMLDecodeError:
-        parsed = value.strip()  # a bare word is the string it looks like
+        parsed = value.strip()  # a bare word is a string
     if parsed is None or not sections or not key:
         raise InputError(f"--set {override}: write section.key=value, for example registration.warp=affine")
     for section in sections:
         tree = tree.setdefault(section, {})
         if not isinstance(tree, dict):
-            raise InputError(f"--set {override}: {section} is no section")
+            raise InputError(f"--set {override}: {section} is not a section")
     tree[key] = parsed
 
 
 def _converter() -> cattrs.Converter:
-    """A converter that takes TOML's types as they are: no text for a number, no true for a 1, no NaN."""
+    """Converter without implicit conversions: no text for a number, no true for 1, no NaN."""
     converter = cattrs.Converter(forbid_extra_keys=True)
     converter.register_structure_hook(int, _exactly(int, "a whole number"))
     converter.register_structure_hook(bool, _exactly(bool, "true or false"))
@@ -214,12 +216,12 @@ def _converter() -> cattrs.Converter:
 
 
 def _by_driver(converter: cattrs.Converter, value: Any, kind: Any) -> Any:
-    """Read a section into the class of the driver that it names; the simulated one where it names none."""
+    """Read a section into the settings class of its driver, by default the simulated one."""
     if not isinstance(value, dict):
-        raise ValueError("must be a section")  # noqa: TRY004 - told as it is
+        raise ValueError("must be a section")  # noqa: TRY004 - cattrs handles it like other values
     known, driver = drivers_of(kind), value.get("driver", "simulated")
     if driver not in known:
-        raise ValueError(f"driver = {driver!r} is not known; known are " + ", ".join(f'"{name}"' for name in known))
+        raise ValueError(f"driver = {driver!r} is unknown; known are " + ", ".join(f'"{name}"' for name in known))
     return converter.structure(value, known[driver])
 
 
@@ -239,14 +241,14 @@ def _number(value: Any) -> float:
 
 
 def _sentence(error: BaseException, kind: type | None) -> str:
-    """What is wrong, in words; cattrs adds the path of the key."""
+    """Describe an error; cattrs adds the path of the key."""
     if isinstance(error, cattrs.ForbiddenExtraKeysError):
         extra = ", ".join(sorted(error.extra_fields))
         known = ", ".join(field.name for field in dataclasses.fields(error.cl))
         return f"{_UNKNOWN} {extra}; known are {known}"
     if isinstance(error, KeyError):
         return "is missing"
-    if type(None) in get_args(kind):  # it may be left out
+    if type(None) in get_args(kind):  # an optional setting
         kind = get_args(kind)[0]
     if get_origin(kind) is Literal:
         return "must be one of " + ", ".join(f'"{value}"' for value in get_args(kind))

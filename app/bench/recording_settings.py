@@ -1,4 +1,4 @@
-"""What a bench's TOML says of a recording that takes the place of its devices: `[camera]` with driver "recording"."""
+"""Section `[camera]` with driver "recording": a recording in place of the devices."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ Pace = Literal["own", "fastest"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSettings:
-    """Which recording is played, and how."""
+    """Recording to play, and its pace."""
 
     driver: Literal["recording"] = "recording"
     folder: str
-    pace: Pace = "own"  # as its frames came; "fastest": each as soon as it is waited for, so that none is passed over
-    repeat: bool = False  # from the first frame again after the last; else there is no further frame
+    pace: Pace = "own"  # as recorded; "fastest": each frame when it is read, so that none is skipped
+    repeat: bool = False  # start again after the last frame; otherwise no more frames come

@@ -1,4 +1,4 @@
-"""Where live results are published for other programs: the section `[streams]` of a bench."""
+"""Section `[streams]` of a bench: publication of live results."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from reconstruction.geometry import require
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamSettings:
-    """The port that other programs connect to; without one nothing is published, and no socket is open.
+    """Port that other programs connect to; without one nothing is published and no socket opened.
 
-    `address` is that of this computer on the network to be served. Left out, only this computer hears anything.
+    `address` is this computer's on the network to be served; by default only this computer can connect.
     """
 
     port: int | None = None
-    address: str = "127.0.0.1"  # 0.0.0.0 is every network
+    address: str = "127.0.0.1"  # 0.0.0.0: every network
 
     def __post_init__(self) -> None:
         require(

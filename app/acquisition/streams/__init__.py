@@ -1,1 +1,1 @@
-"""Live results for other programs; docs/streams.md says what they receive."""
+"""Live results for other programs; docs/streams.md describes the messages."""

@@ -1,4 +1,4 @@
-"""What is sent to other programs: a topic, a header in JSON, then the arrays as they lie in memory."""
+"""Messages to other programs: topic, JSON header, and arrays as bytes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from reconstruction.geometry import Sensor
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
-FORMAT = 1  # raised when a subscriber would have to read differently
+FORMAT = 1  # increased when subscribers must change
 
 _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
@@ -26,7 +26,7 @@ _LENSLET = ("lenslet_row", "lenslet_column")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labelled:
-    """An array and what a subscriber must know of it; the names are those of the results in NetCDF."""
+    """An array with name, dimensions and units as in the NetCDF results."""
 
     name: str
     dimensions: tuple[str, ...]
@@ -35,10 +35,10 @@ class Labelled:
 
 
 def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -> list[bytes]:
-    """Return one measurement's message of a topic, part by part; empty when the method knows no such thing.
+    """Return the parts of one measurement's message; empty if the method has no such arrays.
 
-    `sequence` counts all measurements that were to be published. A frame without a wavefront is told, too: no
-    arrays, and why.
+    `sequence` counts all measurements offered for publication. A frame without a wavefront has no arrays, but a
+    `problem`.
     """
     wavefront = measurement.wavefront
     arrays = [] if wavefront is None else TOPICS[topic](wavefront, bench.sensor)
@@ -66,9 +66,9 @@ def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -
 
 
 def _frame_facts(measurement: Measurement) -> dict[str, Any]:
-    """What is said of the frame: which it was, when, and how it fared."""
+    """Header entries on the frame."""
     frame, refinement = measurement.frame, measurement.refinement
-    unix_s = time.time() - time.perf_counter()  # of the moment from which this computer counts
+    unix_s = time.time() - time.perf_counter()  # calendar time at which perf_counter is zero
     return {
         "frame": frame.index,
         "camera_time_s": frame.camera_time_s,
@@ -85,7 +85,7 @@ def _frame_facts(measurement: Measurement) -> dict[str, Any]:
 
 
 def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
-    """What is said of the calibration in force: what the arrays' axes and numbers mean."""
+    """Header entries on the calibration, which give axes and units their meaning."""
     calibration = measurement.calibration
     if calibration is not None:
         bench = calibration.bench

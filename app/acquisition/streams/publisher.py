@@ -1,4 +1,4 @@
-"""A ZeroMQ publisher of live results: whoever connects hears the newest, and nobody is ever waited for."""
+"""ZeroMQ publisher of live results, which never waits for a subscriber."""
 
 from __future__ import annotations
 
@@ -14,27 +14,24 @@ from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import Measurement
 
-_WAITING = 4  # measurements between worker and publisher; beyond, the oldest is dropped
-_QUEUED = 30  # messages for one subscriber, ten measurements; beyond, it misses the newest until it has caught up
-_BUFFER_BYTES = 1 << 18  # of the system for one subscriber: more would only make what it hears older
-_LINGER_MS = 300  # at the end, for messages that are still on their way
+_WAITING = 4  # measurements queued for the publisher; beyond, the oldest is dropped
+_QUEUED = 30  # messages queued per subscriber, ten measurements; beyond, new ones are dropped for it
+_BUFFER_BYTES = 1 << 18  # system buffer per subscriber; a larger one would only delay messages
+_LINGER_MS = 300  # time to send the last messages
 
 
 class Publisher:
-    """Sends every measurement that it is given, from a thread of its own, to the programs that have subscribed.
-
-    What nobody has subscribed to is not even computed.
-    """
+    """Sends measurements to subscribed programs in its own thread; topics without subscriber are not computed."""
 
     def __init__(self, bench: Bench) -> None:
-        """Open the port of `bench.streams`; `RunError` when that cannot be."""
+        """Open the port of `bench.streams`; `RunError` if that fails."""
         self._bench = bench
         self._waiting: deque[tuple[int, Measurement]] = deque(maxlen=_WAITING)
         self._something_new, self._closing = threading.Event(), threading.Event()
         self._sequence = 0
         self._subscriptions: set[bytes] = set()
         self._context = zmq.Context()
-        self._socket = self._context.socket(zmq.XPUB)  # a PUB that knows what is subscribed to
+        self._socket = self._context.socket(zmq.XPUB)  # a PUB socket that receives the subscriptions
         for option, value in ((zmq.SNDHWM, _QUEUED), (zmq.SNDBUF, _BUFFER_BYTES), (zmq.LINGER, _LINGER_MS)):
             self._socket.setsockopt(option, value)
         endpoint = f"tcp://{bench.streams.address}:{bench.streams.port}"
@@ -50,13 +47,13 @@ class Publisher:
         self._thread.start()
 
     def take(self, measurement: Measurement) -> None:
-        """Have a measurement sent; returns at once."""
+        """Queue a measurement; returns at once."""
         self._sequence += 1
         self._waiting.append((self._sequence, measurement))
         self._something_new.set()
 
     def close(self) -> None:
-        """Send what waits, and close the port."""
+        """Send the queued measurements and close the port."""
         self._closing.set()
         self._something_new.set()
         self._thread.join()
@@ -68,28 +65,28 @@ class Publisher:
             self._something_new.clear()
             while self._waiting:
                 sequence, measurement = self._waiting.popleft()
-                self._note_subscriptions()
+                self._read_subscriptions()
                 for topic in TOPICS:
                     if any(topic.encode().startswith(prefix) for prefix in self._subscriptions):
                         self._send(message(topic, sequence, measurement, self._bench))
 
     def _send(self, parts: list[bytes]) -> None:
         if parts:
-            self._socket.send_multipart(parts, zmq.NOBLOCK)  # a subscriber that has not kept up misses it
+            self._socket.send_multipart(parts, zmq.NOBLOCK)  # dropped for subscribers that have not kept up
 
-    def _note_subscriptions(self) -> None:
-        """Read who has come and gone: a byte, 1 or 0, before the beginning of the topics that are meant."""
+    def _read_subscriptions(self) -> None:
+        """Read subscriptions: a byte, 1 to begin or 0 to end, and a topic prefix."""
         while self._socket.poll(0):
-            told = self._socket.recv()
-            if told[:1] == b"\x01":
-                self._subscriptions.add(told[1:])
-            elif told[:1] == b"\x00":
-                self._subscriptions.discard(told[1:])
+            change = self._socket.recv()
+            if change[:1] == b"\x01":
+                self._subscriptions.add(change[1:])
+            elif change[:1] == b"\x00":
+                self._subscriptions.discard(change[1:])
 
 
 @contextmanager
 def stream_sinks(bench: Bench) -> Iterator[tuple[Callable[[Measurement], None], ...]]:
-    """Give the sinks through which the bench wants its results to be heard elsewhere: none, when it says nothing."""
+    """Yield the sinks that publish a bench's results; none without a port."""
     if bench.streams.port is None:
         yield ()
         return

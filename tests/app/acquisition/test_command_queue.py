@@ -1,4 +1,4 @@
-"""Commands: each is answered once, and what follows from it is there before anybody hears of it."""
+"""Command queue: every future resolves once, after the command's consequences."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.acquisition.command_queue import CommandQueue
 from app.acquisition.instrument import Instrument
 from drivers.interface import BadValue, Disconnected, WrongState
 
-INSTRUMENT = cast("Instrument", object())  # the queue only hands it on
+INSTRUMENT = cast("Instrument", object())  # only passed on by the queue
 
 
 def _fail_with(error: Exception) -> NoReturn:

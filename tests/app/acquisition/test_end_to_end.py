@@ -1,4 +1,4 @@
-"""The live loop at the camera's full size on the simulated bench: nothing is lost, and the wavefronts are true."""
+"""Acquisition at the camera's full size on the simulated bench: no loss, and true wavefronts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FRAMES = 32  # at least
 @pytest.mark.usefixtures("no_hurry")
 def test_live_wavefronts_match_truth_without_loss() -> None:
     bench = load_bench("live_demo", ("camera.exposure_s=0.1", "camera.em_gain=1.0"))
-    with closing(simulated_bench(bench, lambda _: None)) as ahead:  # else it has its turn only when we need none
+    with closing(simulated_bench(bench, lambda _: None)) as ahead:  # render before the acquisition needs the processor
         wait_until(lambda: ahead.current_state(ahead.clock.now()) >= 0 and ahead.states_rendered > 1)
     measurements: list[Measurement] = []
     acquisition = Acquisition(bench, open_devices, sinks=(measurements.append,))
@@ -55,7 +55,7 @@ def test_live_wavefronts_match_truth_without_loss() -> None:
 
 
 def _states(instrument: Instrument, measurements: list[Measurement]) -> list[int]:
-    """The state of the sample in every frame measured so far."""
+    """State of the sample in every measured frame."""
     camera = instrument.devices.camera
     assert isinstance(camera, SimulatedCamera)
     states = [camera.state_of_frame(measurement.frame.index) for measurement in measurements]

@@ -1,4 +1,4 @@
-"""A real bench has no motor: what a person does is asked for, and nothing is taken for done that nobody said."""
+"""Bench without motors: the user is asked for manual steps and confirms them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class TestManualStage(StageContract):
 
 
 class Noted(ManualStage):
-    """A stage beside which a quick person stands."""
+    """Manual stage with a user who acts at once."""
 
     def _set_sample_in(self, *, sample_in: bool) -> None:
         self.note_sample(sample_in)
@@ -61,13 +61,13 @@ def test_measure_asks_for_manual_steps(
     measured = measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
     assert measured.reconstructed == 3
     assert len(person.saw) == 2
-    assert person.saw[1] == (True, False)  # dark and reference were taken before the second
+    assert person.saw[1] == (True, False)  # after dark and reference
     asked = capsys.readouterr().err.splitlines()
     assert [line.split(",")[0] for line in asked] == ["take the sample out of the beam", "put the sample into the beam"]
 
 
 class Mender(Person):
-    """Finds at the second time what kept the light from the camera."""
+    """User who unblocks the light at the second request."""
 
     def __init__(self, camera: FakeCamera, presses: int) -> None:
         super().__init__(camera, presses)
@@ -116,7 +116,7 @@ def test_measure_fails_if_terminal_is_closed(
     with pytest.raises(InputError, match="terminal was closed before"):
         measure(MANUAL, 3, tmp_path / "m", lambda *_: None)
     assert not camera.light.shines
-    assert camera.state in {"closed", "stopped"}  # stopped, where it never came to be opened
+    assert camera.state in {"closed", "stopped"}  # stopped if it was never opened
 
 
 def test_measure_needs_a_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, camera: FakeCamera) -> None:

@@ -1,4 +1,4 @@
-"""A whole real bench, by its TOML: a DCAM camera and a DC4100, each driver over its stand-in on the wire."""
+"""A real bench from its TOML: DCAM camera and DC4100 light, each driver with its stand-in."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_settings_refused_by_device_are_input_error(bench: Bench, lamp: DC4100Wi
     with pytest.raises(InputError, match=sentence):
         open_devices(wrong, lambda _: None)
     assert not lamp.is_lit
-    open_devices(bench, lambda _: None).close()  # all was let go of
+    open_devices(bench, lambda _: None).close()  # everything was closed
 
 
 def test_light_with_refused_current_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,7 +116,7 @@ def test_missing_light_closes_camera(bench: Bench, port: PtyServer) -> None:
 
 
 def test_software_trigger_yields_frames(bench: Bench) -> None:
-    """Nobody fires it but whoever reads."""
+    """Only reading fires the trigger."""
     acquisition = started(parse_bench(write_bench(bench), "real.toml", ("camera.trigger=software",)))
     seen = acquisition.counts.acquired
     wait_until(lambda: acquisition.counts.acquired >= seen + 5)
@@ -132,7 +132,7 @@ def test_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: D
     with own_time() as elapsed_s:
         camera.unplug()
         wait_until(lambda: not acquisition.is_alive)
-        assert elapsed_s() < WITHIN_S + 1  # of which the recording may take a second to be finished
+        assert elapsed_s() < WITHIN_S + 1  # the recording may take a second to finish
     assert isinstance(acquisition.error, Disconnected)
     assert not lamp.is_lit
     recording = Recording(tmp_path / "r")
@@ -151,7 +151,7 @@ def test_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: D
 
 @pytest.mark.parametrize("exposure_s", [0.03, 60.0])
 def test_unplugged_light_ends_measuring(bench: Bench, port: PtyServer, exposure_s: float) -> None:
-    """Also when no frame will come for long."""
+    """Also during a long exposure."""
     slow = parse_bench(write_bench(bench), "real.toml", ("camera.readout_speed=2", "camera.exposure_s=0.03"))
     acquisition = started(slow)
     exposure = acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(exposure_s))

@@ -1,4 +1,4 @@
-"""Recording beside the live view: every frame, as it was, with what makes the same wavefront of it again."""
+"""Recording during acquisition: every frame, with everything that reproduces its wavefront."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from simulated_devices.camera import LoseFrames, SimulatedCamera, Unplug
 
 
 class Live:
-    """An acquisition on the small simulated bench that has started up."""
+    """Started acquisition on the small simulated bench."""
 
     def __init__(self, toml: Path, *settings: str) -> None:
         self.measurements: list[Measurement] = []
@@ -70,7 +70,7 @@ def make_live(small_toml: Path) -> Iterator[Callable[..., Live]]:
 
 
 def assert_made_again(recording: Recording) -> None:
-    """Every frame is reconstructed again, to the last bit as it was live."""
+    """Check that every frame is reproduced bit by bit."""
     for made in reprocess(recording):
         index = made.line.index
         if made.line.problem:
@@ -99,7 +99,7 @@ def test_recorded_frames_are_reproduced_bit_by_bit(make_live: Callable[..., Live
     assert live.recording.frames == len(lines)
     assert {line.calibration for line in lines} == {0, 1}
     assert any(line.bias is not None for line in lines)
-    assert lines[0].start == -1  # it went on from the frame before
+    assert lines[0].start == -1  # it continued from the previous frame
     assert [line.light_current_a for line in (lines[0], lines[-1])] == [0.35, 0.3]
     first = next(at for at, each in enumerate(live.measurements) if each.frame.index == lines[0].camera_index)
     for line, measurement in zip(lines, live.measurements[first:], strict=False):
@@ -117,7 +117,7 @@ def load_bench_of(live: Live) -> Bench:
 
 
 def measure_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the computer slower than any camera."""
+    """Make the reconstruction slower than the camera."""
     measure = Instrument.measure
 
     def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
@@ -144,7 +144,7 @@ def test_gaps_and_skipped_frames_are_recorded(
     camera_index = np.array([line.camera_index for line in lines])
     assert np.diff(camera_index).tolist() == [line.lost + 1 for line in lines[1:]]
     assert_made_again(recording)
-    assert all(made.wavefront is not None for made in reprocess(recording))  # those passed over, too
+    assert all(made.wavefront is not None for made in reprocess(recording))  # skipped ones, too
 
 
 def test_skipped_frames_keep_previous_refinement(
@@ -192,7 +192,7 @@ def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live],
     wait_until(lambda: live.recording.frames > 5)
     with pytest.raises(InputError, match="holds a recording already"):
         live.acquisition.keep_recent(tmp_path / "r").result(HANG_S)
-    live.acquisition.close()  # which finishes both
+    live.acquisition.close()  # finishes both
     for name in ("kept", "r"):
         recording = Recording(tmp_path / name)
         assert (recording.is_complete, recording.ended_early) == (True, "")
@@ -204,7 +204,7 @@ def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live],
 
 @pytest.mark.soak
 def test_kill_at_random_moment_keeps_all_but_last_frames(small_toml: Path, tmp_path: Path) -> None:
-    """How many are missing is for `recording_crash.py` on a quiet computer: here anything may hold a program up."""
+    """`recording_crash.py` counts the missing frames on a quiet computer; a busy one may lose more."""
     random = np.random.default_rng()
     for kill in range(2):
         folder = tmp_path / str(kill)

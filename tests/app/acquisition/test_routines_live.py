@@ -1,4 +1,4 @@
-"""Routines as commands of the live instrument: their results, their progress, and what they make stale."""
+"""Routines as commands of the acquisition: results, progress, and stale averages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from simulated_devices.camera import SimulatedCamera
 
 
 class Live:
-    """An acquisition with the small bench, its devices and its answers."""
+    """Acquisition on the small bench, with its devices and futures."""
 
     def __init__(self, toml: Path, *overrides: str) -> None:
         self.devices: Devices | None = None
@@ -73,7 +73,7 @@ def test_auto_expose_by_command(live: Live) -> None:
     assert (status.exposure_s, status.current_a) == (found.exposure_s, found.current_a)
     assert (status.is_light_on, status.is_running, status.is_sample_in) == (True, True, True)
     assert live.acquisition.activity.text == ""
-    assert "20.0 ms" in status.warning  # dark and reference are of another exposure now
+    assert "20.0 ms" in status.warning  # dark and reference have another exposure now
     assert (status.dark, status.reference) == ("doubtful", "doubtful")
 
 
@@ -158,7 +158,7 @@ def test_start_up_auto_exposes_before_dark_and_reference(live: Live, monkeypatch
 
 
 def paused(change: Callable[[Instrument], object]) -> Callable[[Instrument], None]:
-    """Change what can be changed only while the camera is stopped."""
+    """Change a setting that needs a stopped camera."""
 
     def command(instrument: Instrument) -> None:
         instrument.devices.camera.stop()
@@ -201,7 +201,7 @@ def test_changes_that_make_dark_and_reference_stale(
 
 @pytest.mark.parametrize("level", [0.03, 0.5, 2.0])
 def test_reference_is_valid_at_any_brightness(small_bench: SmallBench, level: float) -> None:
-    """So a changed current makes it not stale, and an exposure only because its dark is."""
+    """A changed current therefore does not make it stale."""
     frame, truth_px = small_bench.tilted(4000.0, 1500.0)
     reconstructor = small_bench.reconstructor(registration=RegistrationSettings(warp="quadratic"))
     as_taken, brighter = (reconstructor.register((frame * each).astype(np.float32)) for each in (1.0, level))
@@ -211,7 +211,7 @@ def test_reference_is_valid_at_any_brightness(small_bench: SmallBench, level: fl
 
 
 def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
-    """Frames and references with noise of their own: the displacements scatter as their covariance says."""
+    """With independent noise in frames and references, displacements scatter as their covariance predicts."""
     random = np.random.default_rng(8)
     per_electron = float(small_bench.reference.max()) / 4000
     noise = CameraNoise(per_electron, 8 * per_electron)

@@ -1,4 +1,4 @@
-"""What other programs receive is what was measured, bit by bit, and a program that does not listen costs nothing."""
+"""Streams: subscribers receive exact results and cost the acquisition nothing."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ DOCUMENT = DOCS / "streams.md"
 
 @pytest.fixture
 def port() -> int:
-    """A port that nobody uses."""
+    """A free port."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
@@ -57,7 +57,7 @@ def bench(small_bench: SmallBench) -> Bench:
 @pytest.fixture(scope="session")
 def measurement(small_bench: SmallBench, bench: Bench) -> Measurement:
     frame, _ = small_bench.tilted(3000.0, 500.0)
-    frame[: frame.shape[0] // 6] = 0  # lenslets are lost, so that NaN is sent
+    frame[: frame.shape[0] // 6] = 0  # lost lenslets, so that NaN is sent
     reference = Average(small_bench.reference, np.zeros_like(small_bench.reference), 1, 0.02, 8.0, "em")
     in_force = replace(bench, reconstruction=ReconstructionSettings(basis="zernike"))  # changed since it was opened
     calibration = Calibration(in_force, None, reference, small_bench.lattice, 65535.0)
@@ -79,7 +79,7 @@ def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Mea
 
 
 class Subscriber:
-    """A program that listens."""
+    """Subscriber in its own socket."""
 
     def __init__(self, port: int, *topics: str, keeps_little: bool = False) -> None:
         self._context = zmq.Context()
@@ -119,13 +119,13 @@ def publisher(bench: Bench, port: int) -> Iterator[Publisher]:
 
 
 def _until_heard(publisher: Publisher, subscriber: Subscriber, measurement: Measurement) -> int:
-    """Publish until the first message comes, and take in all that have come; return how many were published."""
+    """Publish until messages arrive, receive them all, and return the number published."""
     for count in range(1, 500):
         publisher.take(measurement)
         if not subscriber.is_waiting():
             while subscriber.hears()[1]["sequence"] < count:
                 pass
-            while not subscriber.is_waiting():  # the last one's other messages
+            while not subscriber.is_waiting():  # remaining messages of the last measurement
                 subscriber.hears()
             return count
     raise AssertionError
@@ -186,7 +186,7 @@ def test_unsubscribed_topics_are_not_computed(
 ) -> None:
     monkeypatch.setattr(Wavefront, "sigma", lambda _: pytest.fail("computed for nobody"))
     with closing(Subscriber(port, "coefficients")) as subscriber:
-        _until_heard(publisher, subscriber, measurement)  # an error would end the publisher's thread
+        _until_heard(publisher, subscriber, measurement)  # an error would have ended the publisher's thread
         assert _until_heard(publisher, subscriber, measurement) == 1
 
 
@@ -211,7 +211,7 @@ def test_zonal_method_publishes_no_coefficients(
 
 
 def test_stalled_subscriber_blocks_nothing(publisher: Publisher, port: int, measurement: Measurement) -> None:
-    """More is published than is kept for it; another subscriber goes on hearing every measurement."""
+    """More is published than is queued for it; another subscriber receives every measurement."""
     with closing(Subscriber(port, "views", keeps_little=True)) as stalled, closing(Subscriber(port, "slopes")) as other:
         _until_heard(publisher, stalled, measurement)
         _until_heard(publisher, other, measurement)
@@ -225,7 +225,7 @@ def test_stalled_subscriber_blocks_nothing(publisher: Publisher, port: int, meas
         while not stalled.is_waiting():
             sequences.append(stalled.hears()[1]["sequence"])
         assert np.all(np.diff(sequences) > 0)
-        assert len(sequences) < 400  # it has missed the others, and the numbers say so
+        assert len(sequences) < 400  # the gaps show that it missed the others
 
 
 def test_publisher_drops_oldest_measurements(
@@ -258,7 +258,7 @@ def test_close_sends_waiting_messages(bench: Bench, port: int, measurement: Meas
         publisher.take(measurement)
         publisher.close()
         assert subscriber.hears()[1]["sequence"] == before + 1
-    with socket.socket() as free:  # and the port can be used again
+    with socket.socket() as free:  # the port is free again
         free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         free.bind(("127.0.0.1", port))
 
@@ -275,7 +275,7 @@ def test_no_socket_without_port(bench: Bench, port: int, monkeypatch: pytest.Mon
 
 
 def _listening(port: int) -> list[str]:
-    """The addresses of this computer at which a port is open, from the kernel's own table."""
+    """Addresses on which a port is open, from the kernel's table."""
     rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
     local = [row[1].split(":") for row in rows if row[3] == "0A"]
     return [socket.inet_ntoa(bytes.fromhex(host)[::-1]) for host, at in local if int(at, 16) == port]
@@ -324,7 +324,7 @@ def test_streams_section_round_trip(small_toml: Path) -> None:
 def test_measure_publishes_what_it_records(
     port: int, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever listens from before the start; a busy computer may leave some out, or not reconstruct them live."""
+    """A subscriber from before the start; a busy computer may skip some frames."""
     arguments = ("--bench", small_toml, "--set", f"streams.port={port}", "--frames", "6", "--out", tmp_path / "run")
     with closing(Subscriber(port, "coefficients")) as subscriber:
         assert run(monkeypatch, "measure", *arguments) == 0

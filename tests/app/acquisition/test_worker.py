@@ -1,4 +1,4 @@
-"""The worker thread: commands between frames, routines that leave things as they were, faults that are told."""
+"""The worker thread: commands between frames, routines that restore devices, reported failures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from simulated_devices.light import SimulatedLight
 
 
 class Running:
-    """An acquisition on the small simulated bench, and all that came out of it."""
+    """Acquisition on the small simulated bench, and its measurements."""
 
     def __init__(self, bench: Bench) -> None:
         self.devices: Devices | None = None
@@ -88,7 +88,7 @@ def test_command_runs_between_frames_and_returns_result(running: Running) -> Non
     set_to = setting.result(HANG_S)
     assert set_to == pytest.approx(0.04)
     assert running.acquisition.status is not None
-    assert running.acquisition.status.exposure_s == set_to  # told by then
+    assert running.acquisition.status.exposure_s == set_to  # updated before the future resolves
     wait_until(lambda: running.measurements[-1].frame.exposure_s == set_to)
 
 
@@ -115,7 +115,7 @@ def test_cancelled_routine_restores_devices(running: Running) -> None:
     long = running.acquisition.take_dark(10_000)
     wait_until(lambda: running.newest.problem == "taking the dark, 10000 frames")
     newest = running.newest
-    assert newest.wavefront is None  # seen, not measured
+    assert newest.wavefront is None  # shown, not measured
     assert running.acquisition.activity.text == newest.problem
     assert running.acquisition.activity.progress > 0
     assert newest.frame.pixels.mean() == pytest.approx(500, abs=10)
@@ -157,7 +157,7 @@ def test_stop_interrupts_long_exposure(small_toml: Path) -> None:
         running.acquisition.close()
         assert elapsed_s() < 1.0
     assert running.devices is not None
-    with pytest.raises(WrongState):  # closed, with the light off before
+    with pytest.raises(WrongState):  # closed after the light was turned off
         _ = running.devices.light.is_on
 
 
@@ -199,7 +199,7 @@ def test_stale_dark_or_reference_is_a_warning(
 def test_lost_frames_are_counted(running: Running) -> None:
     running.begin()
     running.camera.inject(LoseFrames(5))
-    wait_until(lambda: running.measurements[-1].counts.lost >= 5)  # a busy computer loses some more
+    wait_until(lambda: running.measurements[-1].counts.lost >= 5)  # a busy computer loses more
     last = running.measurements[-1]
     assert last.counts.acquired + last.counts.lost == last.frame.index + 1
 
@@ -213,7 +213,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
     assert running.devices is not None
     with pytest.raises(WrongState):
         _ = running.devices.light.is_on
-    with pytest.raises(WrongState, match="camera"):  # a later command does not wait for ever
+    with pytest.raises(WrongState, match="camera"):  # a later command does not wait forever
         running.acquisition.submit(_is_dark).result(HANG_S)
 
 
@@ -276,14 +276,14 @@ def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch
     index = [measurement.frame.index for measurement in measured]
     last = measured[-1]
     counts = [measurement.counts for measurement in running.measurements]
-    # Five frames a second are measured of 72: the others are passed over, not kept for later. The sinks get them all.
+    # Five of 72 frames per second are measured; the others are skipped, not queued. The sinks get all.
     assert np.median(np.diff(index[first + 2 :])) > 8
     assert np.all(np.diff(everything) > 0)
     assert len(everything) == counts[-1].acquired
     assert {measurement.problem for measurement in running.measurements} == {"", PASSED_OVER}
     assert all(count.acquired + count.lost == at + 1 for at, count in zip(everything, counts, strict=True))
     assert last.counts.reconstructed == len(measured) < last.counts.acquired
-    # Had the others been kept, each measurement would be 0.19 s older than the one before.
+    # With a queue, each measurement would be 0.19 s older than the previous one.
     assert min(measurement.latency_s for measurement in measured[-4:]) < measured[first + 2].latency_s + 1.0
     assert running.newest is last
 
@@ -352,7 +352,7 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
         running.begin()
         monkeypatch.setattr("app.acquisition.loop._STATUS_INTERVAL_S", 0.0)
         monkeypatch.setattr("app.acquisition.loop._STATUS_SHARE", math.inf)
-        running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is asked at every look
+        running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is always due
         monkeypatch.setattr(Instrument, "status", silent_once)
         monkeypatch.setattr(Instrument, "pass_over", pass_over_before)
         monkeypatch.setattr(Instrument, "measure", measure_slowly)
@@ -367,6 +367,6 @@ def test_light_switched_off_by_hand_is_detected(running: Running) -> None:
     assert running.devices is not None
     light = running.devices.light
     assert isinstance(light, SimulatedLight)
-    light._bench.change(is_light_on=False)  # at its front, where no command comes from
+    light._bench.change(is_light_on=False)  # at its front panel
     wait_until(lambda: running.acquisition.status is not None and not running.acquisition.status.is_light_on)
     assert running.acquisition.is_alive

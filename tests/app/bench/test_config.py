@@ -1,4 +1,4 @@
-"""A bench file is read as it is meant, and every fault in it is one line that names the key."""
+"""Bench files: values, round trips, and one-line errors that name the key."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_invalid_bench_error_names_key(name: str) -> None:
 
 
 def test_unknown_driver_error_lists_drivers() -> None:
-    with pytest.raises(InputError, match=r"b: camera: driver = 'no such' is not known; known are \"simulated\", "):
+    with pytest.raises(InputError, match=r"b: camera: driver = 'no such' is unknown; known are \"simulated\", "):
         parse_bench(MINIMAL + '\n[camera]\ndriver = "no such"\n', "b")
 
 
@@ -84,7 +84,7 @@ BAD_DEVICES = {
     "a number for a region": (GENICAM + "region = 3\n" + DC4100, "camera.region: must be a section"),
     "a missing port": (GENICAM + DC4100.replace('port = "/dev/ttyUSB0"\n', ""), "light: .*port"),
     "no light": (GENICAM, 'light.driver is missing: camera.driver = "genicam" needs one of "thorlabs_dc4100"'),
-    "a light that nobody sees": (DC4100, 'light.driver = "thorlabs_dc4100" is of no use: a simulated camera sees no'),
+    "a light that nobody sees": (DC4100, 'light.driver = "thorlabs_dc4100" cannot be used: a simulated camera sees no'),
     "no section": ("", "camera: must be a section"),
 }
 

@@ -42,7 +42,7 @@ FRAMES = FOREIGN_FRAMES
 
 
 def reconstruct_foreign(out: Path, *more: str | Path) -> tuple[str | Path, ...]:
-    """The command that reconstructs the foreign frames."""
+    """Arguments that reconstruct the foreign frames."""
     reference = FRAMES / "square_reference.tif"
     return (
         "reconstruct",
@@ -103,7 +103,7 @@ def test_measure_writes_results(
     with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
         assert results["wavefront"].shape == (5, 3, 3, 5, 7)
         rms_rad = results["rms"].mean(["view_row", "view_column"]).to_numpy()
-        assert rms_rad == pytest.approx(1.5, rel=0.1)  # what the bench's screen is scaled to
+        assert rms_rad == pytest.approx(1.5, rel=0.1)  # RMS of the bench's screen
         assert results["frame_index"].to_numpy().tolist() == list(range(5))
     assert "5 frames, 0 lost by the camera" in capsys.readouterr().out
     assert tifffile.imread(tmp_path / "m" / "reference.tif").shape == (172, 240)
@@ -202,7 +202,7 @@ def test_unplugged_camera_keeps_measured_frames(
         devices = open_devices(bench, progress)
         camera, read = devices.camera, devices.camera.read
         assert isinstance(camera, SimulatedCamera)
-        left = itertools.count(2 * start_up.FRAMES + 5, -1)  # of frames until it is unplugged
+        left = itertools.count(2 * start_up.FRAMES + 5, -1)  # frames until it is unplugged
 
         def read_while_plugged(timeout_s: float) -> Frame:
             frame = read(timeout_s)
@@ -264,7 +264,7 @@ def test_bad_frame_exits_with_status_2(
     elif make is not None:
         image = make(tifffile.imread(FRAMES / "square_frame.tif"))
         tifffile.imwrite(path, image, photometric="minisblack")
-        if image.dtype == np.uint16:  # the same camera took the reference, not saturated
+        if image.dtype == np.uint16:  # the same camera, with an unsaturated reference
             reference = tmp_path / "reference.tif"
             tifffile.imwrite(reference, (tifffile.imread(FRAMES / "square_reference.tif") * 3e4).astype(np.uint16))
     out = tmp_path / "r.nc"

@@ -1,4 +1,4 @@
-"""`svwfs calibrate`: what it finds, says, draws and writes, and what it refuses."""
+"""`svwfs calibrate`: lattice, text, plot, bench file, and refusals."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEAD = (4, 9)  # lenslet row and column
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A noisy reference of 15 x 15 lenslets, one of them dead."""
+    """Noisy reference of 15 x 15 lenslets, one of them dead."""
     brightness = np.ones((15, 15))
     brightness[DEAD] = 0
     light = draw(
@@ -184,7 +184,7 @@ def test_preset_is_written_with_lattice(tmp_path: Path) -> None:
 
 
 def test_full_frame_lattice_has_no_cut_cells() -> None:
-    """Whether its outermost edges lie a millionth of a pixel inside or outside says nothing."""
+    """Rounding of the outermost edges must not matter."""
     lattice = Lattice(center_x_px=232.0, center_y_px=232.0, pitch_px=31.0 - 1e-6, rotation_rad=1e-7)
     assert len(cell_index(lattice, (465, 465))) == 15 * 15
     assert len(cell_index(lattice, (465, 465), partial=True)) == 0

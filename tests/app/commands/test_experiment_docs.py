@@ -1,4 +1,4 @@
-"""The walk-through in docs/experiment.md: its commands run as they stand, on a small bench and with short exposures."""
+"""The commands of docs/experiment.md, run on a small bench with short exposures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from simulated_devices.settings import exposure_range_s
 
 TEXT = (DOCS / "experiment.md").read_text("utf-8")
 SMALL = SMALL_TOML.replace("em_gain = 8.0", "readout_speed = 2").replace("exposure_s = 0.02", "exposure_s = 0.03")
-QUICK = {  # the text's bench has more lenslets, and time
+QUICK = {  # fewer lenslets and less time than in the text
     "camera.exposure_s=3.8": "camera.exposure_s=0.45",
     "--frames 20": "--frames 2",
     "--frames 3": "--frames 2",
@@ -36,14 +36,14 @@ QUICK = {  # the text's bench has more lenslets, and time
 
 
 def commands() -> list[tuple[str, str]]:
-    """Every command of the text with the line that follows it."""
+    """Every command of the text, with the next line."""
     joined = TEXT.replace("\\\n", " ")
     found = re.findall(r"^    svwfs ([^:\n]\S+ .+)\n(?=(.*)$)", joined, re.MULTILINE)
     return [(" ".join(command.split()), after.strip()) for command, after in found]
 
 
 def quick(command: str) -> str:
-    """The same, for the small bench."""
+    """Adapt a command to the small bench."""
     for long, short in QUICK.items():
         command = command.replace(long, short)
     if command.startswith("measure") and "--average" not in command:
@@ -58,17 +58,22 @@ def test_every_documented_command_runs(
     monkeypatch.setitem(app.bench.presets.PRESETS, "paper_experiment", tmp_path / "paper_experiment.toml")
     monkeypatch.chdir(tmp_path)
     assert len(commands()) >= 14
+    residuals_rad: dict[str, tuple[float, ...]] = {}
     for command, after in commands():
         is_refused = after.startswith("svwfs: ")
         words = shlex.split(command if is_refused else quick(command))
-        if command.startswith("report") and "--set" in command:  # their pages are drawn as those before
+        if command.startswith("report") and "--set" in command:  # drawn before already
             monkeypatch.setattr("app.results.report.run.one_page", lambda _: Figure())
         assert run(monkeypatch, *words) == (2 if is_refused else 0), command
         shown = capsys.readouterr()
         if is_refused:
             assert shown.err.strip() == after
+        elif "--beside" in command:
+            residuals_rad[command] = tuple(map(float, re.findall(r"\d+\.\d{3}", shown.out)[-3:]))
         elif "--verify" in command:
             assert shown.out.startswith("2 frames, each bit-identical to what was recorded")
+    assert len(residuals_rad) == len(set(residuals_rad.values())) == 5  # every method leaves another residual
+    assert all(0 < least < mean < most for least, most, mean in residuals_rad.values())
     stars, square = (Recording(tmp_path / name) for name in ("stars", "square"))
     assert (len(stars), len(square)) == (2, 2)
     assert [each.bench.simulation.source.mask for each in (stars, square)] == ["stars", "square"]
@@ -139,7 +144,7 @@ def test_measure_options_mask_average_auto_expose(
     assert run(monkeypatch, *words, "--out", tmp_path / "b", *dim) == 0
     reference = Recording(tmp_path / "b").calibration(0).reference
     assert reference.frames == 5
-    assert 0.65 < reference.mean.max() / 65535 < 0.75  # 70 % +- 5 % of full scale, as auto-exposure promises
+    assert 0.65 < reference.mean.max() / 65535 < 0.75  # auto-exposure: 70 % +- 5 % of full scale
     assert Recording(tmp_path / "b").line(0).exposure_s == pytest.approx(reference.exposure_s)
     hopeless = (
         "--auto-expose",
@@ -153,7 +158,7 @@ def test_measure_options_mask_average_auto_expose(
     capsys.readouterr()
     assert run(monkeypatch, *words, "--out", tmp_path / "c", *hopeless) == 1
     assert "light" in capsys.readouterr().err
-    assert not (tmp_path / "c").exists()  # nothing is recorded with an exposure that was not found
+    assert not (tmp_path / "c").exists()  # nothing is recorded without an exposure
     assert run(monkeypatch, "measure", "--help") == 0
     assert f"[default: {FRAMES}]" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 

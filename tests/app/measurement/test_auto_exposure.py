@@ -1,4 +1,4 @@
-"""The exposure is found within six frames from anywhere, and where there is none that is said."""
+"""Auto-exposure: found within six frames from any start, or a reason why it is impossible."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def expose(devices: Devices, fill: float = 0.7) -> AutoExposure:
 
 
 def true_fill(scene: Scene, found: AutoExposure) -> float:
-    """What the brightest pixel holds of full scale without noise."""
+    """Fill of the brightest pixel without noise."""
     light = scene.counts_per_a_s * found.current_a**scene.droop * found.exposure_s * float(scene.image.max())
     return float((light + scene.offset_counts) / (2**scene.bits - 1))
 
@@ -84,7 +84,7 @@ def test_exposure_is_found_within_six_frames(
     found = expose(devices)
     assert found.frames == len(camera.exposed_s) <= 6
     assert found.fill == pytest.approx(0.7, abs=0.05)
-    assert true_fill(scene, found) == pytest.approx(0.7, abs=0.06)  # what the noise adds to the brightest is small
+    assert true_fill(scene, found) == pytest.approx(0.7, abs=0.06)  # noise adds little to the brightest pixel
     assert (found.exposure_s, found.current_a) == (camera.exposure_s, lamp.current_a)
     assert lamp.is_on is is_on
     assert not camera.is_running
@@ -217,7 +217,7 @@ def test_fill_is_adjustable() -> None:
 def test_level_is_that_of_brightest_lenslets() -> None:
     random = np.random.default_rng(1)
     row = np.linspace(-1, 1, SIDE_PX)
-    uneven = np.exp(-2 * (row[:, None] ** 2 + row**2))  # a beam that is as wide as the array
+    uneven = np.exp(-2 * (row[:, None] ** 2 + row**2))  # a beam as wide as the array
     for image in IMAGES.values():
         dark = 500 + 6 * random.standard_normal(image.shape)
         seen = brightness(np.rint(dark + 40_000 * image).astype(np.uint16), PITCH_PX)

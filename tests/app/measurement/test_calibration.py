@@ -1,4 +1,4 @@
-"""A calibration, and what each frame carries: enough to make the same wavefront again, bit for bit."""
+"""Calibrations and measurements reproduce wavefronts bit by bit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from reconstruction.solve.modal import ModalSolution
 
 
 def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings: str) -> list[Measurement]:
-    """Run the small bench until what has come is `enough`."""
+    """Run the small bench until the measurements are `enough`."""
     measurements: list[Measurement] = []
     acquisition = Acquisition(load_bench(toml, settings), open_devices, sinks=(measurements.append,))
     acquisition.start()
@@ -29,7 +29,7 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
         for step in start_up(acquisition, 4):
             step.result(HANG_S)
         wait_until(lambda: enough(measurements))
-        # The same settings, another calibration.
+        # same settings, but another calibration
         acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench)).result(HANG_S)
         before = len(measurements)
         wait_until(lambda: sum(not one.problem for one in measurements[before:]) >= 3)
@@ -58,11 +58,11 @@ def test_calibration_reproduces_frames_bit_by_bit(small_toml: Path, tmp_path: Pa
         for measurement in measurements:
             calibration = measurement.calibration
             assert calibration is not None
-            if measurement.problem == PASSED_OVER:  # of these nothing was made that could be made again
+            if measurement.problem == PASSED_OVER:  # has no result to reproduce
                 continue
             if calibration not in reconstructors:
                 reconstructors[calibration] = calibration.reconstructor()
-                assert measurement.start is None  # another calibration starts cold
+                assert measurement.start is None  # a new calibration has no initial guess
             else:
                 assert measurement.start is registered
             again = reconstructors[calibration].register(measurement.frame.pixels, start=measurement.start)

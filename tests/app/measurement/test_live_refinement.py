@@ -1,4 +1,4 @@
-"""Refinement beside the frames: applied while the wavefront is near, dropped when it has gone, ended when asked."""
+"""Live refinement: the bias applies only near its wavefront, and the thread ends on request."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def bench_of(small_bench: SmallBench) -> Bench:
 
 
 def until(refinement: LiveRefinement, reconstructor: Reconstructor, frame: NDArray[np.float32], stage: str) -> float:
-    """Show a frame every 20 ms until the stage is reached; return how many seconds that took."""
+    """Refine a frame every 20 ms until the stage is reached; return the time (s)."""
     displacement, begin_s = reconstructor.register(frame), time.monotonic()
     while refinement.refine(displacement, time.monotonic())[1].stage != stage:
         assert time.monotonic() - begin_s < HANG_S
@@ -56,13 +56,13 @@ def test_bias_applies_only_near_its_wavefront(small_bench: SmallBench, reconstru
         assert refinement.as_before(1.0).bias is None
         np.testing.assert_array_equal(once.views, reconstructor.solve(displacement).views)
         until(refinement, reconstructor, frame, "applied")
-        time.sleep(1.0)  # some rounds more
+        time.sleep(1.0)  # some more rounds
         corrected, state = refinement.refine(displacement, time.monotonic())
         assert state.age_s > 0
         assert state.moved_rad < 0.2
         now_s = time.monotonic()
         corrected, state = refinement.refine(displacement, now_s)
-        later = refinement.as_before(now_s + 0.25)  # for a frame that nobody looks at now
+        later = refinement.as_before(now_s + 0.25)  # for a skipped frame
         assert later.bias is state.bias is not None
         assert later.age_s == pytest.approx(state.age_s + 0.25)
         assert rms(corrected.views - once.views).mean() > 0.005

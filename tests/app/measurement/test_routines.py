@@ -42,7 +42,7 @@ RIGHT_CURRENT_A = 0.35
 
 @dataclass(frozen=True)
 class Standing:
-    """How the devices stand."""
+    """State of the devices."""
 
     is_light_on: bool
     is_sample_in: bool
@@ -70,7 +70,7 @@ LIVE, AT_REST = Standing(True, True, True), Standing(False, False, False)
 
 
 class Counter:
-    """Counts what is asked of the devices, and does something at one of the calls."""
+    """Counts calls of devices, and runs a function at one of them."""
 
     def __init__(self, at: int = -1, then: Callable[[], None] = lambda: None) -> None:
         self.calls, self.at, self.then = 0, at, then
@@ -85,7 +85,7 @@ class Counter:
 
 
 class Counted:
-    """Stands before a device; whatever is asked of it is counted first."""
+    """Proxy of a device that counts its calls."""
 
     def __init__(self, device: Device, counter: Counter) -> None:
         self._device, self._counter = device, counter
@@ -206,7 +206,7 @@ def test_cancelling_at_any_call_restores_devices(devices: Devices, name: str, st
         except Cancelled:
             cancelled += 1
             assert Standing.of(devices) == standing
-    assert cancelled > calls / 3  # the others came when the last frame had
+    assert cancelled > calls / 3  # the others came after the last frame
 
 
 @pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
@@ -227,7 +227,7 @@ def test_device_fault_at_any_call_turns_light_off(
         except fault:
             assert not devices.light.is_on
         else:
-            survived += 1  # no frame in this slice of time: the next is waited for
+            survived += 1  # a timeout of one wait slice is retried
     assert survived <= (calls / 2 if fault is DeviceTimeout else 0)
 
 
@@ -277,7 +277,7 @@ def test_average_needs_at_least_one_frame(devices: Devices, frames: int) -> None
 
 
 class Played:
-    """A camera that plays frames."""
+    """Camera that plays given frames."""
 
     exposure_s, em_gain, amplifier = 0.1, 1.0, "normal"
 
@@ -286,7 +286,7 @@ class Played:
         self.capabilities = type("Size", (), {"rows": frames.shape[1], "columns": frames.shape[2]})
 
     def start(self) -> None:
-        """Begin."""
+        """Do nothing."""
 
     stop = start
 
@@ -307,7 +307,7 @@ def test_mean_and_variance_match_numpy(frames: int) -> None:
 
 
 def dark_like(frames: int, random: np.random.Generator, drift: float = 0.0, jitter: float = 0.0) -> np.ndarray:
-    """Frames without light, (frame, row, column), counts, of 6 counts' noise."""
+    """Dark frames (frame, row, column), counts, with a noise of 6 counts."""
     level = 500 + drift + jitter * random.standard_normal((frames, 1, 1))
     return np.asarray(np.rint(level + 6 * random.standard_normal((frames, 90, 110))))
 
@@ -344,7 +344,7 @@ def test_frame_to_frame_jitter_is_no_drift() -> None:
         compared(dark_like(20, random, jitter=2.0)[:, :30], dark_like(8, random, jitter=2.0)[:, :30]).significance
         for _ in range(60)
     ]
-    # Seven degrees of freedom: half of Student's t lies below 0.71 (SciPy).
+    # median of |t| of Student's distribution with seven degrees of freedom
     assert np.median(significance) == pytest.approx(stats.t(7).ppf(0.75), rel=0.3)
     assert np.mean(np.array(significance) > 5) < 0.02
 
@@ -355,7 +355,7 @@ def test_new_hot_and_cooled_pixels_are_counted() -> None:
     now[:, 3, 4] += 200
     now[:, 50, 60] += 60
     before[:, 20, 20] += 5000
-    steady = 3000 + 60 * random.standard_normal((28, 1))  # hot before and after, with more noise than the others
+    steady = 3000 + 60 * random.standard_normal((28, 1))  # hot before and after, and noisier
     before[:, 70, 70], now[:, 70, 70] = steady[:20, 0], steady[20:, 0]
     check = compared(before, now)
     assert (check.hot_pixels, check.cooled_pixels, check.is_good) == (2, 1, False)

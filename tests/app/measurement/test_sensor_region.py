@@ -1,4 +1,4 @@
-"""Another part of the sensor, and another binning: the lattice stays where it is on the sensor."""
+"""Sensor areas: regions in steps, binning, and the lattice at its place on the sensor."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_regions_grow_to_whole_steps_on_sensor(region: Region, step_px: int) -> 
     assert min(got.top, got.left) >= 0 < min(got.rows, got.columns)
     assert ends[0] <= SENSOR.rows
     assert ends[1] <= SENSOR.columns
-    # No pixel that was asked for is lost, but for those beyond the last whole step.
+    # Only pixels beyond the last whole step may be lost.
     for first, length, start, end, whole in (
         (region.top, region.rows, got.top, ends[0], 500 - 500 % step_px),
         (region.left, region.columns, got.left, ends[1], 700 - 700 % step_px),
@@ -62,7 +62,7 @@ def test_regions_grow_to_whole_steps_on_sensor(region: Region, step_px: int) -> 
         wanted = set(range(max(first, 0), min(first + length, whole)))
         assert wanted <= set(range(start, end))
         if got != SENSOR and wanted:
-            assert end - start < len(wanted) + 2 * step_px  # and no more than that
+            assert end - start < len(wanted) + 2 * step_px  # nor too large
 
 
 def test_whole_sensor_is_available_with_any_steps() -> None:
@@ -72,7 +72,7 @@ def test_whole_sensor_is_available_with_any_steps() -> None:
 
 @pytest.mark.parametrize("binning", [1, 2])
 def test_lattice_keeps_its_place_on_the_sensor(binning: int) -> None:
-    """A pixel of the frame has the light of those of the sensor under it: found by averaging a picture of positions."""
+    """Compare with binned images of pixel positions, an independent way to find where a pixel lies."""
     area = SensorArea(Region(16, 48, 160, 192), binning)
     there = moved_lattice(LATTICE, SensorArea(SENSOR, 1), area)
     y, x = np.mgrid[:500, :700].astype(float)[:, 16:176, 48:240]
@@ -131,7 +131,7 @@ def test_saved_bench_restores_area() -> None:
 
 
 class Binning(FakeCamera):
-    """Has a sensor of 480 x 640 pixels, two binnings, and refuses what it is told to refuse."""
+    """Camera with 480 x 640 pixels and two binnings that refuses given requests."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -206,7 +206,7 @@ def test_refused_area_restores_previous_one() -> None:
 
 
 def test_real_driver_uses_configured_area() -> None:
-    """Of the DCAM-API's stand-in, whose counts tell the pixel of the sensor they come from."""
+    """The DCAM stand-in, whose counts encode the sensor pixel."""
     with dcam_stand_in() as stand_in, open_camera(stand_in) as camera:
         before = SensorArea.of(camera)
         for asked, taken in (
@@ -222,9 +222,9 @@ def test_real_driver_uses_configured_area() -> None:
 
 @pytest.fixture
 def live_small(small_toml: Path) -> Iterator[tuple[Acquisition, list[Measurement]]]:
-    """An acquisition on the simulated bench, with wavefronts."""
+    """Acquisition on the simulated bench with wavefronts."""
     measurements: list[Measurement] = []
-    bench = load_bench(small_toml, ("reconstruction.pupil_modes=6",))  # which a part of the lenslets can tell apart
+    bench = load_bench(small_toml, ("reconstruction.pupil_modes=6",))  # few enough for a part of the lenslets
     acquisition = Acquisition(bench, open_devices, sinks=(measurements.append,))
     acquisition.start()
     for step in start_up(acquisition, 5):
@@ -253,7 +253,7 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
     with pytest.raises(WrongState, match="another part"):
         acquisition.submit(lambda instrument: instrument.survey_lattice()).result(HANG_S)
 
-    acquisition.take_reference(5).result(HANG_S)  # the dark still is of the whole sensor, and must not be used
+    acquisition.take_reference(5).result(HANG_S)  # the dark, still of the whole sensor, must not be used
     wait_until(lambda: measurements[-1].wavefront is not None)
     assert acquisition.status is not None
     assert "dark was taken of another part" in acquisition.status.warning

@@ -398,7 +398,7 @@ def test_a_bench_names_a_recording(small_toml: Path, steady: Recording) -> None:
 @pytest.mark.parametrize(
     ("override", "sentence"),
     [
-        ('light.driver="thorlabs_dc2200"', "is of no use: a recording sees no real light"),
+        ('light.driver="thorlabs_dc2200"', "cannot be used: a recording sees no real light"),
         ('camera.pace="slow"', 'camera.pace: must be one of "own", "fastest"'),
         ("camera.repeat=1", "camera.repeat: must be true or false"),
         ("camera.exposure_s=0.1", "camera: unknown key exposure_s"),
