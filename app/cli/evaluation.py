@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import gettempdir
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +13,7 @@ from app.errors import InputError, RunError
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
-    from app.evaluation.paper.tables import Table
+    from app.evaluation.study_kinds import Study
 
 _LIVE_BENCH = "live_demo"
 _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
@@ -40,6 +39,12 @@ def study(
     *,
     out: Annotated[Path, typer.Option(help="Folder for tables and figures: JSON, CSV and PNG.")],
     seeds: SeedsOption = 3,
+    frames: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="With calibration: add the *_reference.tif in DIR, taken with its bench.toml."
+        ),
+    ] = None,
     bench: BenchOption = "paper_simulation",
     setting: SetOption = None,
 ) -> None:
@@ -50,13 +55,20 @@ def study(
 
     Example: svwfs study exposure --seeds 1 --out study
     """
-    from app.cli.tables import progress_bar
-    from app.evaluation.study.sweeps import chosen_sweeps, print_outcomes, run_study
+    from app.evaluation.study.catalogue import chosen_studies
 
-    sweeps, loaded = chosen_sweeps(names or []), load(bench, setting)
+    _run(chosen_studies(names or [], frames), load(bench, setting), seeds, out)
+
+
+def _run(studies: list[Study], bench: Bench, seeds: int, out: Path) -> None:
+    """Run studies under a progress bar and print their results."""
+    from app.cli.tables import progress_bar
+    from app.evaluation.run_studies import run_studies
+    from app.evaluation.study_tables import print_results
+
     with progress_bar() as progress:
-        outcomes = run_study(loaded, sweeps, seeds, out, progress)
-    print_outcomes(outcomes)
+        results = run_studies(bench, studies, seeds, out, progress)
+    print_results(results)
 
 
 def benchmark(
@@ -104,14 +116,15 @@ def benchmark(
         )
     from app.cli.tables import progress_bar
     from app.evaluation.benchmark.baseline import load_baseline, worsened
-    from app.evaluation.benchmark.output import print_benchmark, write_benchmark
+    from app.evaluation.benchmark.output import print_benchmark
     from app.evaluation.benchmark.run import Plan, run_benchmark
+    from app.evaluation.study_files import write_json
 
     plan = Plan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
     with progress_bar() as progress:
         result = run_benchmark(plan, progress)
     if json is not None:
-        write_benchmark(result, json)
+        write_json(json, result)
     print_benchmark(result)
     if check and (slower := worsened(result["ratios"], load_baseline())):
         raise RunError("slower relative to the peers than the baseline: " + "; ".join(slower))
@@ -121,16 +134,16 @@ def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, jso
     """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
     from app.cli.tables import progress_bar
     from app.commands.acquisition_benchmark import benchmark_acquisition
-    from app.evaluation.benchmark.live.output import live_json, missed, print_live
-    from app.evaluation.benchmark.live.plan import LivePlan
-    from app.evaluation.benchmark.output import write_benchmark
+    from app.evaluation.benchmark.live_path.output import live_json, missed, print_live
+    from app.evaluation.benchmark.live_path.plan import LivePlan
+    from app.evaluation.study_files import write_json
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
     with progress_bar() as progress:
         figures = benchmark_acquisition(plan, progress)
     print_live(figures)
     if json is not None:
-        write_benchmark(live_json(figures), json)
+        write_json(json, live_json(figures))
     if check and (failed := missed(figures)):
         raise RunError("missed: " + "; ".join(failed))
 
@@ -155,9 +168,9 @@ def table1(
 
     Example: svwfs paper table1 --out paper
     """
-    from app.evaluation.paper.tables import table1 as run
+    from app.evaluation.paper import tables
 
-    _paper_table(lambda progress: run(load(bench, setting), seeds, peers=peers, progress=progress), out)
+    _run([tables.table1(peers=peers)], load(bench, setting), seeds, out)
 
 
 @paper.command()
@@ -173,9 +186,9 @@ def table2(
 
     Example: svwfs paper table2 --seeds 3 --out paper
     """
-    from app.evaluation.paper.tables import table2 as run
+    from app.evaluation.paper import tables
 
-    _paper_table(lambda progress: run(load(bench, setting), seeds, peers=peers, progress=progress), out)
+    _run([tables.table2(peers=peers)], load(bench, setting), seeds, out)
 
 
 @paper.command()
@@ -186,19 +199,6 @@ def sources(
 
     Example: svwfs paper sources --out paper
     """
-    from app.evaluation.paper.tables import sources as run
+    from app.evaluation.paper import tables
 
-    _paper_table(lambda progress: run(load(bench, setting), seeds, progress=progress), out)
-
-
-def _paper_table(run: Callable[[Callable[[str, float], None]], Table], out: Path) -> None:
-    """Compute, write and print a table."""
-    from app.cli.tables import progress_bar
-    from app.evaluation.paper.output import print_table, write_table
-    from app.files import make_folder
-
-    make_folder(out)
-    with progress_bar() as progress:
-        table = run(progress)
-    write_table(table, out)
-    print_table(table)
+    _run([tables.sources()], load(bench, setting), seeds, out)

@@ -6,9 +6,9 @@ import time
 
 from app.acquisition.streams.publisher import stream_sinks
 from app.commands.display import use_display
-from app.evaluation.benchmark.live.course import Course
-from app.evaluation.benchmark.live.figures import LiveFigures
-from app.evaluation.benchmark.live.plan import LivePlan, recording_folder
+from app.evaluation.benchmark.live_path.course import Course
+from app.evaluation.benchmark.live_path.figures import LiveFigures
+from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
 from app.progress import Progress, between, named
 
 _POLL_S = 0.1

@@ -1,1 +1,1 @@
-"""How fast this instrument is beside its peers, on the same frames, in one run; `svwfs benchmark`."""
+"""Speed beside the peers on the same frames, for `svwfs benchmark`."""

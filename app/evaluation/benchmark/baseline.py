@@ -1,7 +1,7 @@
-"""The ratios that were once reached, and whether they still are.
+"""Committed speed ratios, and their regression check.
 
-`baseline.json` holds ratios alone, which hardly depend on the computer: the peer's time over ours, side by side.
-Where they have become better for good, copy "ratios" from what `svwfs benchmark --json` wrote.
+`baseline.json` holds the peers' times over ours, side by side, which hardly depend on the computer. After a lasting
+improvement copy "ratios" from the file of `svwfs benchmark --json`.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from collections.abc import Mapping
 from pathlib import Path
 
 _BASELINE = Path(__file__).with_name("baseline.json")
-_WORSE = 0.2
+_TOLERANCE = 0.2
 
 
 def load_baseline() -> dict[str, float]:
-    """The ratios that are committed."""
+    """Return the committed ratios."""
     ratios: dict[str, float] = json.loads(_BASELINE.read_text())["ratios"]
     return ratios
 
 
 def worsened(ratios: Mapping[str, float], baseline: Mapping[str, float]) -> list[str]:
-    """Say which ratios have become worse by more than 20 %, or are not there to be compared."""
-    said = []
+    """Return a sentence for each ratio that is missing or worse by more than 20 %."""
+    problems = []
     for name, before in baseline.items():
         now = ratios.get(name)
         if now is None:
-            said.append(f"{name}: was {before:.3g}, could not be measured now")
-        elif now < (1 - _WORSE) * before:
-            said.append(f"{name}: {now:.3g} times faster, was {before:.3g}")
-    return said
+            problems.append(f"{name}: was {before:.3g}, could not be measured now")
+        elif now < (1 - _TOLERANCE) * before:
+            problems.append(f"{name}: {now:.3g} times faster, was {before:.3g}")
+    return problems

@@ -1,17 +1,16 @@
-"""The peers that find how subimages lie, each used as well as it can be, and prepared once for a reference.
+"""Peers that register subimages, each in its best use and prepared once for a reference.
 
-All of them see the same frame, less the same dark, in the same 31 x 31 pixels a lenslet, and are timed from the
-camera's counts to their displacements alone; ours from there to wavefronts and coefficients. What can be prepared from
-the reference is. None knows a whole frame of subimages but pyrtcao's.
+All of them get the same frame above the same dark in the same 31 x 31 pixels per lenslet. They are timed from counts to
+displacements only, ours to wavefronts and coefficients. Only pyrtcao processes a whole frame in one call.
 
-* SimpleITK: the settings of MATLAB's imregtform, lenslets shared by two threads.
-* OpenCV: `findTransformECC` with an affine map and its own default criteria (50 steps, 1e-3), which leave no more than
-  tighter ones; begun at what the frame before showed, as ours; lenslets shared by two threads, as its calls let go of
-  Python's lock; also from the identity, and in one thread.
-* scikit-image: `phase_cross_correlation`, a tenth of a pixel fine, as finer ones leave as much; the transforms of all
-  subimages in one call, those of the reference beforehand; no phase normalisation, which squares do not survive.
-* pyrtcao: `compute_slopes_shwfs_correlation_numba`, whole frame in one call, which has no threads. It looks as far as
-  a subimage may move before it leaves its cell, as ours does; and, in a row of its own, only as far as is needed here.
+* SimpleITK: the settings of MATLAB's imregtform; two threads share the lenslets.
+* OpenCV: `findTransformECC` with an affine map and its default criteria (50 steps, 1e-3; tighter ones leave no smaller
+  residual), started at the previous frame like ours; two threads share the lenslets, as its calls release the GIL. Also
+  cold, and in one thread.
+* scikit-image: `phase_cross_correlation` to a tenth of a pixel (finer leaves the same residual); the transforms of all
+  subimages in one call, those of the reference in advance; no phase normalisation, which fails on squares.
+* pyrtcao: `compute_slopes_shwfs_correlation_numba`, single-threaded. It searches up to the edge of the cell, like ours,
+  and as a separate contestant only as far as these frames need.
 """
 
 from __future__ import annotations
@@ -27,46 +26,46 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from app.evaluation.benchmark.cases import Case
+from app.evaluation.benchmark.timed_frames import TimedFrames
 from reconstruction.arrays import Floats, Image
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
 Register = Callable[[NDArray[Any]], Floats]
-"""From a frame's counts (row, column) to coefficients c_q of 1, x / h, y / h, px, (lenslet, xy, 1 or 3)."""
+"""Takes counts (row, column), returns coefficients c_q of 1, x / h, y / h, px, (lenslet, xy, 1 or 3)."""
 
 _THREADS = 2
 _TENTH = 10
-_ECC_STEPS, _ECC_TOLERANCE = 50, 1e-3  # findTransformECC's own
+_ECC_STEPS, _ECC_TOLERANCE = 50, 1e-3  # defaults of findTransformECC
 _NO_SEARCH_PX = 1.0
 
 
 class _Windows:
-    """Cuts frames into the subimages of whole pixels that peers understand."""
+    """Cuts frames into subimages of whole pixels."""
 
-    def __init__(self, case: Case) -> None:
-        self._case = case
-        self.pitch_px = round(case.lattice.pitch_px)
-        self.rows, self.columns = case.sensor.lenslet_rows, case.sensor.lenslet_columns
-        first = np.array([case.lattice.center_y_px, case.lattice.center_x_px])
+    def __init__(self, frames: TimedFrames) -> None:
+        self._dark = frames.dark
+        self.pitch_px = round(frames.lattice.pitch_px)
+        self.rows, self.columns = frames.sensor.lenslet_rows, frames.sensor.lenslet_columns
+        first = np.array([frames.lattice.center_y_px, frames.lattice.center_x_px])
         first -= (np.array([self.rows, self.columns]) * self.pitch_px - 1) / 2
         self.top, self.left = (round(float(value)) for value in first)
 
     def light(self, frame: NDArray[Any]) -> Image:
-        """The frame less the dark, (row, column)."""
-        return np.asarray(frame - self._case.dark, np.float32)
+        """Return the frame above the dark, (row, column)."""
+        return np.asarray(frame - self._dark, np.float32)
 
     def __call__(self, frame: NDArray[Any]) -> Image:
-        """All subimages, (lenslet, row, column)."""
+        """Return all subimages, (lenslet, row, column)."""
         pitch_px = self.pitch_px
         inner = self.light(frame)[self.top :, self.left :][: self.rows * pitch_px, : self.columns * pitch_px]
         cells = inner.reshape(self.rows, pitch_px, self.columns, pitch_px).swapaxes(1, 2)
         return np.ascontiguousarray(cells.reshape(-1, pitch_px, pitch_px))
 
 
-def simple_itk(case: Case) -> Register:
+def simple_itk(frames: TimedFrames) -> Register:
     """Prepare SimpleITK's affine registration."""
-    reconstructor = case.reconstructor(
+    reconstructor = frames.reconstructor(
         RegistrationSettings(method="itk_affine"), ReconstructionSettings(method="zonal")
     )
 
@@ -78,14 +77,14 @@ def simple_itk(case: Case) -> Register:
 
 
 @contextmanager
-def opencv_ecc(case: Case, *, is_warm: bool = True, threads: int = _THREADS) -> Iterator[Register]:
+def opencv_ecc(frames: TimedFrames, *, is_warm: bool = True, threads: int = _THREADS) -> Iterator[Register]:
     """Prepare OpenCV's maximisation of the enhanced correlation coefficient."""
-    windows = _Windows(case)
-    references = windows(case.reference)
+    windows = _Windows(frames)
+    references = windows(frames.reference)
     brightest = references.max()
     references /= brightest
     middle = np.full(2, (windows.pitch_px - 1) / 2)
-    half_width_px = case.field.half_width_px(case.sensor)
+    half_width_px = frames.field.half_width_px(frames.sensor)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, _ECC_STEPS, _ECC_TOLERANCE)
     starts = np.tile(np.eye(2, 3, dtype=np.float32), (len(references), 1, 1))
 
@@ -93,7 +92,7 @@ def opencv_ecc(case: Case, *, is_warm: bool = True, threads: int = _THREADS) -> 
         warp = start.copy()
         try:
             found = cv2.findTransformECC(reference, subimage, warp, cv2.MOTION_AFFINE, criteria)
-        except cv2.error:  # it did not converge
+        except cv2.error:  # no convergence
             return np.full_like(start, np.nan)
         return np.asarray(found[1], np.float32)
 
@@ -105,7 +104,7 @@ def opencv_ecc(case: Case, *, is_warm: bool = True, threads: int = _THREADS) -> 
             return np.stack(list(over_all(align, references, subimages, starts)))
 
         if is_warm:
-            before = warps(case.before)
+            before = warps(frames.before)
             known = np.isfinite(before).all(axis=(1, 2))
             starts[known] = before[known]
 
@@ -118,11 +117,11 @@ def opencv_ecc(case: Case, *, is_warm: bool = True, threads: int = _THREADS) -> 
         yield register
 
 
-def scikit_image(case: Case) -> Register:
+def scikit_image(frames: TimedFrames) -> Register:
     """Prepare scikit-image's phase correlation."""
     correlate = import_module("skimage.registration").phase_cross_correlation  # an optional extra
-    windows = _Windows(case)
-    references = fft.fft2(windows(case.reference), workers=_THREADS)
+    windows = _Windows(frames)
+    references = fft.fft2(windows(frames.reference), workers=_THREADS)
 
     def register(frame: NDArray[Any]) -> Floats:
         subimages = fft.fft2(windows(frame), workers=_THREADS)
@@ -130,25 +129,25 @@ def scikit_image(case: Case) -> Register:
             correlate(one, other, space="fourier", upsample_factor=_TENTH, normalization=None)[0]
             for one, other in zip(references, subimages, strict=True)
         ]
-        return -np.array(back)[:, ::-1, None]  # it says how to undo the shift, row first
+        return -np.array(back)[:, ::-1, None]  # it returns the opposite shift, row first
 
     return register
 
 
-def pyrtc(case: Case, *, reach_px: int) -> Register:
-    """Prepare pyrtcao's correlation, which looks `reach_px` pixels far in each direction."""
+def pyrtc(frames: TimedFrames, *, reach_px: int) -> Register:
+    """Prepare pyrtcao's correlation, which searches `reach_px` pixels in each direction."""
     kernels = import_module("pyrtc.slopes_process")  # an optional extra
 
-    windows = _Windows(case)
+    windows = _Windows(frames)
     lenslets, width = windows.rows, windows.pitch_px
     if windows.columns != lenslets:
-        raise ValueError("pyrtcao's correlation knows square lattices only")
+        raise ValueError("pyrtcao's correlation needs a square lattice")
     core, shifts = width - 2 * reach_px, 2 * reach_px + 1
     templates = np.zeros((lenslets, lenslets, core, core), np.float32)
     flux = np.zeros((lenslets, lenslets), np.float32)
     spacing, threshold = np.float32(width), np.float32(0.0)
     place = (threshold, spacing, windows.left, windows.top, width)
-    kernels.build_shwfs_correlation_templates_numba(windows.light(case.reference), *place, reach_px, templates, flux)
+    kernels.build_shwfs_correlation_templates_numba(windows.light(frames.reference), *place, reach_px, templates, flux)
     compute = kernels.compute_slopes_shwfs_correlation_numba
     slopes, zero = np.zeros((2, 2 * lenslets, lenslets), np.float32)
     window, scores = np.zeros((width, width), np.float32), np.zeros((shifts, shifts), np.float32)
@@ -160,9 +159,9 @@ def pyrtc(case: Case, *, reach_px: int) -> Register:
     return register
 
 
-def reach_px(case: Case) -> int:
-    """How many whole pixels a subimage may move before it leaves its cell."""
+def reach_px(frames: TimedFrames) -> int:
+    """Return the whole pixels by which a subimage may move before it leaves its cell."""
     reference = ReferenceSubimages(
-        case.reference - case.dark, sensor=case.sensor, lattice=case.lattice, field=case.field
+        frames.reference - frames.dark, sensor=frames.sensor, lattice=frames.lattice, field=frames.field
     )
     return int(max(reference.reach_px - reference.half_width_px, _NO_SEARCH_PX))

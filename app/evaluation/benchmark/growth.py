@@ -1,95 +1,72 @@
-"""How the time of a frame grows with the number of lenslets and of field modes, and what a 4-K camera costs."""
+"""Times of frames against the number of lenslets and of field modes, and of a 4-megapixel camera."""
 
 from __future__ import annotations
 
 import resource
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
 from functools import partial
 
-from app.evaluation.benchmark.cases import Case, tiled
-from app.evaluation.benchmark.stopwatch import side_by_side
+from app.evaluation.benchmark.stopwatch import medians_s, side_by_side
+from app.evaluation.benchmark.timed_frames import TimedFrames, tiled
+from app.evaluation.cases import CaseResult
 from app.progress import Progress
 from reconstruction.settings import FIELD_MODES, RegistrationSettings, Warp
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront
 
-FOUR_K_LENSLETS, FOUR_K_MARGIN_PX = 64, 32  # 31 pixels each on 2048 x 2048
+DIMS = ("lenslets", "field_modes")  # lenslets along a side
+_LARGE_LENSLETS, _LARGE_MARGIN_PX = 64, 32  # 31 pixels each on 2048 x 2048
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Grown:
-    """What frames of one size cost."""
-
-    lenslets: int  # a side
-    frame_px: int  # a side
-    field_modes: int
-    prepare_s: float  # from a new reference to the first wavefronts
-    register_s: float  # warm
-    zonal_s: float
-    modal_s: float  # as many pupil modes as the lattice carries
-    frame_s: float  # counts to all views and coefficients: register and modal
-    per_lenslet_us: float  # of that
-    peak_memory_mb: float  # of the whole process so far
-
-    def as_dict(self) -> dict[str, float]:
-        """For JSON."""
-        return asdict(self)
+def growth(frames: TimedFrames, sizes: Sequence[int], budget_s: float, progress: Progress) -> Iterator[CaseResult]:
+    """Time quadratic warps on lattices of several sizes, affine and cubic ones on the frames' own lattice."""
+    own = frames.sensor.lenslet_rows
+    cases: list[tuple[int, Warp]] = [*((size, "quadratic") for size in sizes), (own, "affine"), (own, "cubic")]
+    for index, (size, warp) in enumerate(cases):
+        progress(f"{size} x {size} lenslets, {warp}", index / len(cases))
+        yield _timed(tiled(frames, size), warp, budget_s)
 
 
-def growth(case: Case, sizes: Sequence[int], budget_s: float, progress: Progress) -> list[Grown]:
-    """Quadratic warps on lattices of several sizes; affine and cubic ones on that of the case itself."""
-    own = case.sensor.lenslet_rows
-    wanted: list[tuple[int, Warp]] = [(size, "quadratic") for size in sizes]
-    wanted += [(own, "affine"), (own, "cubic")]
-    found = []
-    for index, (size, warp) in enumerate(wanted):
-        progress(f"{size} x {size} lenslets, {warp}", index / len(wanted))
-        found.append(grown(tiled(case, size), warp, budget_s))
-    return found
+def large_camera(frames: TimedFrames, budget_s: float) -> CaseResult:
+    """Time a 2048 x 2048 camera behind 64 x 64 lenslets of 31 pixels."""
+    return _timed(tiled(frames, _LARGE_LENSLETS, margin_px=_LARGE_MARGIN_PX), "quadratic", budget_s)
 
 
-def four_k(case: Case, budget_s: float) -> Grown:
-    """A 2048 x 2048 camera behind 64 x 64 lenslets of 31 pixels."""
-    return grown(tiled(case, FOUR_K_LENSLETS, margin_px=FOUR_K_MARGIN_PX), "quadratic", budget_s)
-
-
-def grown(case: Case, warp: Warp, budget_s: float) -> Grown:
-    """Time one size."""
-    lenslets = case.sensor.lenslet_rows
+def _timed(frames: TimedFrames, warp: Warp, budget_s: float) -> CaseResult:
+    lenslets = frames.sensor.lenslet_rows
     start_s = time.perf_counter()
-    reconstructor = case.reconstructor(RegistrationSettings(warp=warp))
-    before = reconstructor.register(case.before)
-    reconstructor.solve(before)  # what the weights of the lenslets determine is computed once
-    end_s = time.perf_counter()
-    displacement = reconstructor.register(case.frame, start=before)
-    slopes = displacement.coefficients * case.sensor.slope_per_px
+    reconstructor = frames.reconstructor(RegistrationSettings(warp=warp))
+    before = reconstructor.register(frames.before)
+    reconstructor.solve(before)  # computes the factors of the lenslets' weights once
+    prepare_s = time.perf_counter() - start_s
+    displacement = reconstructor.register(frames.frame, start=before)
+    slopes = displacement.coefficients * frames.sensor.slope_per_px
     weights = reconstructor.weights_of(displacement)
-    zonal = ZonalSolution(slopes, displacement.valid, case.sensor.lenslet_pitch_m, weights)
-    times = side_by_side(
-        {
-            "register": partial(reconstructor.register, case.frame, start=before),
-            "zonal": partial(Wavefront.of, case.sensor, case.field, displacement, zonal),
-            "modal": partial(reconstructor.solve, displacement),
-            "frame": lambda: reconstructor.solve(reconstructor.register(case.frame, start=before)),
-        },
-        budget_s,
+    zonal = ZonalSolution(slopes, displacement.valid, frames.sensor.lenslet_pitch_m, weights)
+    times_s = medians_s(
+        side_by_side(
+            {
+                "register": partial(reconstructor.register, frames.frame, start=before),
+                "zonal": partial(Wavefront.of, frames.sensor, frames.field, displacement, zonal),
+                "modal": partial(reconstructor.solve, displacement),
+                "frame": lambda: reconstructor.solve(reconstructor.register(frames.frame, start=before)),
+            },
+            budget_s,
+        )
     )
-    frame_s = times["frame"].median_s
-    return Grown(
-        lenslets=lenslets,
-        frame_px=case.reference.shape[0],
-        field_modes=FIELD_MODES[warp],
-        prepare_s=end_s - start_s,
-        register_s=times["register"].median_s,
-        zonal_s=times["zonal"].median_s,
-        modal_s=times["modal"].median_s,
-        frame_s=frame_s,
-        per_lenslet_us=frame_s / lenslets**2 * 1e6,
-        peak_memory_mb=_peak_memory_mb(),
-    )
+    values = {
+        "frame_px": frames.reference.shape[0],  # along a side
+        "prepare_s": prepare_s,  # from a new reference to the first wavefronts
+        "register_s": times_s["register"],  # warm
+        "zonal_s": times_s["zonal"],
+        "modal_s": times_s["modal"],  # with the number of pupil modes chosen from the lattice
+        "frame_s": times_s["frame"],  # counts to all views and coefficients: register and modal
+        "per_lenslet_us": times_s["frame"] / lenslets**2 * 1e6,
+        "peak_memory_mb": _peak_memory_mb(),
+    }
+    return CaseResult(at={"lenslets": lenslets, "field_modes": FIELD_MODES[warp]}, values=values)
 
 
 def _peak_memory_mb() -> float:

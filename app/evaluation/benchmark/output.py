@@ -1,74 +1,51 @@
-"""The benchmark as tables on the terminal and as JSON."""
+"""The benchmark as tables on the terminal."""
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
-
-import rich.table
-from rich import box
-from rich.console import Console
+from collections.abc import Iterator
+from typing import Any
 
 from app.evaluation.benchmark.ours import OURS
 from app.evaluation.benchmark.run import Json
-from app.files import atomic_write
+from app.evaluation.study_tables import print_line, print_table
 
-
-def write_benchmark(result: Json, path: Path) -> None:
-    """Write everything that was measured."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(result, indent=2) + "\n")
+_WIDTH = 100
 
 
 def print_benchmark(result: Json) -> None:
-    """Print times and residuals beside one another, and the growth."""
-    console = Console(width=max(Console().width, 100))  # numbers cut short are of no use, in a pipe neither
-    machine = result["machine"]
-    console.print(f"{machine['processor']}, {machine['cores']} cores; the same noisy frame for all", highlight=False)
-    table = _table("one frame", "median, ms", "best, ms", "over ours", "residual, rad", "noise-free")
+    """Print times and residuals of all contestants, and the growth."""
+    machine, zonal, forward = result["machine"], result["zonal"], result["forward"]
+    print_line(f"{machine['processor']}, {machine['cores']} cores; the same noisy frame for all")
+    headings = ["one frame", "median, ms", "best, ms", "over ours", "residual, rad", "noise-free"]
+    print_table(None, headings, _contestants(result), width=_WIDTH)
+    for name, problem in result["missing"].items():
+        print_line(f"missing: {name}: {problem}")
+    print_line(f"{result['frames_per_s']:.0f} frames/s in a loop (quadratic, warm)")
+    ours_ms, scipy_ms = zonal["ours_s"] * 1e3, zonal["scipy_splu_s"] * 1e3
+    print_line(f"zonal solve of all views {ours_ms:.3f} ms, bare SciPy splu {scipy_ms:.3f} ms")
+    hcipy = f", HCIPy {forward['hcipy_s_per_point'] * 1e3:.1f} ms" if "hcipy_s_per_point" in forward else ""
+    print_line(f"forward model {forward['ours_s_per_point'] * 1e3:.2f} ms per object point{hcipy}")
+    headings = ["lenslets", "Q", "px", "register", "zonal", "modal", "all, ms", "each, us", "prepare, s", "peak, MB"]
+    sizes = [*result["growth"], *([result["four_k"]] if "four_k" in result else [])]
+    print_table(None, headings, map(_size, sizes), width=_WIDTH)
+
+
+def _contestants(result: Json) -> Iterator[list[str]]:
     ours_s = result["times"][OURS]["median_s"]
     for name, times in result["times"].items():
         numbers = (times["median_s"] * 1e3, times["best_s"] * 1e3, times["median_s"] / ours_s)
         residuals = (result["residuals_rad"][kind].get(name, math.nan) for kind in ("noisy", "noise_free"))
-        table.add_row(name, *(f"{number:.2f}" for number in numbers), *(f"{number:.3f}" for number in residuals))
-    console.print(table)
-    for name, why in result["missing"].items():
-        console.print(f"missing: {name}: {why}", highlight=False)
-    console.print(f"{result['frames_per_s']:.0f} frames/s in a loop (quadratic, warm)", highlight=False)
-    zonal, forward = result["zonal"], result["forward"]
-    console.print(
-        f"zonal solve of all views {zonal['ours_s'] * 1e3:.3f} ms, "
-        f"bare SciPy splu {zonal['scipy_splu_s'] * 1e3:.3f} ms",
-        highlight=False,
-    )
-    hcipy = f", HCIPy {forward['hcipy_s_per_point'] * 1e3:.1f} ms" if "hcipy_s_per_point" in forward else ""
-    console.print(f"forward model {forward['ours_s_per_point'] * 1e3:.2f} ms an object point{hcipy}", highlight=False)
-    console.print(_growth(result))
+        yield [name, *(f"{number:.2f}" for number in numbers), *(f"{number:.3f}" for number in residuals)]
 
 
-def _growth(result: Json) -> rich.table.Table:
-    table = _table(
-        "lenslets",
-        *("Q", "px", "register", "zonal", "modal", "all, ms", "each, us", "prepare, s", "peak, MB"),
-    )
-    for each in [*result["growth"], *([result["four_k"]] if "four_k" in result else [])]:
-        milliseconds = (each[f"{stage}_s"] * 1e3 for stage in ("register", "zonal", "modal", "frame"))
-        table.add_row(
-            f"{each['lenslets']} x {each['lenslets']}",
-            str(each["field_modes"]),
-            str(each["frame_px"]),
-            *(f"{number:.2f}" for number in milliseconds),
-            f"{each['per_lenslet_us']:.1f}",
-            f"{each['prepare_s']:.1f}",
-            f"{each['peak_memory_mb']:.0f}",
-        )
-    return table
-
-
-def _table(first: str, *others: str) -> rich.table.Table:
-    table = rich.table.Table(box=box.SIMPLE, padding=(0, 1))
-    table.add_column(first, no_wrap=True)
-    for name in others:
-        table.add_column(name, justify="right")
-    return table
+def _size(times: dict[str, Any]) -> list[str]:
+    return [
+        f"{times['lenslets']} x {times['lenslets']}",
+        str(times["field_modes"]),
+        str(times["frame_px"]),
+        *(f"{times[f'{stage}_s'] * 1e3:.2f}" for stage in ("register", "zonal", "modal", "frame")),
+        f"{times['per_lenslet_us']:.1f}",
+        f"{times['prepare_s']:.1f}",
+        f"{times['peak_memory_mb']:.0f}",
+    ]

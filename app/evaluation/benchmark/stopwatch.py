@@ -1,60 +1,56 @@
-"""Times of several things side by side, so that whatever else the computer does slows all of them alike."""
+"""Times of several calls in turn, so that other load on the computer slows all of them alike."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
+import xarray as xr
 
+from app.evaluation.cases import REPEAT, CaseResult, collect, rows
 from app.progress import Progress
 
-_TURN_S = 0.02  # what is quicker is called again and again for so long, before the next one's turn
+_TURN_S = 0.02  # quicker calls are repeated for so long before the next one's turn
 _LEAST_CALLS = 3
 
 
-@dataclass(slots=True)
-class Times:
-    """How long each call took."""
-
-    seconds: list[float] = field(default_factory=list)
-
-    @property
-    def median_s(self) -> float:
-        """What a call takes as a rule."""
-        return float(np.median(self.seconds))
-
-    @property
-    def best_s(self) -> float:
-        """What a call takes when nothing else is going on."""
-        return min(self.seconds)
-
-
 def side_by_side(
-    contestants: Mapping[str, Callable[[], Any]], budget_s: float, progress: Progress | None = None
-) -> dict[str, Times]:
-    """Call all contestants in turn until each has had `budget_s` and three calls; the first call of each is not timed.
+    calls: Mapping[str, Callable[[], Any]], budget_s: float, progress: Progress = lambda *_: None
+) -> xr.Dataset:
+    """Call everything in turn until each has had `budget_s` and three calls.
 
-    That one may compile or load something.
+    Returns `seconds` (contestant, repeat); the first call of each may compile or load something and is not timed.
     """
-    times = {name: Times() for name in contestants}
-    for index, (name, call) in enumerate(contestants.items()):
-        if progress is not None:
-            progress(name, index / len(contestants) / 2)
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    for index, (name, call) in enumerate(calls.items()):
+        progress(name, index / len(calls) / 2)
         call()
-    waiting = dict(contestants)
+    waiting = dict(calls)
     while waiting:
         for name, call in list(waiting.items()):
-            if progress is not None:
-                progress(name, 1 - len(waiting) / len(contestants) / 2)
+            progress(name, 1 - len(waiting) / len(calls) / 2)
             turn_s = 0.0
             while turn_s < _TURN_S:
                 start_s = time.perf_counter()
                 call()
-                times[name].seconds.append(time.perf_counter() - start_s)
-                turn_s += times[name].seconds[-1]
-            if sum(times[name].seconds) >= budget_s and len(times[name].seconds) >= _LEAST_CALLS:
+                seconds[name].append(time.perf_counter() - start_s)
+                turn_s += seconds[name][-1]
+            if sum(seconds[name]) >= budget_s and len(seconds[name]) >= _LEAST_CALLS:
                 del waiting[name]
-    return times
+    named = ((name, each) for name, all_s in seconds.items() for each in all_s)
+    return collect(
+        ("contestant",), (CaseResult(at={"contestant": name}, values={"seconds": each}) for name, each in named)
+    )
+
+
+def summaries(times: xr.Dataset) -> dict[str, dict[str, float]]:
+    """Return median and best time, s, and the number of calls by contestant."""
+    seconds = times["seconds"]
+    summary = {"median_s": seconds.median(REPEAT), "best_s": seconds.min(REPEAT), "calls": seconds.count(REPEAT)}
+    return {row.pop("contestant"): row for row in rows(xr.Dataset(summary), ("contestant",))}
+
+
+def medians_s(times: xr.Dataset) -> dict[str, float]:
+    """Return the median time, s, by contestant."""
+    return {name: summary["median_s"] for name, summary in summaries(times).items()}

@@ -1,1 +1,1 @@
-"""The paper's tables, theirs and ours side by side."""
+"""The tables of the paper: its numbers beside ours."""

@@ -1,4 +1,4 @@
-"""The frames that the tables are made from: one bench, with one mask after the other."""
+"""Frames of the tables: one bench with several masks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from reconstruction.geometry import nominal_lattice
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 
-_CROP, _RESIZED = 469, 465  # px: the paper's way to 31 pixels a lenslet
+_CROP, _RESIZED = 469, 465  # px; the paper's frames end with 31 pixels per lenslet
 _DARKS = 8
 
 
@@ -33,7 +33,7 @@ class Frames:
 
 
 def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, Frames], Floats]:
-    """Mean photons of reference and frame for each mask, and the true wavefronts of the views."""
+    """Return mean photons of reference and frame for each mask, and the true wavefronts of the views."""
     rendered = NoiseFreeFrames(bench)
     with_sample = {mask: rendered.frame(mask) for mask in masks}
     frames = {mask: Frames(rendered.reference(mask), frame.photons) for mask, frame in with_sample.items()}
@@ -43,7 +43,7 @@ def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, F
 def exposed_frames(
     bench: Bench, exposures_s: Mapping[Mask, float], progress: Callable[[float], None]
 ) -> tuple[dict[str, Frames], Floats]:
-    """Frames of the camera with all its noise, minus darks, each mask with its own exposure; and the truth."""
+    """Return frames of the noisy camera above the dark for each mask and its exposure, and the true wavefronts."""
     frames: dict[str, Frames] = {}
     with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
         for mask, exposure_s in exposures_s.items():
@@ -68,9 +68,9 @@ def _photograph(camera: SimulatedCamera) -> Image:
 
 
 def resized(bench: Bench, frames: Mapping[str, Frames]) -> tuple[Bench, dict[str, Frames]]:
-    """The paper's way: cut the middle 469 x 469 pixels out and resize them to 465 x 465, bicubically.
+    """Crop the middle 469 x 469 pixels and resize them to 465 x 465, bicubically, as in the paper.
 
-    Returns the bench that the resized frames seem to come from.
+    Returns the bench with the geometry of the resized frames, and these.
     """
     sensor = replace(bench.sensor, pixel_pitch_m=bench.sensor.lenslet_pitch_m / 31)
     lattice = nominal_lattice(sensor, _RESIZED, _RESIZED)

@@ -1,4 +1,4 @@
-"""The methods that the tables compare: which light they need, how they register, how they integrate."""
+"""Methods in the tables: their mask, registration and reconstruction."""
 
 from __future__ import annotations
 
@@ -20,32 +20,35 @@ class Method:
 
     @property
     def is_peer(self) -> bool:
-        """Whether it needs the extra `svwfs[peers]`."""
+        """True if it needs the extra `svwfs[peers]`."""
         return self.registration.method in {"itk_affine", "demons", "ffd"}
 
 
-PAPER_MODES = 45
 ZONAL = ReconstructionSettings(method="zonal")
-MODAL = ReconstructionSettings(method="modal", pupil_modes=PAPER_MODES)
+MODAL = ReconstructionSettings(method="modal", pupil_modes=45)  # the paper's
 MODAL_MANY = ReconstructionSettings(method="modal", pupil_modes=91)
+_ITK = RegistrationSettings(method="itk_affine")
+_AFFINE = RegistrationSettings(warp="affine")
+_QUADRATIC = RegistrationSettings(warp="quadratic")
+_CUBIC = RegistrationSettings(warp="cubic")
 
 METHODS: dict[str, Method] = {
     "stars_zonal": Method(mask="stars", registration=RegistrationSettings(method="centroids"), reconstruction=ZONAL),
     "correlation_zonal": Method(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
-    "itk_affine_zonal": Method(registration=RegistrationSettings(method="itk_affine"), reconstruction=ZONAL),
-    "itk_affine_modal": Method(registration=RegistrationSettings(method="itk_affine"), reconstruction=MODAL),
+    "itk_affine_zonal": Method(registration=_ITK, reconstruction=ZONAL),
+    "itk_affine_modal": Method(registration=_ITK, reconstruction=MODAL),
     "block_flow_zonal": Method(registration=RegistrationSettings(method="block_flow"), reconstruction=ZONAL),
     "demons_zonal": Method(registration=RegistrationSettings(method="demons"), reconstruction=ZONAL),
     "ffd_zonal": Method(registration=RegistrationSettings(method="ffd"), reconstruction=ZONAL),
-    "affine_zonal": Method(registration=RegistrationSettings(warp="affine"), reconstruction=ZONAL),
-    "affine_modal": Method(registration=RegistrationSettings(warp="affine"), reconstruction=MODAL),
-    "quadratic_zonal": Method(registration=RegistrationSettings(warp="quadratic"), reconstruction=ZONAL),
-    "quadratic_modal": Method(registration=RegistrationSettings(warp="quadratic"), reconstruction=MODAL_MANY),
-    "cubic_zonal": Method(registration=RegistrationSettings(warp="cubic"), reconstruction=ZONAL),
-    "cubic_modal": Method(registration=RegistrationSettings(warp="cubic"), reconstruction=MODAL_MANY),
+    "affine_zonal": Method(registration=_AFFINE, reconstruction=ZONAL),
+    "affine_modal": Method(registration=_AFFINE, reconstruction=MODAL),
+    "quadratic_zonal": Method(registration=_QUADRATIC, reconstruction=ZONAL),
+    "quadratic_modal": Method(registration=_QUADRATIC, reconstruction=MODAL_MANY),
+    "cubic_zonal": Method(registration=_CUBIC, reconstruction=ZONAL),
+    "cubic_modal": Method(registration=_CUBIC, reconstruction=MODAL_MANY),
 }
 
-# What the paper prints for a method of ours: table 1 and 2, rad (minimum, maximum, mean over the views).
+# Minimum, maximum and mean over the views in the paper's tables, rad.
 PAPER_TABLE_1 = {
     "stars_zonal": (0.108, 0.197, 0.147),
     "itk_affine_zonal": (0.275, 0.589, 0.421),

@@ -1,1 +1,1 @@
-"""What the estimator leaves of the truth, against everything that may be hard for it: `svwfs study`."""
+"""Studies of the estimator and of the routines, for `svwfs study`."""

@@ -1,4 +1,4 @@
-"""Sweeps over a bench that is not what it is said to be: lattice and focal lengths wrong, lenslets dead."""
+"""Sweeps over a bench that differs from its settings: wrong lattice, wrong focal lengths, dead lenslets."""
 
 from __future__ import annotations
 
@@ -8,80 +8,72 @@ from dataclasses import replace
 import numpy as np
 
 from app.bench.config import Bench
+from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrame, NoiseFreeFrames, seeded
-from app.evaluation.study.estimators import Estimators, observed
-from app.evaluation.study.observations import Observation, Sweep
+from app.evaluation.study.estimators import WarpEstimators, compared
+from app.evaluation.study_kinds import Sweep
 from app.measurement.imaging_model import by_pixel
 from app.progress import Progress
-from reconstruction.geometry import Lattice, nominal_lattice
+from reconstruction.geometry import Lattice
 from reconstruction.settings import Warp
 
-_LATTICE_ERRORS_PX = (0.0, 0.5, 1.0, 2.0, 3.0)  # of the outermost lenslets
-_FOCAL_LENGTH_ERRORS = (-0.05, -0.02, 0.0, 0.02, 0.05)
 _DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)
-
-_TOLD: tuple[Warp, ...] = ("quadratic", "cubic")  # an affine one has nothing to add
-
-_Wrong = Callable[[Bench, float], Bench]
+_WARPS: tuple[Warp, ...] = ("quadratic", "cubic")  # affine shows nothing more
 
 
-def lattice_of(bench: Bench) -> Lattice:
-    """The bench's lattice, as designed if it has none."""
-    return bench.lattice or nominal_lattice(bench.sensor, bench.camera_model.rows, bench.camera_model.columns)
+def _lattice(bench: Bench) -> Lattice:
+    return bench.design_lattice(bench.camera_model.rows, bench.camera_model.columns)
 
 
 def _outermost_px(bench: Bench) -> float:
-    """How far the outermost lenslet of the longer axis is from the middle."""
-    return (max(bench.sensor.lenslet_rows, bench.sensor.lenslet_columns) - 1) / 2 * lattice_of(bench).pitch_px
+    """Distance of the outermost lenslet of the longer axis from the middle."""
+    return (max(bench.sensor.lenslet_rows, bench.sensor.lenslet_columns) - 1) / 2 * _lattice(bench).pitch_px
 
 
-def _moved(bench: Bench, error_px: float) -> Bench:
-    lattice = lattice_of(bench)
-    return replace(bench, lattice=replace(lattice, center_x_px=lattice.center_x_px + error_px))
+def _shifted(bench: Bench, error_px: float) -> Bench:
+    return replace(bench, lattice=replace(_lattice(bench), center_x_px=_lattice(bench).center_x_px + error_px))
 
 
-def _widened(bench: Bench, error_px: float) -> Bench:
-    lattice = lattice_of(bench)
+def _stretched(bench: Bench, error_px: float) -> Bench:
+    lattice = _lattice(bench)
     return replace(bench, lattice=replace(lattice, pitch_px=lattice.pitch_px * (1 + error_px / _outermost_px(bench))))
 
 
-def _turned(bench: Bench, error_px: float) -> Bench:
-    lattice = lattice_of(bench)
+def _rotated(bench: Bench, error_px: float) -> Bench:
+    lattice = _lattice(bench)
     return replace(bench, lattice=replace(lattice, rotation_rad=lattice.rotation_rad + error_px / _outermost_px(bench)))
 
 
-def _lenslets(bench: Bench, error: float) -> Bench:
+def _other_lenslets(bench: Bench, error: float) -> Bench:
     focal_length_m = bench.sensor.lenslet_focal_length_m * (1 + error)
     return replace(bench, sensor=replace(bench.sensor, lenslet_focal_length_m=focal_length_m))
 
 
-def _collimator(bench: Bench, error: float) -> Bench:
+def _other_collimator(bench: Bench, error: float) -> Bench:
     focal_length_m = bench.field.collimator_focal_length_m * (1 + error)
     return replace(bench, field=replace(bench.field, collimator_focal_length_m=focal_length_m))
 
 
 def _over(
-    values: tuple[float, ...], kinds: dict[str, _Wrong]
-) -> Callable[[Bench, int, Progress], Iterator[Observation]]:
-    """Tell the estimators of a bench that is wrong in one way by each value; its frames are those of the right one."""
+    values: tuple[float, ...], errors: dict[str, Callable[[Bench, float], Bench]]
+) -> Callable[[Bench, int, Progress], Iterator[CaseResult]]:
+    """Reconstruct frames of the right bench with the settings of a wrong one, for each kind and size of error."""
 
-    def run(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
-        mask = bench.simulation.source.mask
-        reference = NoiseFreeFrames(bench).reference(mask)
+    def measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+        reference = NoiseFreeFrames(bench).reference(bench.simulation.source.mask)
         frames = _frames(bench, seeds)
-        told = [(kind, value, wrong) for kind, wrong in kinds.items() for value in values]
-        for done, (kind, value, wrong) in enumerate(told):
-            progress(f"{kind} {value:g}", done / len(told))
-            estimators = Estimators(wrong(bench, value), reference, warps=_TOLD, refined=("cubic",))
+        cases = [(kind, value, wrong) for kind, wrong in errors.items() for value in values]
+        for done, (kind, value, wrong) in enumerate(cases):
+            progress(f"{kind} {value:g}", done / len(cases))
+            estimators = WarpEstimators(wrong(bench, value), reference, warps=_WARPS, refined=("cubic",))
             for frame in frames:
-                yield from estimators.observe(frame.photons, frame.truth, value, prefix=f"{kind}: ")
+                yield from estimators.compare(frame.photons, frame.truth, value, prefix=f"{kind}: ")
 
-    return run
+    return measure
 
 
-def _dead(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
-    mask = bench.simulation.source.mask
-    reference = NoiseFreeFrames(bench).reference(mask)
+def _dead(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+    reference = NoiseFreeFrames(bench).reference(bench.simulation.source.mask)
     shape = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
     for done, (frame, screen) in enumerate(zip(_frames(bench, seeds), seeded(bench, seeds), strict=True)):
         order = np.random.default_rng(screen.simulation.seed).permutation(shape[0] * shape[1])
@@ -90,15 +82,13 @@ def _dead(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]
             alive = np.ones(order.size)
             alive[order[: round(fraction * order.size)]] = 0.0
             alive = alive.reshape(shape)
-            light = by_pixel(alive, lattice_of(bench), *reference.shape)
-            estimators = Estimators(bench, reference * light, refined=("cubic",))
-            yield from estimators.observe(frame.photons * light, frame.truth, fraction)
+            light = by_pixel(alive, _lattice(bench), *reference.shape)
+            estimators = WarpEstimators(bench, reference * light, refined=("cubic",))
+            yield from estimators.compare(frame.photons * light, frame.truth, fraction)
             if fraction > 0:
-                cubic = estimators.by_warp["cubic"]
+                cubic, curve = estimators.by_warp["cubic"], "cubic refined, at the dead ones"
                 wavefront, _ = cubic.rounds(cubic.reconstructor.register(frame.photons * light))[-1]
-                yield observed(
-                    "cubic refined, at the dead ones", fraction, wavefront, frame.truth, lenslets=alive == 0.0
-                )
+                yield compared(curve, fraction, wavefront, frame.truth, lenslets=alive == 0.0)
 
 
 def _frames(bench: Bench, seeds: int) -> list[NoiseFreeFrame]:
@@ -109,12 +99,12 @@ LATTICE = Sweep(
     name="lattice",
     title="Lattice wrong in centre, pitch or rotation",
     axis="error at the outermost lenslets (px)",
-    run=_over(_LATTICE_ERRORS_PX, {"centre": _moved, "pitch": _widened, "rotation": _turned}),
+    measure=_over((0.0, 0.5, 1.0, 2.0, 3.0), {"centre": _shifted, "pitch": _stretched, "rotation": _rotated}),
 )
 FOCAL_LENGTH = Sweep(
     name="focal_length",
     title="Focal lengths wrong",
     axis="relative error",
-    run=_over(_FOCAL_LENGTH_ERRORS, {"lenslets": _lenslets, "collimator": _collimator}),
+    measure=_over((-0.05, -0.02, 0.0, 0.02, 0.05), {"lenslets": _other_lenslets, "collimator": _other_collimator}),
 )
-DEAD = Sweep(name="dead", title="Dead lenslets", axis="part of all lenslets", run=_dead)
+DEAD = Sweep(name="dead", title="Dead lenslets", axis="part of all lenslets", measure=_dead)

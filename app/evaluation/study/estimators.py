@@ -1,4 +1,4 @@
-"""The estimators whose residual is studied, prepared for one reference of one bench."""
+"""Estimators under study, prepared for one reference of one bench."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
+from app.evaluation.cases import CaseResult, Position
 from app.evaluation.study.exact import exact_wavefront
-from app.evaluation.study.observations import At, Observation
 from app.measurement.imaging_model import BenchModel
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
@@ -27,11 +27,11 @@ from simulated_devices.sample import Sample
 ROUNDS = 3
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")
 REFINED: tuple[Warp, ...] = ("quadratic", "cubic")
-AUTOMATIC = ReconstructionSettings()  # modal, by as many modes as the lattice carries, smoothly
+AUTOMATIC = ReconstructionSettings()  # modal, the number of modes chosen from the lattice
 
 
-class Estimator:
-    """One warp and one way to the wavefront, with its refinement."""
+class WarpEstimator:
+    """One warp with one reconstruction, and its refinement."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Estimator:
         reconstruction: ReconstructionSettings = AUTOMATIC,
         noise: CameraNoise | None = None,
     ) -> None:
-        """Prepare for a reference (row, column) above the dark, in the unit of the frames to come."""
+        """Prepare for a reference (row, column) above the dark, in the unit of the frames."""
         self._bench = bench
         method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
         self.reconstructor = method.reconstructor(
@@ -54,14 +54,11 @@ class Estimator:
 
     @cached_property
     def refinement(self) -> Refinement:
-        """The model of the bench, made when it is first asked for."""
+        """Refinement by the model of the bench."""
         return Refinement(self.reconstructor, BenchModel(self._bench, self.reconstructor))
 
     def rounds(self, displacement: Displacement, most: int = ROUNDS) -> list[tuple[Wavefront, float]]:
-        """The wavefront after each round of refinement, and the seconds that it took.
-
-        Where refinement ends itself, the rounds to come leave everything as it is.
-        """
+        """Return the wavefront after each round of refinement and its seconds; early ends repeat the last wavefront."""
         results, refinement = [(self.reconstructor.solve(displacement), math.nan)], self.refinement
         start_s = time.perf_counter()
         for step in refinement.rounds(displacement, most):
@@ -71,8 +68,8 @@ class Estimator:
         return results[1:] + [(results[-1][0], math.nan)] * (most + 1 - len(results))
 
 
-class Estimators:
-    """The estimators that most sweeps look at: each warp in one pass, and refined."""
+class WarpEstimators:
+    """Estimators of most sweeps: each warp in one pass, some of them refined."""
 
     def __init__(
         self,
@@ -84,74 +81,76 @@ class Estimators:
         refined: tuple[Warp, ...] = REFINED,
     ) -> None:
         self._refined = refined
-        self.by_warp = {warp: Estimator(bench, reference, warp, noise=noise) for warp in warps}
+        self.by_warp = {warp: WarpEstimator(bench, reference, warp, noise=noise) for warp in warps}
 
-    def observe(
+    def compare(
         self,
         frame: Image,
         truth: Floats,
-        at: At,
+        at: Position,
         *,
         prefix: str = "",
         views: NDArray[np.bool_] | None = None,
         sample: Sample | None = None,
-    ) -> Iterator[Observation]:
-        """Look at a frame (row, column) whose wavefronts are `truth`; see `observed`.
+    ) -> Iterator[CaseResult]:
+        """Compare every estimator's wavefront of a frame (row, column) with the truth, see `compared`.
 
-        Where the `sample` is given, also at the wavefronts from its own slopes.
+        With a `sample`, also compare the wavefront from the true slopes of its screen.
         """
         for warp, estimator in self.by_warp.items():
             curve = prefix + warp
             try:
                 displacement = estimator.reconstructor.register(frame)
                 wavefront = estimator.reconstructor.solve(displacement)
-                yield observed(curve, at, wavefront, truth, views=views)
+                yield compared(curve, at, wavefront, truth, views=views)
                 if sample is not None:
                     wavefront = exact_wavefront(sample, estimator.reconstructor, displacement)
-                    yield observed(f"{curve}, true slopes", at, wavefront, truth, views=views)
+                    yield compared(f"{curve}, true slopes", at, wavefront, truth, views=views)
                 if warp in self._refined:
                     curve += " refined"
                     wavefront, _ = estimator.rounds(displacement)[-1]
-                    yield observed(curve, at, wavefront, truth, views=views)
+                    yield compared(curve, at, wavefront, truth, views=views)
             except ReconstructionError:
-                yield nothing(curve, at, estimator)
+                sensor = estimator.reconstructor.sensor
+                yield _result(curve, at, math.nan, lost=sensor.lenslet_rows * sensor.lenslet_columns)
 
 
-def observed(
+def compared(
     curve: str,
-    at: At,
+    at: Position,
     wavefront: Wavefront,
     truth: Floats,
     *,
     views: NDArray[np.bool_] | None = None,
     lenslets: Mask | None = None,
     seconds: float = math.nan,
-) -> Observation:
+) -> CaseResult:
     """Compare a wavefront with the truth (view_row, view_column, lenslet_row, lenslet_column), rad.
 
-    All `views` (view_row, view_column) count if none are given, and the valid ones of the lenslets.
+    Without `views` (view_row, view_column) all of them count, without `lenslets` the valid ones.
     """
-    displacement = wavefront.displacement
-    lenslets = displacement.valid if lenslets is None else lenslets
-    outcome = displacement.outcome
-    return Observation(
-        curve=curve,
-        at=at,
-        rms_rad=mean_rms(wavefront.views - truth, lenslets, views),
-        lost=int(np.count_nonzero(outcome != Outcome.CONVERGED)),
-        left_cell=int(np.count_nonzero(outcome == Outcome.LEFT_CELL)),
-        seconds=seconds,
-    )
+    lenslets = wavefront.displacement.valid if lenslets is None else lenslets
+    return with_rms(curve, at, wavefront, mean_rms(wavefront.views - truth, lenslets, views), seconds=seconds)
+
+
+def with_rms(
+    curve: str, at: Position, wavefront: Wavefront, rms_rad: float, *, seconds: float = math.nan
+) -> CaseResult:
+    """Return an RMS with the counts of lost lenslets of a wavefront."""
+    outcome = wavefront.displacement.outcome
+    lost, left_cell = np.sum(outcome != Outcome.CONVERGED), np.sum(outcome == Outcome.LEFT_CELL)
+    return _result(curve, at, rms_rad, lost=int(lost), left_cell=int(left_cell), seconds=seconds)
+
+
+def _result(
+    curve: str, at: Position, rms_rad: float, *, lost: int, left_cell: int = 0, seconds: float = math.nan
+) -> CaseResult:
+    values = {"rms_rad": rms_rad, "lost": lost, "left_cell": left_cell, "seconds": seconds}
+    return CaseResult(at={"curve": curve, "at": at}, values=values)
 
 
 def mean_rms(difference: Floats, lenslets: Mask, views: NDArray[np.bool_] | None = None) -> float:
-    """Mean over the views of the RMS over the lenslets, piston left out; NaN where no view is known."""
+    """Mean over the views of the RMS over the lenslets without piston; NaN if no view is known."""
     of_views = rms(np.where(lenslets, difference, np.nan))
     of_views = of_views[np.isfinite(of_views) & (True if views is None else views)]
     return float(of_views.mean()) if of_views.size else math.nan
-
-
-def nothing(curve: str, at: At, estimator: Estimator) -> Observation:
-    """What there is to say where there is no result."""
-    sensor = estimator.reconstructor.sensor
-    return Observation(curve=curve, at=at, rms_rad=math.nan, lost=sensor.lenslet_rows * sensor.lenslet_columns)

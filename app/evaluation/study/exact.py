@@ -1,7 +1,7 @@
-"""What a warp can know at best: the wavefront from the screen's own slopes, in as many field modes as it has.
+"""Wavefront from the true slopes of the screen, in the field modes of a warp.
 
-Whatever is left of the truth then is what the field modes and the pupil modes are too few for; what an estimator
-leaves beyond it is its registration's.
+Its residual shows what the field and pupil modes cannot represent; any excess of an estimator over it comes from
+registration.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
 from simulated_devices.sample import Sample
 
-_FIELD_NODES = 7  # of Gauss and Legendre, along each axis
-_LENSLET_NODES = 6
+_FIELD_NODES, _LENSLET_NODES = 7, 6  # of Gauss-Legendre quadrature along each axis
 
 
 def exact_wavefront(sample: Sample, reconstructor: Reconstructor, displacement: Displacement) -> Wavefront:
-    """Solve for the displacements that the screen makes, where `displacement` is that of its frame."""
+    """Solve for the true displacements of the frame that was registered as `displacement`."""
     nodes, weights = np.polynomial.legendre.leggauss(_FIELD_NODES)
     modes = displacement.modes.values(nodes, nodes[:, None])  # (field_mode, node_y, node_x)
     square = np.einsum("qyx,qyx,y,x->q", modes, modes, weights, weights)
@@ -32,8 +31,7 @@ def exact_wavefront(sample: Sample, reconstructor: Reconstructor, displacement: 
             slopes = _mean_slopes(sample, reconstructor, x * half_width_m, y * half_width_m)
             share = modes[:, row, column] * weights[row] * weights[column] / square
             coefficients += share[:, None] * slopes[:, :, None]
-    exact = replace(displacement, coefficients=coefficients / reconstructor.sensor.slope_per_px)
-    return reconstructor.solve(exact)
+    return reconstructor.solve(replace(displacement, coefficients=coefficients / reconstructor.sensor.slope_per_px))
 
 
 def _mean_slopes(sample: Sample, reconstructor: Reconstructor, x_m: float, y_m: float) -> Floats:
@@ -41,11 +39,10 @@ def _mean_slopes(sample: Sample, reconstructor: Reconstructor, x_m: float, y_m: 
     sensor, rays = reconstructor.sensor, sample.ray_map
     half_m = sensor.lenslet_pitch_m / 2
     nodes, weights = np.polynomial.legendre.leggauss(_LENSLET_NODES)
-    along_m = np.array([-half_m, half_m])
-    across_m = nodes * half_m
+    along_m, across_m = np.array([-half_m, half_m]), nodes * half_m
 
     def at(u_m: Floats, v_m: Floats) -> Floats:
-        """Phase at pupil positions u, v about each lenslet's centre: (u, v, lenslet_row, lenslet_column)."""
+        """Phase at pupil positions u, v from each lenslet's centre: (u, v, lenslet_row, lenslet_column)."""
         s_m = rays.pupil_scale * (sensor.pupil_x_m + u_m[:, None, None, None]) + rays.field_scale * x_m
         t_m = rays.pupil_scale * (sensor.pupil_y_m[:, None] + v_m[None, :, None, None]) + rays.field_scale * y_m
         return sample.screen.at(s_m, t_m)

@@ -1,8 +1,7 @@
-"""How many frames auto-exposure needs, from any start, on cameras of any depth and range, in any light.
+"""Trials of auto-exposure: any start, cameras of any depth and range, any light.
 
-The routine is the product's own; the bench is `simulated_devices.exposure_bench`, which costs no time. The right
-exposure, at the current that was found, lies anywhere in the camera's range, ends included: there the light is the
-other handle.
+`simulated_devices.exposure_bench` stands in for the bench and takes no time. The right exposures cover the camera's
+whole range with both ends, where the routine must change the light instead.
 """
 
 from __future__ import annotations
@@ -16,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from app.bench.config import Bench
-from app.evaluation.study.trials import Trial, TrialStudy
+from app.evaluation.cases import CaseResult
+from app.evaluation.study_kinds import TrialStudy, trial
 from app.measurement.routines.auto_exposure import FILL, TOLERANCE, auto_expose
 from app.measurement.routines.exposure_search import MOST_FRAMES
 from app.measurement.routines.frames import RoutineError
@@ -26,18 +26,18 @@ from reconstruction.arrays import Floats
 from simulated_devices.exposure_bench import PITCH_PX, Scene, exposure_bench, spots, squares
 from simulated_devices.settings import exposure_range_s
 
-_STARTS, _RIGHT = 9, 7  # exposures over the range, log-spaced, to begin with and to be found
-_CURRENTS_A = (0.0, 0.35, 1.0)  # that are found; the highest is 1 A
+_STARTS, _RIGHT = 9, 7  # log-spaced first and right exposures
+_CURRENTS_A = (0.0, 0.35, 1.0)  # at the start; the highest is 1 A
 _USUAL_A = 0.35
 _IMAGES: dict[str, Floats] = {"squares": squares(), "broad": squares(13.0), "haze": squares(8.0, 0.2), "spots": spots()}
-_LIGHT_LEFT_ON = 0.0
+_LIMITS = {"frames": MOST_FRAMES, "fill beside 70 % (%)": 100 * TOLERANCE, "light left on": 0.0}
 
 
 @dataclass(frozen=True, slots=True)
 class _Camera:
     name: str
     exposures_s: Range
-    detector: dict[str, Any]  # of the scene
+    detector: dict[str, Any]  # settings of the scene
 
 
 _SIXTEEN = {"bits": 16, "offset_counts": 500.0, "read_noise_counts": 6.4, "counts_per_electron": 1 / 5.8}
@@ -56,47 +56,41 @@ _CAMERAS = (
 )
 
 
-def _run(_bench: Bench, seeds: int, progress: Progress) -> Iterator[Trial]:
-    cells = list(itertools.product(_CAMERAS, _CURRENTS_A))
-    for done, (camera, current_a) in enumerate(cells):
-        progress(f"{camera.name}, {current_a:g} A", done / len(cells))
+def _measure(_bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+    cases = list(itertools.product(_CAMERAS, _CURRENTS_A))
+    for done, (camera, current_a) in enumerate(cases):
+        progress(f"{camera.name}, {current_a:g} A", done / len(cases))
         allowed = camera.exposures_s
         rights_s, starts_s = (np.geomspace(allowed.minimum, allowed.maximum, count) for count in (_RIGHT, _STARTS))
-        for (image, right_s, start_s), seed in itertools.product(
-            itertools.product(_IMAGES, rights_s, starts_s), range(seeds)
-        ):
-            begin_s = min(max(float(start_s), allowed.minimum), allowed.maximum)  # geomspace rounds
-            yield _trial(camera, current_a, image, float(right_s), begin_s, seed)
+        for image, right_s, start_s, seed in itertools.product(_IMAGES, rights_s, starts_s, range(seeds)):
+            first_s = min(max(float(start_s), allowed.minimum), allowed.maximum)  # geomspace rounds
+            yield _trial(camera, current_a, image, float(right_s), first_s, seed)
 
 
-def _trial(camera: _Camera, current_a: float, image: str, right_s: float, begin_s: float, seed: int) -> Trial:
+def _trial(camera: _Camera, current_a: float, image: str, right_s: float, first_s: float, seed: int) -> CaseResult:
     full_scale = 2 ** camera.detector["bits"] - 1
-    light = (FILL * full_scale - camera.detector["offset_counts"]) / (_USUAL_A * right_s)
     scene = Scene(
-        counts_per_a_s=light,
+        counts_per_a_s=(FILL * full_scale - camera.detector["offset_counts"]) / (_USUAL_A * right_s),
         exposure_range_s=camera.exposures_s,
         image=_IMAGES[image],
         seed=seed,
         **camera.detector,
     )
-    devices, instrument, lamp = exposure_bench(scene, exposure_s=begin_s, current_a=current_a)
-    refusal, fill = "", math.nan
+    devices, instrument, lamp = exposure_bench(scene, exposure_s=first_s, current_a=current_a)
+    problem, fill, frames = "", math.nan, math.nan
     try:
         fill = auto_expose(devices, PITCH_PX, progress=lambda *_: None, should_stop=lambda: False).fill
+        frames = len(instrument.exposed_s)
     except RoutineError as error:
-        refusal = str(error)
-    frames = len(instrument.exposed_s)
-    return Trial(
+        problem = str(error)
+    values = (frames, 100 * abs(fill - FILL), float(lamp.is_on))
+    return trial(
         case=f"{camera.name}, {current_a:g} A",
-        name=f"{image}, {right_s:.3g} s wanted, from {begin_s:.3g} s, seed {seed}",
-        figures={
-            "frames": frames if not refusal else math.nan,
-            "fill beside 70 % (%)": 100 * abs(fill - FILL),
-            "light left on": float(lamp.is_on),
-        },
-        asked={"frames": MOST_FRAMES, "fill beside 70 % (%)": 100 * TOLERANCE, "light left on": _LIGHT_LEFT_ON},
-        refusal=refusal,
+        name=f"{image}, {right_s:.3g} s wanted, from {first_s:.3g} s, seed {seed}",
+        measured=dict(zip(_LIMITS, values, strict=True)),
+        limits=_LIMITS,
+        problem=problem,
     )
 
 
-EXPOSURE = TrialStudy(name="exposure", title="Auto-exposure from any start", run=_run)
+EXPOSURE = TrialStudy(name="exposure", title="Auto-exposure from any start", measure=_measure)

@@ -1,4 +1,4 @@
-"""Sweeps over the camera's noise: the light that there is, and the gain of the electron-multiplying register."""
+"""Sweeps over the camera's noise: amount of light, and gain of the electron-multiplying register."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from app.bench.config import Bench
+from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrame, NoiseFreeFrames, seeded
-from app.evaluation.study.estimators import Estimator, Estimators, mean_rms, observed
-from app.evaluation.study.observations import Observation, Sweep
+from app.evaluation.study.estimators import WarpEstimator, WarpEstimators, compared, mean_rms, with_rms
+from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
@@ -25,8 +26,8 @@ from simulated_devices.settings import SimulatedCameraSettings
 _PEAKS_E = (100.0, 300.0, 1e3, 3e3, 1e4, 1e5)  # electrons in the frame's brightest pixel
 _GAINS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 _DIM_PEAKS_E = (100.0, 300.0, 1000.0)
-_DRAWS = 3  # of noise, for each screen
-_FAST, _SLOW = 3, 1  # read-out speeds of the EM amplifier: much read noise, little
+_DRAWS = 3  # of noise per screen
+_FAST, _SLOW = 3, 1  # read-out speeds of the EM amplifier: high and low read noise
 _PAPER = ReconstructionSettings(pupil_modes=45)
 
 
@@ -38,7 +39,7 @@ class EmCamera:
 
     @property
     def noise(self) -> CameraNoise:
-        """What its pixels scatter by; one electron becomes G with the variance G (G - 1) in the register."""
+        """Noise of its pixels; the register turns one electron into G on average, with variance G (G - 1)."""
         settings = self.settings
         read_e = settings.em_read_noise_e[settings.readout_speed - 1]
         rounding_e = settings.electrons_per_count / math.sqrt(12)
@@ -49,7 +50,7 @@ class EmCamera:
         )
 
     def counts(self, electrons: Image) -> Image:
-        """Mean counts above the offset, of electrons before the register."""
+        """Mean counts above the offset from electrons before the register."""
         return np.asarray(electrons * np.float32(self.noise.counts_per_electron))
 
     def exposed(self, electrons: Image, seed: int, index: int) -> Image:
@@ -69,13 +70,13 @@ class EmCamera:
 
 def camera(bench: Bench, speed: int, em_gain: float) -> EmCamera:
     """Return the bench's camera with another read-out speed and gain."""
-    exposure_s = 1.0  # allowed at every speed; the light follows from the electrons that are asked for
+    exposure_s = 1.0  # allowed at every speed; the light follows from the electrons
     return EmCamera(
         replace(bench.camera_model, amplifier="em", readout_speed=speed, em_gain=em_gain, exposure_s=exposure_s)
     )
 
 
-def _photons(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
+def _photons(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
     em_camera = camera(bench, _SLOW, 1.0)
     for done, (seed, reference, frame) in enumerate(_screens(bench, seeds)):
         for index, peak_e in enumerate(_PEAKS_E):
@@ -83,15 +84,15 @@ def _photons(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observati
             scale = np.float32(peak_e / frame.photons.max())
             known, mean = em_camera.counts(reference * scale), em_camera.counts(frame.photons * scale)
             draws = [em_camera.exposed(frame.photons * scale, seed, draw) for draw in range(_DRAWS)]
-            estimators = Estimators(bench, known, noise=em_camera.noise)
+            estimators = WarpEstimators(bench, known, noise=em_camera.noise)
             for noisy in draws:
-                yield from estimators.observe(noisy, frame.truth, peak_e)
-            automatic = Estimator(bench, known, None, noise=em_camera.noise)
+                yield from estimators.compare(noisy, frame.truth, peak_e)
+            automatic = WarpEstimator(bench, known, None, noise=em_camera.noise)
             for noisy in draws:
-                yield observed("automatic warp", peak_e, automatic.reconstructor(noisy), frame.truth)
+                yield compared("automatic warp", peak_e, automatic.reconstructor(noisy), frame.truth)
             try:
-                paper = Estimator(bench, known, "quadratic", reconstruction=_PAPER, noise=em_camera.noise)
-            except ReconstructionError:  # more modes than so few lenslets tell apart
+                paper = WarpEstimator(bench, known, "quadratic", reconstruction=_PAPER, noise=em_camera.noise)
+            except ReconstructionError:  # too many modes for so few lenslets
                 continue
             without = paper.reconstructor(mean)
             for noisy in draws:
@@ -100,31 +101,30 @@ def _photons(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observati
 
 def _share_of_noise(
     peak_e: float, wavefront: Wavefront, without: Wavefront, frame: NoiseFreeFrame
-) -> Iterator[Observation]:
-    """Tell the noise from the bias, and what the error bars say of it."""
+) -> Iterator[CaseResult]:
+    """Residual, its part from noise, and the predicted error bar; `without` is the wavefront without noise."""
+    curve = "quadratic, modal 45"
     valid = wavefront.displacement.valid & without.displacement.valid
-    total = observed("quadratic, modal 45", peak_e, wavefront, frame.truth)
-    yield total
-    noise_rad = mean_rms(wavefront.views - without.views, valid)
-    yield replace(total, curve="quadratic, modal 45: its noise", rms_rad=noise_rad)
+    yield compared(curve, peak_e, wavefront, frame.truth)
+    yield with_rms(f"{curve}: its noise", peak_e, wavefront, mean_rms(wavefront.views - without.views, valid))
     sigma = wavefront.sigma()[..., valid]
     predicted_rad = float(np.mean(np.sqrt(np.mean(sigma**2, axis=-1))))
-    yield replace(total, curve="quadratic, modal 45: its error bar", rms_rad=predicted_rad)
+    yield with_rms(f"{curve}: its error bar", peak_e, wavefront, predicted_rad)
 
 
-def _em_gain(bench: Bench, seeds: int, progress: Progress) -> Iterator[Observation]:
+def _em_gain(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
     settings = [(f"37 e- read noise, {peak_e:g} e-", _FAST, gain, peak_e) for peak_e in _DIM_PEAKS_E for gain in _GAINS]
     settings += [(f"8 e- read noise, {peak_e:g} e-", _SLOW, 1.0, peak_e) for peak_e in _DIM_PEAKS_E]
     for done, (seed, reference, frame) in enumerate(_screens(bench, seeds)):
         for index, (curve, speed, gain, peak_e) in enumerate(settings):
             progress(f"{curve}, gain {gain:g}", (done + index / len(settings)) / seeds)
             em_camera = camera(bench, speed, gain)
-            electrons = frame.photons * np.float32(peak_e / frame.photons.max())
-            known = em_camera.counts(reference * np.float32(peak_e / frame.photons.max()))
-            estimator = Estimator(bench, known, "quadratic", noise=em_camera.noise)
+            scale = np.float32(peak_e / frame.photons.max())
+            known = em_camera.counts(reference * scale)
+            estimator = WarpEstimator(bench, known, "quadratic", noise=em_camera.noise)
             for draw in range(_DRAWS):
-                wavefront = estimator.reconstructor(em_camera.exposed(electrons, seed, draw))
-                yield observed(curve, gain, wavefront, frame.truth)
+                wavefront = estimator.reconstructor(em_camera.exposed(frame.photons * scale, seed, draw))
+                yield compared(curve, gain, wavefront, frame.truth)
 
 
 def _screens(bench: Bench, seeds: int) -> Iterator[tuple[int, Image, NoiseFreeFrame]]:
@@ -139,14 +139,14 @@ PHOTONS = Sweep(
     name="photons",
     title="Light, with 8 e- of read noise",
     axis="electrons in the brightest pixel",
-    run=_photons,
+    measure=_photons,
     is_logarithmic=True,
-    asked_rad={"quadratic, modal 45: its noise": {300.0: 0.057, 1e3: 0.020, 1e4: 0.012}},
+    limits_rad={"quadratic, modal 45: its noise": {300.0: 0.057, 1e3: 0.020, 1e4: 0.012}},
 )
 EM_GAIN = Sweep(
     name="em_gain",
     title="Gain of the register (quadratic)",
     axis="gain",
-    run=_em_gain,
+    measure=_em_gain,
     is_logarithmic=True,
 )

@@ -1,4 +1,4 @@
-"""The study of the estimator: what the command writes, and how it ends when it cannot go on."""
+"""Sweeps of `svwfs study`: files, summaries, interruption, and the frames they are made from."""
 
 from __future__ import annotations
 
@@ -7,44 +7,36 @@ import json
 import math
 import os
 import signal
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.command_line import run
 from support.pictures import assert_drawn
 
 import app.cache
 from app.bench.config import Bench, load_bench
 from app.cache import cache_folder, remembered
-from app.cli import main
+from app.evaluation.cases import CaseResult, collect, rows
 from app.evaluation.noise_free import NoiseFreeFrames
-from app.evaluation.study import sweeps
+from app.evaluation.study import catalogue
 from app.evaluation.study.estimators import mean_rms
 from app.evaluation.study.noise import camera
-from app.evaluation.study.observations import Observation, Outcome, Sweep
+from app.evaluation.study_kinds import Sweep
 from app.progress import Progress, named, part
-
-
-def study(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    """Run `svwfs study` and return its status."""
-    monkeypatch.setattr(sys, "argv", ["svwfs", "study", *words])
-    with pytest.raises(SystemExit) as leaving:
-        main()
-    return int(leaving.value.code or 0)
 
 
 def at(curve: list[dict[str, Any]], position: float | str) -> dict[str, Any]:
     return next(point for point in curve if point["at"] == position)
 
 
-def test_what_is_written(
+def test_sweeps_are_written_and_printed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ("--seeds", "1", "--bench", str(small_toml), "--out", str(tmp_path))
-    assert study(monkeypatch, "dead", "dead", *words) == 0
+    assert run(monkeypatch, "study", "dead", "dead", *words) == 0
     written = json.loads((tmp_path / "study.json").read_text())
     assert written["seeds"] == 1
     assert list(written["sweeps"]) == ["dead"]
@@ -65,47 +57,68 @@ def test_what_is_written(
     assert f"{some['mean_rad']:.3f} x7" in printed
 
 
-def test_an_unknown_sweep_is_refused_before_anything_is_computed(
+def test_unknown_sweep_is_rejected_before_computing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert study(monkeypatch, "sise", "--out", str(tmp_path / "new")) == 2
+    assert run(monkeypatch, "study", "sise", "--out", str(tmp_path / "new")) == 2
     said = capsys.readouterr().err
     assert said.startswith("svwfs: no sweep is called sise; there are ensembles, ")
     assert said.count("\n") == 1
     assert not (tmp_path / "new").exists()
 
 
-def _one(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[Observation]:
-    yield from (Observation(curve="affine", at="here", rms_rad=0.1 * seed, lost=seed) for seed in range(seeds))
+def sampled(rms_rad: float, *, at: float | str = "here", lost: int = 0) -> CaseResult:
+    values = {"rms_rad": rms_rad, "lost": lost, "left_cell": 0, "seconds": math.nan}
+    return CaseResult(at={"curve": "affine", "at": at}, values=values)
 
 
-def _interrupted(*_: object) -> Iterator[Observation]:
-    yield Observation(curve="affine", at=1.0, rms_rad=0.1)
+def _finished(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[CaseResult]:
+    yield from (sampled(0.1 * seed, lost=seed) for seed in range(seeds))
+
+
+def _interrupted(*_: object) -> Iterator[CaseResult]:
+    yield sampled(0.1, at=1.0)
     os.kill(os.getpid(), signal.SIGINT)
-    yield Observation(curve="affine", at=2.0, rms_rad=0.1)
+    yield sampled(0.1, at=2.0)
 
 
-def test_interrupting_leaves_the_sweeps_that_are_finished(
+def test_interrupt_keeps_finished_sweeps(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    one, other = (Sweep(name=run.__name__, title="", axis="", run=run) for run in (_one, _interrupted))
-    monkeypatch.setattr(sweeps, "SWEEPS", {"one": one, "other": other})
-    assert study(monkeypatch, "--out", str(tmp_path)) == 130
-    assert capsys.readouterr().err.strip().endswith(f"interrupted: 1 of 2 sweeps are in {tmp_path}")
-    assert list(json.loads((tmp_path / "study.json").read_text())["sweeps"]) == ["_one"]
+    sweeps = tuple(Sweep(name=each.__name__, title="", axis="", measure=each) for each in (_finished, _interrupted))
+    monkeypatch.setattr(catalogue, "SWEEPS", sweeps)
+    assert run(monkeypatch, "study", "--out", str(tmp_path)) == 130
+    assert capsys.readouterr().err.strip().endswith(f"interrupted: 1 of 2 studies are in {tmp_path}")
+    assert list(json.loads((tmp_path / "study.json").read_text())["sweeps"]) == ["_finished"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["estimator.png", "study.csv", "study.json"]
 
 
-def test_points_are_mean_and_spread_of_what_has_a_result() -> None:
-    sweep = Sweep(name="", title="", axis="", run=_one, asked_rad={"affine": {"here": 0.3}})
-    seen = [Observation(curve="affine", at="here", rms_rad=rms, lost=lost) for rms, lost in ((1.0, 0), (2.0, 3))]
-    nothing = Observation(curve="affine", at="here", rms_rad=math.nan, lost=9)
-    point = Outcome(sweep, (*seen, nothing)).points("affine")["here"]
-    assert (point.mean_rad, point.observations, point.lost_lenslets, point.asked_rad) == (1.5, 2, 4.0, 0.3)
-    assert point.spread_rad == pytest.approx(math.sqrt(0.5))
+def test_summary_is_mean_and_spread_of_known_results() -> None:
+    sweep = Sweep(name="", title="", axis="", measure=_finished, limits_rad={"affine": {"here": 0.3}})
+    results = [sampled(1.0), sampled(2.0, lost=3), sampled(math.nan, lost=9), sampled(4.0, at="there")]
+    here, there = rows(sweep.summary(collect(sweep.dims, results)), sweep.dims)
+    assert (here["mean_rad"], here["observations"], here["lost_lenslets"], here["asked_rad"]) == (1.5, 2, 4.0, 0.3)
+    assert here["spread_rad"] == pytest.approx(math.sqrt(0.5))
+    assert (there["mean_rad"], there["observations"], there["spread_rad"]) == (4.0, 1, 0.0)
+    assert "asked_rad" not in there
 
 
-def test_only_known_lenslets_and_views_count() -> None:
+def test_collect_arranges_results_by_position_and_repeat() -> None:
+    results = [
+        CaseResult(at={"curve": curve, "at": at}, values={"x": x})
+        for curve, at, x in (("a", 2.0, 1), ("b", 1.0, 2), ("a", 2.0, 3))
+    ]
+    data = collect(("curve", "at"), results)
+    assert data["x"].dims == ("curve", "at", "repeat")
+    assert (data["curve"].values.tolist(), data["at"].values.tolist()) == (["a", "b"], [2.0, 1.0])
+    assert data["x"].sel(curve="a", at=2.0).values.tolist() == [1, 3]
+    assert list(rows(data[["x"]].mean("repeat"), ("curve", "at"))) == [
+        {"curve": "a", "at": 2.0, "x": 2.0},
+        {"curve": "b", "at": 1.0, "x": 2.0},
+    ]
+
+
+def test_mean_rms_ignores_unknown_lenslets_and_views() -> None:
     difference = np.zeros((1, 2, 2, 2))
     difference[0, 0] = [[1.0, 3.0], [50.0, 1.0]]
     lenslets = np.array([[True, True], [False, False]])
@@ -114,7 +127,7 @@ def test_only_known_lenslets_and_views_count() -> None:
     assert math.isnan(mean_rms(difference, np.zeros((2, 2), np.bool_)))
 
 
-def test_what_was_computed_is_remembered_until_it_is_damaged_or_old(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_recomputes_damaged_and_drops_old_results(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
     def compute() -> dict[str, Any]:
@@ -131,7 +144,7 @@ def test_what_was_computed_is_remembered_until_it_is_damaged_or_old(monkeypatch:
     assert [path.name for path in folder.glob("*")] == ["b.npz"]
 
 
-def test_noise_free_frames_are_what_the_bench_casts_on_its_camera(small_toml: Path) -> None:
+def test_noise_free_frames_are_reproducible_and_conserve_light(small_toml: Path) -> None:
     bench = load_bench(small_toml)
     frames = NoiseFreeFrames(bench)
     frame, again = frames.frame("square"), NoiseFreeFrames(bench).frame("square")
@@ -142,9 +155,7 @@ def test_noise_free_frames_are_what_the_bench_casts_on_its_camera(small_toml: Pa
 
 
 @pytest.mark.parametrize(("em_gain", "light_e"), [(1.0, 900.0), (30.0, 100.0)])
-def test_the_cameras_noise_is_the_one_that_the_estimator_is_told(
-    small_toml: Path, em_gain: float, light_e: float
-) -> None:
+def test_camera_noise_matches_noise_model(small_toml: Path, em_gain: float, light_e: float) -> None:
     seen = camera(load_bench(small_toml), 3, em_gain)
     electrons = np.full((200, 300), light_e, np.float32)
     counts = seen.exposed(electrons, seed=5, index=0)
@@ -152,7 +163,7 @@ def test_the_cameras_noise_is_the_one_that_the_estimator_is_told(
     assert counts.var() == pytest.approx(seen.noise.variance(seen.counts(electrons)).mean(), rel=0.03)
 
 
-def test_progress_of_parts() -> None:
+def test_named_part_scales_progress() -> None:
     heard: list[tuple[str, float]] = []
     named(part(lambda text, done: heard.append((text, done)), 1, 4), "sweep")("step", 0.5)
     assert heard == [("sweep: step", 0.375)]

@@ -1,8 +1,9 @@
-"""The studies of calibration and auto-exposure: what they ask, what they write, and that they can fail."""
+"""Trials of `svwfs study`: limits, files, calibration and auto-exposure."""
 
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 from collections.abc import Iterator
@@ -11,38 +12,49 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from support.command_line import run
+from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import Bench, load_bench
-from app.evaluation.study import calibration, exposure, sweeps
-from app.evaluation.study.trials import Trial, TrialOutcome, TrialStudy
+from app.evaluation.cases import CaseResult, collect
+from app.evaluation.study import calibration, catalogue, exposure
+from app.evaluation.study.calibration import calibration_trials
+from app.evaluation.study_kinds import TrialStudy, trial
 from app.progress import Progress
 from drivers.interface import Range
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey, survey
 
 
-def trial(case: str, **figures: float) -> Trial:
-    refused = {"refusal": "no"} if any(math.isnan(value) for value in figures.values()) else {}
-    return Trial(case=case, name="", figures=figures, asked=dict.fromkeys(figures, 2.0), **refused)
+def made(case: str, **measured: float) -> CaseResult:
+    problem = "no" if any(math.isnan(value) for value in measured.values()) else ""
+    return trial(case=case, name="", measured=measured, limits=dict.fromkeys(measured, 2.0), problem=problem)
 
 
-def made(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[Trial]:
-    yield from (trial("one", a=float(value), b=0.5) for value in range(1, seeds + 1))
-    yield trial("other", a=math.nan, b=math.nan)
+def measure(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[CaseResult]:
+    yield from (made("one", a=float(value), b=0.5) for value in range(1, seeds + 1))
+    yield made("other", a=math.nan, b=math.nan)
 
 
-def test_a_trial_holds_when_all_that_is_asked_is_reached() -> None:
-    assert trial("", a=2.0, b=0.0).holds
-    assert not trial("", a=2.1, b=0.0).holds
-    assert not trial("", a=1.0, b=math.nan).holds
+STUDY = TrialStudy(name="made", title="Made up", measure=measure)
 
 
-def test_what_is_written_and_printed(
+def trials_of(study: TrialStudy, small_toml: Path) -> tuple[xr.Dataset, list[dict[str, object]]]:
+    data = collect(study.dims, study.measure(load_bench(small_toml), 1, lambda *_: None))
+    return data, list(study.trials(data))
+
+
+def test_trial_is_as_asked_within_all_limits() -> None:
+    results = [made("", a=2.0, b=0.0), made("", a=2.1, b=0.0), made("", a=1.0, b=math.nan)]
+    trials = STUDY.trials(collect(STUDY.dims, results))
+    assert [each["as_asked"] for each in trials] == [True, False, False]
+
+
+def test_trials_are_written_and_printed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    study = TrialStudy(name="made", title="Made up", run=made)
-    monkeypatch.setattr(sweeps, "TRIALS", {"made": study})
+    monkeypatch.setattr(catalogue, "EXPOSURE", STUDY)
     assert run(monkeypatch, "study", "made", "--seeds", "5", "--out", tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["made.csv", "made.json", "made.png"]
     written = json.loads((tmp_path / "made.json").read_text())["cases"]
@@ -66,21 +78,28 @@ def test_what_is_written_and_printed(
     assert "other, : no" in printed
 
 
-def test_calibration_knows_the_truth_of_every_frame(small_toml: Path) -> None:
-    trials = list(calibration.CALIBRATION.run(load_bench(small_toml), 1, lambda *_: None))
-    outcome = TrialOutcome(calibration.CALIBRATION, tuple(trials))
-    assert len(outcome.cases) == len(trials)  # one each
-    assert {case.rpartition(", ")[2] for case in outcome.cases} == {"clean", "faint"}
-    assert {"HCIPy's square_reference.tif, clean", "random lattices, stars, faint"} <= set(outcome.cases)
-    for each in trials:
-        assert not each.refusal
-        others = {name: value for name, value in each.figures.items() if name != "CPU time (s)"}
-        assert replace(each, figures=others, asked={name: each.asked[name] for name in others}).holds
-    asked = trials[outcome.cases.index("random lattices, square, faint")].asked
-    assert (asked["centre (px)"], asked["pitch (px)"], asked["rotation (mrad)"]) == (0.2, 0.04, 0.4)
+def test_calibration_meets_its_limits(small_toml: Path) -> None:
+    data, trials = trials_of(calibration_trials(FOREIGN_FRAMES), small_toml)
+    cases = data["case"].values.tolist()
+    assert cases == [each["case"] for each in trials]  # one each
+    assert {case.rpartition(", ")[2] for case in cases} == {"clean", "faint"}
+    assert {"square_reference.tif, clean", "random lattices, stars, faint"} <= set(cases)
+    assert not any(each["refusal"] for each in trials)
+    timeless = data.drop_sel(quantity="CPU time (s)")
+    assert all(each["as_asked"] for each in TrialStudy.trials(timeless))
+    limits = data["limit"].sel(case="random lattices, square, faint").isel(repeat=0)
+    assert limits.sel(quantity=["centre (px)", "pitch (px)", "rotation (mrad)"]).values.tolist() == [0.2, 0.04, 0.4]
 
 
-def test_calibration_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
+def test_calibration_rejects_a_folder_without_frames(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("--frames", tmp_path, "--bench", small_toml, "--out", tmp_path / "out")
+    assert run(monkeypatch, "study", "calibration", *arguments) == 2
+    assert f"{tmp_path}: holds no *_reference.tif" in capsys.readouterr().err
+
+
+def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
     right = survey
 
     def wrong(light: np.ndarray[tuple[int, ...], np.dtype[np.float32]], *others: object) -> Survey:
@@ -96,8 +115,8 @@ def test_calibration_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch, small_t
         return replace(found, lattice=moved, rows=found.rows + 1, illuminated=lit)
 
     monkeypatch.setattr(calibration, "survey", wrong)
-    monkeypatch.setattr(calibration, "_FOREIGN", ())
-    first = next(calibration.CALIBRATION.run(load_bench(small_toml), 1, lambda *_: None))
+    results = calibration_trials().measure(load_bench(small_toml), 1, lambda *_: None)
+    (first,) = TrialStudy.trials(collect(TrialStudy.dims, itertools.islice(results, 1)))
     expected = {
         "centre (px)": 5.0,
         "pitch (px)": 0.25,
@@ -105,21 +124,21 @@ def test_calibration_sees_what_is_wrong(monkeypatch: pytest.MonkeyPatch, small_t
         "whole, wrong by": 1.0,
         "lit, wrong": 2.0,
     }
-    assert {name: first.figures[name] for name in expected} == pytest.approx(expected, abs=0.01)
-    assert not first.holds
+    assert {name: first[name] for name in expected} == pytest.approx(expected, abs=0.01)
+    assert not first["as_asked"]
 
 
-def test_exposure_counts_frames_and_looks_at_the_light(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
+def test_exposure_meets_its_limits_or_reports_the_problem(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
     camera = exposure._Camera("8 bits", Range(1e-5, 7200.0), exposure._EIGHT)
     monkeypatch.setattr(exposure, "_CAMERAS", (camera,))
     monkeypatch.setattr(exposure, "_IMAGES", {"squares": exposure._IMAGES["squares"]})
-    trials = list(exposure.EXPOSURE.run(load_bench(small_toml), 1, lambda *_: None))
+    _, trials = trials_of(exposure.EXPOSURE, small_toml)
     assert len(trials) == 3 * exposure._STARTS * exposure._RIGHT
-    assert all(each.holds for each in trials)
-    assert {each.figures["frames"] for each in trials} >= {1, 3, 4}
+    assert all(each["as_asked"] for each in trials)
+    assert {each["frames"] for each in trials} >= {1, 3, 4}
     monkeypatch.setattr(exposure, "_RIGHT", 1)
     dark = {**exposure._EIGHT, "well_counts": 100.0}
     monkeypatch.setattr(exposure, "_CAMERAS", (exposure._Camera("full", Range(0.01, 1.0), dark),))
-    (first, *_) = exposure.EXPOSURE.run(load_bench(small_toml), 1, lambda *_: None)
-    assert not first.holds
-    assert "do not follow" in first.refusal
+    _, (first, *_) = trials_of(exposure.EXPOSURE, small_toml)
+    assert not first["as_asked"]
+    assert "do not follow" in str(first["refusal"])

@@ -8,7 +8,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from app.evaluation.benchmark.live.figures import LiveFigures, Verdict
+from app.evaluation.benchmark.live_path.figures import LiveFigures, Verdict
 from app.run_facts import machine_facts, versions
 from app.timing import Summary
 

@@ -28,13 +28,13 @@ from app.bench.config import Bench, load_bench
 from app.bench.recording_settings import RecordingSettings
 from app.commands.acquisition_benchmark import benchmark_acquisition
 from app.errors import InputError, Interrupted, RunError
-from app.evaluation.benchmark.live import course
-from app.evaluation.benchmark.live.course import Course, Span
-from app.evaluation.benchmark.live.figures import LiveFigures
-from app.evaluation.benchmark.live.memory import resident_mb
-from app.evaluation.benchmark.live.output import live_json, missed, print_live
-from app.evaluation.benchmark.live.plan import LivePlan, recording_folder
-from app.evaluation.benchmark.live.tally import FrameCounts, Tally
+from app.evaluation.benchmark.live_path import course
+from app.evaluation.benchmark.live_path.course import Course, Span
+from app.evaluation.benchmark.live_path.figures import LiveFigures
+from app.evaluation.benchmark.live_path.memory import resident_mb
+from app.evaluation.benchmark.live_path.output import live_json, missed, print_live
+from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
+from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally
 from app.measurement.measurement import PASSED_OVER, Counts
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState

@@ -18,8 +18,8 @@ from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import InputError, RunError
-from app.evaluation.benchmark.live.memory import resident_mb
-from app.evaluation.benchmark.live.tally import FrameCounts, Tally
+from app.evaluation.benchmark.live_path.memory import resident_mb
+from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally
 from app.measurement.measurement import Measurement
 from app.progress import Progress
 from app.timing import Timings

@@ -1,4 +1,4 @@
-"""What each method makes of the same frames: wavefronts of the views, remembered by everything they depend on."""
+"""Wavefronts of a method from a pair of frames, cached by everything they depend on."""
 
 from __future__ import annotations
 
@@ -17,24 +17,19 @@ from app.cache import Arrays, remembered
 from app.evaluation.paper.frames import Frames
 from app.evaluation.paper.methods import Method
 from reconstruction.arrays import Floats
-from reconstruction.wavefront import rms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """The wavefronts that a method finds."""
+class Reconstructed:
+    """The wavefronts of one frame by one method."""
 
     views: Floats  # rad, (view_row, view_column, lenslet_row, lenslet_column)
     lost: int  # lenslets without a displacement
-    seconds: float  # for one frame, the reference already prepared
-
-    def residual_rms(self, truth: Floats) -> Floats:
-        """RMS over the lenslets of measured minus true, of each view: (view_row, view_column), rad."""
-        return rms(self.views - truth)
+    seconds: float  # for the frame, without preparing the reference
 
 
-def measured(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Measured:
-    """Reconstruct with one method; what the same code of `reconstruction` made of the same frames is remembered."""
+def reconstructed(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Reconstructed:
+    """Reconstruct the frame of the method's mask; a changed frame, setting or reconstruction package recomputes."""
     pair, stars = frames[method.mask], bench.simulation.source
     registration = replace(
         method.registration,
@@ -43,12 +38,12 @@ def measured(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Meas
         star_spacing_m=stars.star_spacing_m,
     )
     bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
-    kept = remembered("paper", _fingerprint(bench, pair), lambda: _measure(bench, pair))
-    return Measured(kept["views"], int(kept["lost"]), float(kept["seconds"]))
+    kept = remembered("paper", _fingerprint(bench, pair), lambda: _reconstruct(bench, pair))
+    return Reconstructed(kept["views"], int(kept["lost"]), float(kept["seconds"]))
 
 
-def _measure(bench: Bench, pair: Frames) -> Arrays:
-    """Return the fields of `Measured`."""
+def _reconstruct(bench: Bench, pair: Frames) -> Arrays:
+    """Return the fields of `Reconstructed`."""
     lattice = bench.design_lattice(*pair.reference.shape)
     reconstructor = bench.reconstructor(pair.reference, lattice=lattice, dark=np.zeros_like(pair.reference))
     start_s = time.perf_counter()
@@ -60,14 +55,14 @@ def _measure(bench: Bench, pair: Frames) -> Arrays:
 
 def _fingerprint(bench: Bench, pair: Frames) -> str:
     digest = hashlib.sha256(write_bench(bench).encode())
-    digest.update(_code())
+    digest.update(_source_code())
     digest.update(pair.reference.tobytes())
     digest.update(pair.frame.tobytes())
     return digest.hexdigest()
 
 
 @cache
-def _code() -> bytes:
-    """The text of the package that computes, so that no result outlives its method."""
+def _source_code() -> bytes:
+    """The source code of `reconstruction`."""
     folder = Path(str(reconstruction.__file__)).parent
     return b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))

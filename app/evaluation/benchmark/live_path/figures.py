@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from app.bench.config import write_bench
-from app.evaluation.benchmark.live.course import Span
-from app.evaluation.benchmark.live.plan import LivePlan
+from app.evaluation.benchmark.live_path.course import Span
+from app.evaluation.benchmark.live_path.plan import LivePlan
 from app.recording.recorder import RecordingState
 from app.run_facts import timing_facts
 

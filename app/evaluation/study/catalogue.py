@@ -1,0 +1,30 @@
+"""All sweeps and trials of `svwfs study`, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from app.errors import InputError
+from app.evaluation.study.calibration import calibration_trials
+from app.evaluation.study.defects import DEAD, FOCAL_LENGTH, LATTICE
+from app.evaluation.study.ensembles import ENSEMBLES
+from app.evaluation.study.exposure import EXPOSURE
+from app.evaluation.study.noise import EM_GAIN, PHOTONS
+from app.evaluation.study.screens import EXPERIMENT, ROUGHNESS, SIZE
+from app.evaluation.study.sources import SOURCE
+from app.evaluation.study_kinds import Study
+
+SWEEPS = (ENSEMBLES, ROUGHNESS, SIZE, EXPERIMENT, PHOTONS, EM_GAIN, SOURCE, LATTICE, FOCAL_LENGTH, DEAD)
+
+
+def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Study]:
+    """Return the studies with these names, each once; without names all sweeps.
+
+    `frames` is a folder of reference frames for the calibration, see `calibration_trials`.
+    """
+    known: dict[str, Study] = {study.name: study for study in (*SWEEPS, calibration_trials(frames), EXPOSURE)}
+    for name in names:
+        if name not in known:
+            raise InputError(f"no sweep is called {name}; there are {', '.join(known)}")
+    return [known[name] for name in dict.fromkeys(names)] or [*SWEEPS]

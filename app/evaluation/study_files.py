@@ -1,0 +1,99 @@
+"""JSON, CSV and PNG files of studies and benchmarks."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from app.errors import InputError
+from app.evaluation.cases import rows
+from app.evaluation.study_figures import sweep_figure, table_figure, trial_figure
+from app.evaluation.study_kinds import PAPER_NUMBERS, ComparisonTable, StudyResult, Sweep, TrialStudy, sweeps_of
+from app.files import atomic_write
+
+
+def write_newest(results: Sequence[StudyResult], out: Path) -> None:
+    """Write the files of the newest result into the folder `out`.
+
+    All sweeps so far share study.json, study.csv and estimator.png; other studies have files of their own name.
+    """
+    newest = results[-1]
+    match newest.study:
+        case Sweep():
+            _write_sweeps(sweeps_of(results), newest.seeds, out)
+        case TrialStudy():
+            _write_trials(newest.study, newest.data, newest.seeds, out)
+        case ComparisonTable():
+            _write_table(newest.study, newest.data, out)
+
+
+def write_json(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a JSON file."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(tree, indent=2) + "\n")
+
+
+def _write_csv(path: Path, columns: Iterable[str], lines: Iterable[Mapping[str, Any]]) -> None:
+    with atomic_write(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(columns))
+        writer.writeheader()
+        writer.writerows(lines)
+
+
+def _write_png(path: Path, figure: Figure) -> None:
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=100)
+
+
+def _write_sweeps(sweeps: Sequence[tuple[Sweep, xr.Dataset]], seeds: int, out: Path) -> None:
+    tree: dict[str, Any] = {}
+    lines, columns = [], dict.fromkeys(("sweep", *Sweep.dims))
+    for sweep, data in sweeps:
+        summary = sweep.summary(data)
+        columns |= dict.fromkeys(map(str, summary.data_vars))
+        curves: dict[str, list[dict[str, Any]]] = {}
+        for row in rows(summary, sweep.dims):
+            point = row | {"at": sweep.shown(row["at"]), "observations": int(row["observations"])}
+            lines.append({"sweep": sweep.name, **point})
+            curves.setdefault(point.pop("curve"), []).append(point)
+        tree[sweep.name] = {"title": sweep.title, "axis": sweep.axis, "curves": curves}
+    write_json(out / "study.json", {"seeds": seeds, "sweeps": tree})
+    _write_csv(out / "study.csv", columns, lines)
+    _write_png(out / "estimator.png", sweep_figure(sweeps))
+
+
+def _write_trials(study: TrialStudy, data: xr.Dataset, seeds: int, out: Path) -> None:
+    trials, quantities = list(study.trials(data)), data["quantity"].values.tolist()
+    cases: dict[str, dict[str, Any]] = {}
+    for case in data["case"].values.tolist():
+        here = [each for each in trials if each["case"] == case]
+        counts = {"trials": len(here), "as_asked": sum(each["as_asked"] for each in here)}
+        refusals = [each["refusal"] for each in here if each["refusal"]]
+        cases[case] = {**counts, "refusals": refusals, **{quantity: {} for quantity in quantities}}
+    for row in rows(study.summary(data), ("case", "quantity")):
+        cases[row.pop("case")][row.pop("quantity")] = row
+    write_json(out / f"{study.name}.json", {"seeds": seeds, "title": study.title, "cases": cases})
+    _write_csv(out / f"{study.name}.csv", ("case", "name", *quantities, "as_asked", "refusal"), trials)
+    _write_png(out / f"{study.name}.png", trial_figure(study, data))
+
+
+def _write_table(table: ComparisonTable, data: xr.Dataset, out: Path) -> None:
+    problems = table.problems(data)
+    if "views" not in data:
+        raise InputError("; ".join(f"{method}: {problem}" for method, problem in problems.items()))
+    paper = {method: dict(zip(PAPER_NUMBERS, numbers, strict=True)) for method, numbers in table.paper.items()}
+    ours = {row.pop("method"): row | {"seeds": int(row["seeds"])} for row in rows(table.summary(data), table.dims)}
+    write_json(out / f"{table.name}.json", {"paper": paper, "ours": ours, "problems": problems})
+    lines = [
+        {"method": method, **{f"paper_{name}": value for name, value in paper.get(method, {}).items()}, **summary}
+        for method, summary in ours.items()
+    ]
+    columns = ("method", *(f"paper_{name}" for name in PAPER_NUMBERS), *next(iter(ours.values())))
+    _write_csv(out / f"{table.name}.csv", columns, lines)
+    _write_png(out / f"{table.name}.png", table_figure(table, data))
