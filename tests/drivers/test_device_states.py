@@ -1,4 +1,4 @@
-"""What holds for every device before any driver has said a word: open, lost, closed, and what is left out."""
+"""Device states (open, lost, closed) and defaults of the base classes, without a driver."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from drivers.interface import (
 
 
 class PlainCamera(Camera):
-    """The least that a driver can be: one mode, no frames."""
+    """Minimal driver: one mode, no frames."""
 
     name = "plain"
 
     def __init__(self) -> None:
         super().__init__()
-        self.trouble: DeviceError | None = None
+        self.fault: DeviceError | None = None
         self.times_read = 0
         self.times_closed = 0
 
-    def meet(self) -> None:
-        if self.trouble is not None:
-            raise self.trouble
+    def raise_fault(self) -> None:
+        if self.fault is not None:
+            raise self.fault
 
     def _read_capabilities(self) -> CameraCapabilities:
         self.times_read += 1
@@ -49,20 +49,20 @@ class PlainCamera(Camera):
         )
 
     def _is_running(self) -> bool:
-        self.meet()
+        self.raise_fault()
         return False
 
     def _start(self) -> None:
-        self.meet()
+        self.raise_fault()
 
     def _stop(self) -> None:
-        self.meet()
+        self.raise_fault()
 
     def _read(self, timeout_s: float) -> Frame:
         raise DeviceTimeout(f"{timeout_s}")
 
     def _read_exposure(self) -> float:
-        self.meet()
+        self.raise_fault()
         return 1.0
 
     def _set_exposure(self, exposure_s: float) -> float:
@@ -70,10 +70,10 @@ class PlainCamera(Camera):
 
     def _close(self) -> None:
         self.times_closed += 1
-        self.meet()
+        self.raise_fault()
 
 
-def test_what_a_driver_leaves_out_is_one_choice() -> None:
+def test_optional_settings_default_to_one_choice() -> None:
     camera = PlainCamera()
     assert (camera.amplifier, camera.readout_speed, camera.binning, camera.trigger) == ("normal", 1, 1, "internal")
     assert (camera.em_gain, camera.set_em_gain(1.0)) == (1.0, 1.0)
@@ -85,7 +85,7 @@ def test_what_a_driver_leaves_out_is_one_choice() -> None:
         camera.set_binning(2)
 
 
-def test_capabilities_are_read_again_after_a_change_of_mode_and_only_then() -> None:
+def test_capabilities_are_cached_until_mode_changes() -> None:
     camera = PlainCamera()
     for _ in range(3):
         assert camera.capabilities.rows == 4
@@ -96,7 +96,7 @@ def test_capabilities_are_read_again_after_a_change_of_mode_and_only_then() -> N
     assert camera.times_read == 2
 
 
-def test_capabilities_are_read_again_after_a_change_of_mode_that_failed_half_way() -> None:
+def test_capabilities_are_read_again_after_failed_mode_change() -> None:
     class Refusing(PlainCamera):
         def _set_amplifier(self, amplifier: str) -> None:
             raise BadValue(amplifier)
@@ -109,20 +109,20 @@ def test_capabilities_are_read_again_after_a_change_of_mode_that_failed_half_way
     assert camera.times_read == 2
 
 
-def test_a_loss_is_remembered_with_its_words() -> None:
+def test_loss_is_remembered_with_its_message() -> None:
     camera = PlainCamera()
-    camera.trouble = Disconnected("the cable is out")
+    camera.fault = Disconnected("the cable is out")
     with pytest.raises(Disconnected):
         _ = camera.exposure_s
-    camera.trouble = None
+    camera.fault = None
     assert camera.state == "lost"
     with pytest.raises(Disconnected, match=r"^the cable is out$"):
         _ = camera.exposure_s
 
 
-def test_a_lost_device_closes_without_a_word() -> None:
+def test_lost_device_closes_silently() -> None:
     camera = PlainCamera()
-    camera.trouble = Disconnected("the cable is out")
+    camera.fault = Disconnected("the cable is out")
     assert camera.state == "lost"
     camera.close()
     camera.close()
@@ -130,26 +130,26 @@ def test_a_lost_device_closes_without_a_word() -> None:
 
 
 @pytest.mark.parametrize("kind", [Busy, DeviceTimeout, FrameLost, Unsupported, WrongState, BadValue, DeviceError])
-def test_any_other_fault_passes_and_the_device_is_still_there(kind: type[DeviceError]) -> None:
+def test_other_faults_leave_device_connected(kind: type[DeviceError]) -> None:
     camera = PlainCamera()
-    camera.trouble = kind("no")
+    camera.fault = kind("no")
     with pytest.raises(kind, match=r"^no$"):
         _ = camera.exposure_s
-    camera.trouble = None
+    camera.fault = None
     assert camera.state == "stopped"
     assert camera.exposure_s == 1.0
 
 
-def test_closing_that_fails_is_told_and_closes() -> None:
+def test_failed_close_raises_and_closes() -> None:
     camera = PlainCamera()
-    camera.trouble = DeviceTimeout("no answer")
+    camera.fault = DeviceTimeout("no answer")
     with pytest.raises(DeviceTimeout):
         camera.close()
     assert camera.state == "closed"
     camera.close()
 
 
-def test_the_end_of_a_with_block_closes() -> None:
+def test_with_block_closes() -> None:
     with pytest.raises(ZeroDivisionError), PlainCamera() as camera:
         raise ZeroDivisionError
     assert camera.state == "closed"
@@ -166,7 +166,7 @@ def test_the_end_of_a_with_block_closes() -> None:
         Region(0, 0, 0, 16),
     ],
 )
-def test_a_region_lies_on_the_sensor_in_whole_steps(region: Region) -> None:
+def test_region_must_lie_on_sensor_in_steps(region: Region) -> None:
     class Parts(PlainCamera):
         def _read_capabilities(self) -> CameraCapabilities:
             return CameraCapabilities(
@@ -184,5 +184,5 @@ def test_a_region_lies_on_the_sensor_in_whole_steps(region: Region) -> None:
     camera = Parts()
     with pytest.raises(BadValue, match="does not lie on the sensor of 40 x 50 in steps of 16"):
         camera.set_region(region)
-    for allowed in (Region(0, 0, 40, 50), Region(16, 32, 16, 16)):  # all of it need not be whole steps
+    for allowed in (Region(0, 0, 40, 50), Region(16, 32, 16, 16)):  # the whole sensor may break the steps
         assert camera.set_region(allowed) == allowed

@@ -1,4 +1,4 @@
-"""What keeps a light safe, whichever it is: proven on a bulb that does what it is told, and remembers it."""
+"""Safety rules of all lights, tested on a recording bulb."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from drivers.interface import BadValue, DeviceError, DeviceTimeout, Disconnected
 
 
 class Bulb:
-    """What is at the other end of the wire."""
+    """The device at the other end of the wire."""
 
     def __init__(self, current_a: float = 0.3, *, is_lit: bool = False, lowest_a: float = 0.0) -> None:
         self.current_a, self.is_lit, self.lowest_a = current_a, is_lit, lowest_a
         self.lit_with_a: list[float] = []  # every current that flowed, in order
-        self.trouble: dict[str, BaseException] = {}  # by what is asked for
+        self.faults: dict[str, BaseException] = {}  # by query or command
         self.is_closed = False
 
     def note(self) -> None:
@@ -33,8 +33,8 @@ class Bulb:
             self.lit_with_a.append(self.current_a)
 
     def meet(self, what: str) -> None:
-        if what in self.trouble:
-            raise self.trouble[what]
+        if what in self.faults:
+            raise self.faults[what]
 
 
 class BulbLight(LightSource):
@@ -71,7 +71,7 @@ class BulbLight(LightSource):
         self.bulb.is_closed = True
 
 
-def test_opening_switches_off_and_brings_the_current_under_the_limit() -> None:
+def test_opening_switches_off_and_limits_current() -> None:
     bulb = Bulb(0.9, is_lit=True)
     light = BulbLight(bulb, limit_a=0.4)
     assert not bulb.is_lit
@@ -84,20 +84,20 @@ def test_opening_switches_off_and_brings_the_current_under_the_limit() -> None:
 
 
 @pytest.mark.parametrize("current_a", [float("nan"), 2.0, 0.0])
-def test_a_current_that_cannot_be_is_replaced_at_opening(current_a: float) -> None:
+def test_invalid_current_is_replaced_at_opening(current_a: float) -> None:
     with BulbLight(Bulb(current_a, lowest_a=0.1)) as light:
         light.current_range_a.check(light.current_a, "current_a")
 
 
-def test_the_owners_limit_never_raises_the_heads() -> None:
+def test_owner_limit_never_raises_head_limit() -> None:
     assert BulbLight(Bulb(), limit_a=5.0).current_range_a.maximum == 1.0
 
 
-def test_after_a_fault_its_time_does_not_run() -> None:
+def test_lit_time_stops_at_fault() -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
-    bulb.trouble["current"] = DeviceTimeout("no answer")
+    bulb.faults["current"] = DeviceTimeout("no answer")
     with pytest.raises(DeviceTimeout):
         _ = light.current_a
     lit_s = light.lit_s
@@ -106,14 +106,14 @@ def test_after_a_fault_its_time_does_not_run() -> None:
 
 
 @pytest.mark.parametrize("limit_a", [0.05, float("nan")])
-def test_a_limit_below_the_lowest_current_cannot_be_opened(limit_a: float) -> None:
+def test_limit_below_lowest_current_is_refused(limit_a: float) -> None:
     bulb = Bulb(lowest_a=0.1)
     with pytest.raises(BadValue, match="below the lowest current"):
         BulbLight(bulb, limit_a=limit_a)
     assert bulb.is_closed
 
 
-def test_the_current_comes_up_in_steps_and_goes_down_at_once() -> None:
+def test_current_rises_in_steps_and_falls_at_once() -> None:
     bulb = Bulb(0.8)
     light = BulbLight(bulb)
     light.set_on(True)
@@ -132,67 +132,67 @@ def test_the_current_comes_up_in_steps_and_goes_down_at_once() -> None:
 @pytest.mark.parametrize(
     "fault", [DeviceTimeout("no answer"), DeviceError("garbage"), OSError(5, "a bug"), KeyboardInterrupt()]
 )
-def test_any_fault_switches_it_off(fault: BaseException) -> None:
+def test_any_fault_switches_off(fault: BaseException) -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
-    bulb.trouble["current"] = fault
+    bulb.faults["current"] = fault
     with pytest.raises(type(fault)):
         _ = light.current_a
     assert not bulb.is_lit
-    bulb.trouble.clear()
+    bulb.faults.clear()
     assert not light.is_on
     lit_s = light.lit_s
     assert lit_s > 0
     assert light.lit_s == lit_s
 
 
-def test_a_fault_while_it_comes_up_switches_it_off() -> None:
+def test_fault_during_ramp_switches_off() -> None:
     bulb = Bulb(0.8)
     light = BulbLight(bulb)
-    bulb.trouble["0.343"] = DeviceTimeout("no answer")  # the third of seven steps
+    bulb.faults["0.343"] = DeviceTimeout("no answer")  # the third of seven steps
     with pytest.raises(DeviceTimeout):
         light.set_on(True)
     assert bulb.lit_with_a
     assert not bulb.is_lit
 
 
-def test_a_refusal_while_it_comes_up_leaves_it_off_with_its_current() -> None:
+def test_refusal_during_switch_on_leaves_it_off() -> None:
     bulb = Bulb(0.8)
     light = BulbLight(bulb)
-    bulb.trouble["0.343"] = BadValue("not that one")
+    bulb.faults["0.343"] = BadValue("not that one")
     with pytest.raises(BadValue):
         light.set_on(True)
     assert (bulb.is_lit, light.is_on, light.current_a, light._lit_since_s) == (False, False, 0.8, None)
 
 
-def test_a_refused_step_leaves_the_current_before_and_the_light_on() -> None:
+def test_refused_ramp_step_restores_current() -> None:
     bulb = Bulb(0.2)
     light = BulbLight(bulb)
     light.set_on(True)
-    bulb.trouble["0.800"] = BadValue("too much")
+    bulb.faults["0.800"] = BadValue("too much")
     with pytest.raises(BadValue):
         light.set_current(0.8)
     assert (bulb.is_lit, light.current_a) == (True, 0.2)
 
 
 @pytest.mark.parametrize("kind", [DeviceTimeout, Disconnected])
-def test_a_lit_light_that_cannot_be_switched_off_is_told(kind: type[DeviceError]) -> None:
+def test_failed_switch_off_asks_for_a_hand(kind: type[DeviceError]) -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
-    bulb.trouble = {"current": kind("it is silent"), "off": kind("it is silent")}
+    bulb.faults = {"current": kind("it is silent"), "off": kind("it is silent")}
     with pytest.raises(kind, match=r"^it is silent; the light may still be on: switch it off by hand$"):
         _ = light.current_a
-    bulb.trouble.clear()
+    bulb.faults.clear()
 
 
 @pytest.mark.parametrize("kind", [DeviceTimeout, Disconnected])
-def test_closing_tells_when_it_could_not_switch_off_and_closes_all_the_same(kind: type[DeviceError]) -> None:
+def test_close_reports_failed_switch_off_and_closes(kind: type[DeviceError]) -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
-    bulb.trouble["off"] = kind("it is silent")
+    bulb.faults["off"] = kind("it is silent")
     with pytest.raises(kind, match="may still be on: switch it off by hand"):
         light.close()
     assert bulb.is_closed
@@ -201,15 +201,15 @@ def test_closing_tells_when_it_could_not_switch_off_and_closes_all_the_same(kind
         light.set_on(True)
 
 
-def test_a_light_that_fails_at_opening_is_let_go() -> None:
+def test_failed_opening_releases_light() -> None:
     bulb = Bulb()
-    bulb.trouble["off"] = DeviceTimeout("it is silent")
+    bulb.faults["off"] = DeviceTimeout("it is silent")
     with pytest.raises(DeviceTimeout):
         BulbLight(bulb)
     assert bulb.is_closed
 
 
-def test_the_timer_stops_when_it_goes_out_by_itself() -> None:
+def test_lit_time_stops_when_light_goes_out() -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
@@ -219,7 +219,7 @@ def test_the_timer_stops_when_it_goes_out_by_itself() -> None:
     assert light.lit_s == lit_s
 
 
-def test_a_light_that_nobody_holds_any_more_goes_out() -> None:
+def test_unreferenced_light_goes_off() -> None:
     bulb = Bulb()
     light = BulbLight(bulb)
     light.set_on(True)
@@ -230,7 +230,7 @@ def test_a_light_that_nobody_holds_any_more_goes_out() -> None:
     assert (bulb.is_lit, bulb.is_closed) == (False, True)
 
 
-def test_one_that_was_never_opened_says_nothing_to_what_hangs_there() -> None:
+def test_unopened_light_sends_nothing() -> None:
     class Stranger(BulbLight):
         def _begin(self) -> None:
             raise WrongState("this is another instrument")
@@ -244,7 +244,7 @@ def test_one_that_was_never_opened_says_nothing_to_what_hangs_there() -> None:
 
 PROGRAM = """
     import os, signal, sys, threading, time
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests were started with
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # even if the tests ignore it
     sys.path[:0] = {tests!r}
     from test_light_safety import Bulb, BulbLight
 
@@ -271,7 +271,7 @@ ENDS = {
 
 
 @pytest.mark.parametrize("ending", ENDS, ids=ENDS)
-def test_it_goes_out_when_the_interpreter_ends(ending: str) -> None:
+def test_lights_go_off_at_interpreter_exit(ending: str) -> None:
     code, status = ENDS[ending]
     program = textwrap.dedent(PROGRAM.format(tests=[str(TESTS), str(Path(__file__).parent)]) + "    " + code + "\n")
     ended = subprocess.run(  # noqa: S603 - this interpreter
@@ -283,7 +283,7 @@ def test_it_goes_out_when_the_interpreter_ends(ending: str) -> None:
     assert ended.returncode == status
 
 
-def test_a_process_that_was_forked_off_leaves_it_on() -> None:
+def test_forked_process_leaves_light_on() -> None:
     code = "if not os.fork(): sys.exit(light.close())\n    os.wait(); print('then', flush=True)"
     program = textwrap.dedent(PROGRAM.format(tests=[str(TESTS), str(Path(__file__).parent)]) + "    " + code + "\n")
     ended = subprocess.run(  # noqa: S603 - this interpreter
@@ -295,8 +295,8 @@ def test_a_process_that_was_forked_off_leaves_it_on() -> None:
 
 
 @pytest.mark.parametrize("close", ["at the interpreter's exit", "by a call"])
-def test_closing_from_another_thread_waits_for_its_turn(close: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A command under way is finished first, and none can follow."""
+def test_close_from_another_thread_waits(close: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A running command finishes first; none can follow."""
     monkeypatch.setattr("drivers.light_source._LOCK_TIMEOUT_S", HANG_S)
     bulb = Bulb(0.8)
     light = BulbLight(bulb)

@@ -1,4 +1,4 @@
-"""The stand-in of a DCAM camera, compiled once, and the driver over it."""
+"""The DCAM stand-in, compiled once, and the driver over it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def built() -> Path:
 
 @contextmanager
 def compiling() -> Iterator[None]:
-    """Where there is no compiler, one line says how to get it."""
+    """Fail with one line of advice if there is no compiler."""
     try:
         yield
     except NoCompiler as error:
@@ -39,7 +39,7 @@ def compiling() -> Iterator[None]:
 
 @contextmanager
 def dcam_stand_in(speed: float = 0.0) -> Iterator[StandIn]:
-    """Switch it on; whoever has begun a session with it has to have ended it in the end."""
+    """Yield a reset stand-in; assert that all sessions are ended."""
     with compiling():
         stand_in = StandIn(built())
     stand_in.reset(speed)
@@ -52,5 +52,5 @@ def library(stand_in: StandIn) -> DcamLibrary:
 
 
 def open_camera(stand_in: StandIn, **settings: Any) -> DcamCamera:
-    """Open the driver on it, with the stand-in's clock."""
+    """Open the driver over the stand-in, on its clock."""
     return DcamCamera(DcamSettings(**settings), library(stand_in), stand_in.now)

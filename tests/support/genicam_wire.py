@@ -1,6 +1,6 @@
-"""The wire to Aravis's own GigE Vision camera, with a hand on it that loses, alters and cuts.
+"""Aravis's fake GigE Vision camera, and a proxy that loses, alters and blocks its packets.
 
-The camera runs in a process of its own at 127.0.0.1; whoever opens 127.0.0.2 reaches it through here.
+The camera process listens at 127.0.0.1, the proxy at 127.0.0.2.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ HERE: Final = "127.0.0.2"
 
 _GVCP: Final = ("127.0.0.1", 3956)
 _DISCOVERY: Final = bytes.fromhex("4211000200000001")
-_WRITES: Final = (0x0082, 0x0086)  # of a register, of memory
+_WRITES: Final = (0x0082, 0x0086)  # of a register or of memory
 _REFUSED: Final = 0x8006  # GEV_STATUS_ACCESS_DENIED
-_CONTROL: Final = 0x0A00  # the register that says that somebody has the camera; 0 lets it go
-_STREAM_PORT: Final = 0x0D00  # the register that tells the camera where its frames go
-_ACQUISITION: Final = 0x0124  # of this camera: 1 starts it
-_LEADER: Final = 1  # the kind of packet that begins a frame
+_CONTROL: Final = 0x0A00  # control register; 0 releases the camera
+_STREAM_PORT: Final = 0x0D00  # destination port of frames
+_ACQUISITION: Final = 0x0124  # 1 starts this camera
+_LEADER: Final = 1  # first packet of a frame
 _LATE_S: Final = 0.6  # a command is repeated after 0.5 s
 _ALL: Final = 2**24
-_FIRST_EXPOSURE_S: Final = 0.05  # this camera may send a frame as soon as it is started; none other does
+_FIRST_EXPOSURE_S: Final = 0.05  # this camera may send a frame at once
 
 
 class Peer:
-    """The camera as a process: switched on and off, frozen."""
+    """The camera process, which can be switched off and frozen."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, *options: str) -> None:
-        """Switch it on, and wait until it answers."""
+        """Switch it on and wait until it answers."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
                 probe.bind(_GVCP)
@@ -62,7 +62,7 @@ class Peer:
             self._process = None
 
     def ensure(self) -> None:
-        """Have it on."""
+        """Switch it on if it is off."""
         if self._process is None:
             self.start()
         else:
@@ -70,20 +70,20 @@ class Peer:
 
     @staticmethod
     def leave_running() -> None:
-        """Start the acquisition in nobody's name, as a program leaves it that was killed."""
+        """Start the acquisition without an owner, as left by a killed program."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             asking.settimeout(HANG_S)
             asking.sendto(struct.pack(">HHHHII", 0x4201, 0x0082, 8, 1, _ACQUISITION, 1), _GVCP)
             assert asking.recv(1024)[:4] == bytes.fromhex("00000083")
 
     def send(self, number: signal.Signals) -> None:
-        """Freeze it or let it go on."""
+        """Freeze it or continue."""
         assert self._process is not None
         os.kill(self._process.pid, number)
 
 
 def _answers() -> bool:
-    """Whether a GVCP discovery is acknowledged."""
+    """True if it acknowledges a GVCP discovery."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         asking.settimeout(0.1)
         with suppress(TimeoutError, ConnectionError):
@@ -93,7 +93,7 @@ def _answers() -> bool:
 
 
 class GigeWire:
-    """Passes packets on between a driver and the camera; the hands of `device_contract.CameraFaults`."""
+    """Proxy between driver and camera, with the faults of `device_contract.CameraFaults`."""
 
     def __init__(self, peer: Peer) -> None:
         self._peer = peer
@@ -101,20 +101,20 @@ class GigeWire:
         self._front = self._socket((HERE, 3956))
         self._stream = self._socket(("127.0.0.1", 0))
         self._stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2**22)
-        self._behind: dict[tuple[str, int], socket.socket] = {}  # to the camera, by who talks
+        self._behind: dict[tuple[str, int], socket.socket] = {}  # to the camera, by sender
         self._client: dict[socket.socket, tuple[str, int]] = {}
         self._frames_go_to = ("127.0.0.1", 0)
-        self._asked: dict[tuple[tuple[str, int], int], int] = {}  # ports for frames; the camera may ignore who asks
+        self._asked: dict[tuple[tuple[str, int], int], int] = {}  # requested ports for frames, by sender and request
         self._started_s = 0.0
         self._is_over = False
         self._is_cut = False
         self._is_stalled = False
         self._frames_to_lose = 0
-        self._writes_until_refusal = 0  # and never again
-        self._is_held = False  # by somebody whose letting go was refused
+        self._writes_until_refusal = 0  # 0: none
+        self._is_held = False  # by an owner whose release was refused
         self._passing = _ALL  # packets of the present frame
         self._will_be_cut = False
-        self._garbled = 0  # replies that will be
+        self._garbled = 0  # number of replies to garble
         self._delay_s = 0.0  # of the next reply
         self._thread = threading.Thread(target=self._run)
 
@@ -130,49 +130,49 @@ class GigeWire:
         self._poll.close()
 
     def unplug(self) -> None:
-        """Let nothing pass any more."""
+        """Block all packets."""
         self._is_cut = True
 
     def plug_in(self) -> None:
-        """Let everything pass; the camera was without power."""
+        """Pass all packets; the camera was without power."""
         self._peer.kill()
         self._peer.start()
         self._will_be_cut = self._is_cut = self._is_held = False
 
     def unplug_in_a_frame(self) -> None:
-        """Cut the cable when two packets of the next frame have passed."""
+        """Cut the cable after two packets of the next frame."""
         self._will_be_cut = True
 
     def stall(self) -> None:
-        """Let no more frames pass, but all else."""
+        """Block frames only."""
         self._is_stalled = True
 
     def lose_frames(self, count: int) -> None:
-        """Lose that many frames that are still to come: parts of some, all of others."""
+        """Lose that many coming frames, some wholly, some in part."""
         self._frames_to_lose = count
 
     def lose_two(self) -> None:
-        """Lose two frames, one of them in parts."""
+        """Lose two frames, one of them in part."""
         self.lose_frames(2)
 
     def refuse_next(self) -> None:
-        """Answer the next write in the camera's place, with a refusal."""
+        """Answer the next write with a refusal."""
         self.refuse(1)
 
     def refuse(self, which: int) -> None:
-        """Refuse one of the next writes; 1 is the very next."""
+        """Refuse one of the next writes; 1 is the next."""
         self._writes_until_refusal = which
 
     def garble_next(self) -> None:
-        """Turn the next reply into garbage."""
+        """Garble the next reply."""
         self._garbled = 1
 
     def delay_next(self) -> None:
-        """Let the next reply come when it was given up."""
+        """Delay the next reply beyond its timeout."""
         self._delay_s = _LATE_S
 
     def mend(self) -> None:
-        """Undo all that happened; the camera is switched off and on only where the cable was cut, or it is not free."""
+        """Clear all faults; restart the camera only if the cable was cut or the camera is held."""
         self._is_stalled = False
         self._frames_to_lose = self._writes_until_refusal = self._garbled = 0
         self._delay_s = 0.0
@@ -181,7 +181,7 @@ class GigeWire:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the cable was not cut, or is well again."""
+        """True unless the cable is cut."""
         return not (self._is_cut or self._will_be_cut)
 
     def _socket(self, address: tuple[str, int]) -> socket.socket:
@@ -241,7 +241,7 @@ class GigeWire:
     def _pass_frame(self, packet: bytes) -> None:
         (infos,) = struct.unpack_from(">I", packet, 4)
         content, index = infos >> 24 & 0x7F, infos & 0xFFFFFF
-        if self._frames_go_to[1] == 0:  # to nobody any more
+        if self._frames_go_to[1] == 0:  # nowhere
             return
         if content == _LEADER:
             self._passing = self._packets_that_pass()
@@ -251,7 +251,7 @@ class GigeWire:
         self._stream.sendto(packet, self._frames_go_to)
 
     def _packets_that_pass(self) -> int:
-        """How many packets of the frame that now begins will pass."""
+        """Number of packets of the beginning frame to pass."""
         if self._is_stalled or time.monotonic() < self._started_s + _FIRST_EXPOSURE_S:
             return 0
         if self._will_be_cut:

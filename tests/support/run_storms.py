@@ -1,8 +1,8 @@
-"""Runs the storms of all drivers, or of some, with SVWFS_SEQUENCES sequences each: `make storms`.
+"""Runs the storms of all or some drivers with SVWFS_SEQUENCES sequences each: `make storms`.
 
-Each thousand has a process of its own, as hypothesis becomes slower with all that it remembers. The one camera that
-lives in real time, on the network, has many at once, in networks of their own. What has made no step for five minutes
-hangs: the stacks are in its log.
+Each thousand sequences have their own process, as hypothesis slows down with its memory. The GenICam camera, in real
+time, has many processes, each in its own network namespace. A process without a step for five minutes hangs, and writes
+its stacks to the log.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ STORMS = {
     "thorlabs_dc2200": "drivers/usb_lights/test_dc2200.py::TestStorm",
     "coolled": "drivers/serial_lights/test_coolled.py::TestStorm",
 }
-WAITING = {"genicam"}  # for a real clock, most of the time
-BATCH = 1000  # sequences of a process
-AT_ONCE = 12  # processes that mostly wait
-HANGS_S = 300.0  # so long that a busy computer is not taken for it
+WAITING = {"genicam"}  # mostly for a real clock
+BATCH = 1000  # sequences per process
+AT_ONCE = 12  # waiting processes
+HANGS_S = 300.0  # longer than a stall of a busy computer
 _OPTIONS = ["-q", "--timeout=0", "-o", "faulthandler_timeout=0", "-p", "no:cacheprovider"]
-_OPTIONS += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]  # storm.py, to be watched
+_OPTIONS += ["-W", "ignore:Module already imported:pytest.PytestAssertRewriteWarning"]  # storm.py
 _TALLY = struct.Struct("<qq")  # sequences, steps
 _is_interrupted = threading.Event()
 _OWN_NETWORK = ["unshare", "--user", "--map-root-user", "--net", "sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
@@ -52,7 +52,7 @@ _OWN_NETWORK = ["unshare", "--user", "--map-root-user", "--net", "sh", "-c", 'ip
 
 @dataclass(slots=True)
 class Share:
-    """A process that runs some of a driver's sequences, as far as it has come."""
+    """A process running sequences of one driver, with its progress."""
 
     log: Path
     sequences: int = 0
@@ -60,7 +60,7 @@ class Share:
     has_failed: bool = False
 
     def run(self, driver: str, wanted: int, *, own_network: bool) -> None:
-        """Run so many to their end, or none where no more are wanted."""
+        """Run that many sequences."""
         if _is_interrupted.is_set():
             return
         reading, writing = os.pipe()
@@ -87,8 +87,8 @@ class Share:
 
 
 def run_here(driver: str, pipe: int) -> int:
-    """Run as many of a driver's sequences as the environment says, in this process, and tell how far they are."""
-    errors = os.fdopen(os.dup(2), "w")  # where they are seen even while pytest holds back what is printed
+    """Run SVWFS_SEQUENCES sequences of a driver in this process, and report the progress."""
+    errors = os.fdopen(os.dup(2), "w")  # visible although pytest captures output
     over = threading.Event()
 
     def tell() -> None:
@@ -98,7 +98,7 @@ def run_here(driver: str, pipe: int) -> int:
         steps, moved_s = 0, time.monotonic()
         while not over.wait(1.0):
             tell()
-            if steps != Storm.tally.steps or not steps:  # whatever is to be compiled is, before the first
+            if steps != Storm.tally.steps or not steps:  # compilation comes before the first step
                 steps, moved_s = Storm.tally.steps, time.monotonic()
             elif time.monotonic() - moved_s > HANGS_S:
                 faulthandler.dump_traceback(errors)
@@ -117,7 +117,7 @@ def run_here(driver: str, pipe: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a driver's storm."""
+    """Result of a driver's storm."""
 
     driver: str
     sequences: int
@@ -131,7 +131,7 @@ class Outcome:
 
 
 def run_driver(driver: str, wanted: int, folder: Path, on_progress: Callable[[float], None]) -> Outcome:
-    """Run a driver's storm in processes of its own."""
+    """Run a driver's storm in several processes."""
     begin_s = time.monotonic()
     at_once = AT_ONCE if driver in WAITING and has_networks() else 1
     count = max(at_once, math.ceil(wanted / BATCH))
@@ -154,7 +154,7 @@ def run_driver(driver: str, wanted: int, folder: Path, on_progress: Callable[[fl
 
 
 def has_networks() -> bool:
-    """Whether a process can have a network of its own here."""
+    """True if a process can have its own network namespace."""
     return (
         shutil.which("unshare") is not None
         and subprocess.run([*_OWN_NETWORK, "true"], capture_output=True, check=False).returncode == 0  # noqa: S603
@@ -162,7 +162,7 @@ def has_networks() -> bool:
 
 
 def main() -> int:
-    """Run one driver's storm in this process, or all that are named in processes of their own."""
+    """Run one driver's storm in this process, or the named ones in their own processes."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("drivers", nargs="*", metavar="driver", help=f"of {', '.join(STORMS)}; all where none is named")
     parser.add_argument("--pipe", type=int, help=argparse.SUPPRESS)
@@ -189,7 +189,7 @@ def main() -> int:
                 failures += len(outcome.failed)
                 sys.stdout.write(f"{outcome}\n")
                 sys.stdout.flush()
-        except KeyboardInterrupt:  # the processes that run have heard it, too
+        except KeyboardInterrupt:  # the processes receive it, too
             _is_interrupted.set()
             return 130
     return int(failures > 0)

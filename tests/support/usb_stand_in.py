@@ -1,4 +1,4 @@
-"""A pyusb backend with stand-ins on its bus: what libusb is for real instruments."""
+"""A pyusb backend with stand-in instruments, in place of libusb."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OUT, IN = 0x01, 0x82
 
 
 class Plug:
-    """One instrument on the bus."""
+    """An instrument on the bus."""
 
     def __init__(self, wire: UsbtmcWire, serial_number: str, product_id: int = 0x80C8) -> None:
         self.wire, self.serial_number, self.product_id = wire, serial_number, product_id
@@ -30,7 +30,7 @@ class Plug:
 
 
 class Bus(IBackend):  # type: ignore[misc] # pyusb has no types
-    """Time passes on the clock when the host waits in vain."""
+    """The bus; timeouts advance the manual clock."""
 
     def __init__(self, *plugs: Plug, clock: ManualClock) -> None:
         self.plugs, self.clock = list(plugs), clock
@@ -192,7 +192,7 @@ def _check_index(index: int, count: int) -> None:
 
 @contextmanager
 def _translated(wait: Callable[[], Any] = lambda: None) -> Iterator[None]:
-    """Tell a fault of the wire as libusb does."""
+    """Raise a fault of the wire as libusb does."""
     try:
         yield
     except NoAnswerError as error:

@@ -1,4 +1,4 @@
-"""The driver of Hamamatsu's cameras over the stand-in: the contract of all cameras; modes, limits, regions."""
+"""DCAM camera over its stand-in: camera contract, modes, limits, regions."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SENSOR = Region(0, 0, 512, 512)
 INVALIDVALUE, OUTOFRANGE = 0x80000821, 0x80000822
 
 
-class Hand:
-    """At the camera's cable."""
+class Faults:
+    """Faults of the stand-in."""
 
     def __init__(self, stand_in: StandIn, how: Plug) -> None:
         self._stand_in = stand_in
@@ -51,8 +51,8 @@ class TestDcamCamera(CameraFaultContract):
     """In real time."""
 
     @pytest.fixture(params=[Plug.TOLD, Plug.HALFWAY], ids=lambda how: how.name.lower())
-    def faults(self, stand_in: StandIn, request: pytest.FixtureRequest) -> Hand:
-        return Hand(stand_in, request.param)
+    def faults(self, stand_in: StandIn, request: pytest.FixtureRequest) -> Faults:
+        return Faults(stand_in, request.param)
 
     @pytest.fixture
     def stand_in(self) -> Iterator[StandIn]:
@@ -70,7 +70,7 @@ class TestDcamCamera(CameraFaultContract):
 
 
 class TestDcamCameraAtLeisure(CameraContract):
-    """A part of the sensor, binned, with the normal amplifier."""
+    """A binned region with the normal amplifier."""
 
     @pytest.fixture
     def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
@@ -83,7 +83,7 @@ class TestDcamCameraAtLeisure(CameraContract):
 
 
 class TestDcamCameraTriggeredByWhoReads(CameraContract):
-    """Nobody else fires the software trigger."""
+    """With the software trigger, which only the driver fires."""
 
     @pytest.fixture
     def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
@@ -114,20 +114,20 @@ def test_exposure_limits_follow_amplifier_and_speed(camera: DcamCamera) -> None:
     assert camera.exposure_s == 1.0  # moved into the range
 
 
-def test_exposures_are_rounded_to_the_cameras_steps(camera: DcamCamera) -> None:
+def test_exposure_is_rounded_to_camera_steps(camera: DcamCamera) -> None:
     assert camera.set_exposure(0.0200049) == pytest.approx(0.02, abs=1e-12)
     assert camera.set_exposure(0.0200051) == camera.exposure_s == pytest.approx(0.02001, abs=1e-12)
 
 
-def test_a_camera_that_does_not_round_is_given_whole_steps(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_driver_rounds_for_camera_without_rounding(stand_in: StandIn, camera: DcamCamera) -> None:
     stand_in.set_rounding(is_automatic=False)
     assert camera.set_exposure(0.0200049) == pytest.approx(0.02, abs=1e-12)
     assert camera.set_exposure(1.0) == 1.0
     camera.set_readout_speed(2)
-    assert camera.set_exposure(7200.0) == 7200.0  # 27.13 ms and so many steps are more, in floating point
+    assert camera.set_exposure(7200.0) == 7200.0  # more than the limit if summed up in steps, by rounding
 
 
-def test_settings_of_the_bench_are_taken(stand_in: StandIn) -> None:
+def test_bench_settings_are_applied(stand_in: StandIn) -> None:
     region = Region(64, 128, 256, 192)
     with open_camera(
         stand_in,
@@ -182,12 +182,12 @@ def test_settings_of_the_bench_are_taken(stand_in: StandIn) -> None:
         ({"ring_frames": 3}, r"ring_frames must be 4 \.\.\. 10000"),
     ],
 )
-def test_impossible_settings_name_their_key(settings: dict[str, object], sentence: str) -> None:
+def test_impossible_setting_names_its_key(settings: dict[str, object], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         DcamSettings(**settings)  # type: ignore[arg-type] # wrong on purpose
 
 
-def test_settings_that_the_camera_cannot_take_let_it_go_again(stand_in: StandIn) -> None:
+def test_refused_settings_release_camera(stand_in: StandIn) -> None:
     with pytest.raises(BadValue, match=r"exposure_s = 3.8 is outside 0.0139 \.\.\. 1"):
         open_camera(stand_in, exposure_s=3.8)
     with pytest.raises(BadValue, match="there is no binning 3"):
@@ -197,9 +197,9 @@ def test_settings_that_the_camera_cannot_take_let_it_go_again(stand_in: StandIn)
 
 @pytest.mark.parametrize("binning", [1, 2, 4])
 @pytest.mark.parametrize("region", [Region(0, 0, 16, 16), Region(496, 480, 16, 32), Region(64, 0, 256, 512), SENSOR])
-def test_the_part_that_is_asked_for_is_read_out(camera: DcamCamera, region: Region, binning: int) -> None:
+def test_requested_region_is_read_out(camera: DcamCamera, region: Region, binning: int) -> None:
     camera.set_binning(binning)
-    camera.set_region(Region(496, 496, 16, 16))  # as far away as can be
+    camera.set_region(Region(496, 496, 16, 16))  # the far corner
     assert camera.set_region(region) == camera.region == region
     assert camera.capabilities.rows == region.rows // binning
     assert camera.capabilities.columns == region.columns // binning
@@ -211,16 +211,14 @@ def test_the_part_that_is_asked_for_is_read_out(camera: DcamCamera, region: Regi
 @pytest.mark.parametrize(
     "region", [Region(1, 0, 16, 16), Region(0, 0, 20, 16), Region(496, 0, 32, 16), Region(-16, 0, 16, 16)]
 )
-def test_a_region_off_the_sensor_or_its_steps_is_refused(camera: DcamCamera, region: Region) -> None:
+def test_region_off_sensor_or_step_is_refused(camera: DcamCamera, region: Region) -> None:
     with pytest.raises(BadValue, match="in steps of 16"):
         camera.set_region(region)
     assert camera.region == SENSOR
 
 
 @pytest.mark.parametrize("failing", [Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS])
-def test_a_region_that_is_refused_half_way_leaves_the_one_before(
-    stand_in: StandIn, camera: DcamCamera, failing: Id
-) -> None:
+def test_region_refused_half_way_is_restored(stand_in: StandIn, camera: DcamCamera, failing: Id) -> None:
     before = camera.set_region(Region(32, 48, 64, 80))
     writes = {Id.SUBARRAYHSIZE: 2, Id.SUBARRAYVPOS: 4}[failing]
     stand_in.fail("dcamprop_setgetvalue", OUTOFRANGE, after=writes)
@@ -244,7 +242,7 @@ def test_modes_cannot_be_changed_while_running(camera: DcamCamera) -> None:
     camera.set_readout_speed(1)
 
 
-def test_a_value_that_the_camera_refuses_is_told_with_what_is_allowed(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_refused_value_names_allowed_range(stand_in: StandIn, camera: DcamCamera) -> None:
     stand_in.refuse(Id.EXPOSURETIME, INVALIDVALUE)
     before_s = camera.exposure_s
     with pytest.raises(BadValue, match=r"exposure time = 0.5, allowed are 0.0139 \.\.\. 1"):

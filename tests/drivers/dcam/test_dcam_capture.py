@@ -1,4 +1,4 @@
-"""Frames through the DCAM driver: each one whole and numbered, what is lost counted, and stops that do not wait."""
+"""Capture of the DCAM driver: intact numbered frames, counted losses, immediate stops."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def camera(stand_in: StandIn) -> Iterator[DcamCamera]:
 
 
 def expect_whole(frame: Frame, number: int) -> None:
-    """The camera's own count `number`, whole."""
+    """Assert an intact frame with this camera number."""
     np.testing.assert_array_equal(frame.pixels, pattern(number, REGION))
 
 
-def test_frames_are_whole_and_stamped_however_often_the_ring_goes_round(camera: DcamCamera) -> None:
+def test_frames_stay_intact_as_ring_wraps(camera: DcamCamera) -> None:
     for index in range(5 * RING + 3):
         frame = camera.read(1.0)
         assert frame.index == index
@@ -41,7 +41,7 @@ def test_frames_are_whole_and_stamped_however_often_the_ring_goes_round(camera: 
         expect_whole(frame, index)
 
 
-def test_frames_that_wait_are_read_in_their_order(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_waiting_frames_are_read_in_order(stand_in: StandIn, camera: DcamCamera) -> None:
     for burst in (1, 3, RING - 1, RING - 2):
         first = camera.read(1.0).index + 1
         stand_in.advance(burst * 0.02 + 0.001)
@@ -54,17 +54,17 @@ def test_frames_that_wait_are_read_in_their_order(stand_in: StandIn, camera: Dca
 
 
 @pytest.mark.parametrize("late", [RING, RING + 1, 2 * RING, 10 * RING + 5])
-def test_an_overrun_is_a_gap(stand_in: StandIn, camera: DcamCamera, late: int) -> None:
+def test_overrun_shows_as_gap(stand_in: StandIn, camera: DcamCamera, late: int) -> None:
     stand_in.advance(late * 0.02 + 0.001)
-    for index in range(late - RING // 2, late + RING):  # half of the ring is given up
+    for index in range(late - RING // 2, late + RING):  # half of the ring is skipped
         frame = camera.read(1.0)
         assert frame.index == index
         expect_whole(frame, index)
 
 
 @pytest.mark.parametrize("late", [0, RING // 2, RING - 2])
-@pytest.mark.parametrize("written", [-1, 0])  # half way down its slot is being written, has been written again
-def test_a_frame_that_is_overwritten_while_it_is_copied_is_not_given_out(
+@pytest.mark.parametrize("written", [-1, 0])  # its slot is half overwritten, or fully
+def test_frame_overwritten_during_copy_is_skipped(
     stand_in: StandIn, camera: DcamCamera, late: int, written: int
 ) -> None:
     camera.read(1.0)
@@ -79,7 +79,7 @@ def test_a_frame_that_is_overwritten_while_it_is_copied_is_not_given_out(
 
 
 def read_for(stand_in: StandIn, camera: DcamCamera, duration_s: float) -> None:
-    """Every frame that comes must be whole; raise the timeout in the end."""
+    """Assert that all frames are intact, up to a timeout, which is raised."""
     deadline_s = stand_in.now() + duration_s
     while stand_in.now() < deadline_s:
         frame = camera.read(0.1)
@@ -87,7 +87,7 @@ def read_for(stand_in: StandIn, camera: DcamCamera, duration_s: float) -> None:
     raise DeviceTimeout
 
 
-def test_frames_lost_on_their_way_are_a_gap(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_frames_lost_before_transfer_show_as_gap(stand_in: StandIn, camera: DcamCamera) -> None:
     number = 0
     for lost in (1, 5, 3 * RING):
         assert camera.read(1.0).index == number
@@ -99,7 +99,7 @@ def test_frames_lost_on_their_way_are_a_gap(stand_in: StandIn, camera: DcamCamer
         number += 1
 
 
-def test_lost_frames_that_are_only_told_are_a_gap_of_one(stand_in: StandIn) -> None:
+def test_loss_without_stamps_is_gap_of_one(stand_in: StandIn) -> None:
     stand_in.remove(Id.FRAMESTAMP_PRODUCER)
     with open_camera(stand_in) as camera:
         camera.start()
@@ -108,30 +108,30 @@ def test_lost_frames_that_are_only_told_are_a_gap_of_one(stand_in: StandIn) -> N
         assert [camera.read(1.0).index for _ in range(2)] == [2, 3]
 
 
-def test_an_overrun_and_lost_frames_add_up(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_overrun_and_lost_frames_add_up(stand_in: StandIn, camera: DcamCamera) -> None:
     assert camera.read(1.0).index == 0
     stand_in.lose(7)
     stand_in.advance(0.02 * 107 + 0.001)
-    frame = camera.read(1.0)  # 0 and 8 ... 107, that is 101, have arrived, of which all but half a ring are overwritten
+    frame = camera.read(1.0)  # 101 arrived (0, 8 ... 107), all but half a ring overwritten
     assert frame.index == 101 - RING // 2 + 7
     expect_whole(frame, frame.index)
 
 
-def test_stamps_that_begin_anew_are_no_loss(camera: DcamCamera) -> None:
+def test_restarted_stamps_are_no_loss(camera: DcamCamera) -> None:
     camera.read(1.0)
     assert camera._capture is not None
-    camera._capture._last = (0, 1000)  # as if the camera's count had been further
+    camera._capture._last = (0, 1000)  # as if the camera's numbers had been higher
     assert camera.read(1.0).index == 1
 
 
-def test_stamps_of_16_bits_may_go_round(camera: DcamCamera) -> None:
+def test_stamps_of_16_bits_wrap_around(camera: DcamCamera) -> None:
     camera.read(1.0)
     assert camera._capture is not None
     camera._capture._last = (0, 2**16)
     assert camera.read(1.0).index == 1
 
 
-def test_a_damaged_frame_is_told_and_its_number_missing(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_damaged_frame_raises_and_leaves_gap(stand_in: StandIn, camera: DcamCamera) -> None:
     assert camera.read(1.0).index == 0
     stand_in.fail("dcambuf_copyframe", INVALIDIMAGE)
     with pytest.raises(FrameLost):
@@ -141,14 +141,14 @@ def test_a_damaged_frame_is_told_and_its_number_missing(stand_in: StandIn, camer
     expect_whole(frame, 2)
 
 
-def test_trouble_with_the_cooling_is_told(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_cooling_fault_is_raised(stand_in: StandIn, camera: DcamCamera) -> None:
     stand_in.fail("dcamwait_start", COOLINGTROUBLE)
     with pytest.raises(DeviceError, match="cooling fails"):
         camera.read(1.0)
     assert camera.read(1.0).index == 0
 
 
-def test_a_stalled_camera_times_out_in_time_and_goes_on(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_stalled_camera_times_out_and_continues(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.read(1.0)
     stand_in.stall()
     for timeout_s in (0.0, 0.05, 0.35):
@@ -161,22 +161,22 @@ def test_a_stalled_camera_times_out_in_time_and_goes_on(stand_in: StandIn, camer
     assert camera.read(1.0).index == 1
 
 
-def test_a_camera_that_stops_by_itself_can_be_started_again(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_camera_that_stopped_itself_restarts(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.read(1.0)
     stand_in.advance(0.05)
     stand_in.stop()
-    assert [camera.read(1.0).index for _ in range(2)] == [1, 2]  # what was there
+    assert [camera.read(1.0).index for _ in range(2)] == [1, 2]  # those already taken
     start_s = stand_in.now()
     with pytest.raises(WrongState, match="by itself"):
         camera.read(1.0)
-    assert stand_in.now() == start_s  # it is an event, nobody waits for it in vain
+    assert stand_in.now() == start_s  # noticed by an event, without waiting
     assert camera.state == "stopped"
     camera.set_binning(2)
     camera.start()
     assert camera.read(1.0).index == 0
 
 
-def test_a_change_while_running_holds_from_the_frame_after(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_change_while_running_holds_from_next_frame(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.read(1.0)
     stand_in.advance(0.05)  # frames 1 and 2 wait, 3 is half exposed
     camera.set_exposure(0.1)
@@ -189,7 +189,7 @@ def test_a_change_while_running_holds_from_the_frame_after(stand_in: StandIn, ca
 
 
 @pytest.mark.parametrize("how", Plug)
-def test_unplugged_in_the_middle_of_a_long_exposure(stand_in: StandIn, how: Plug) -> None:
+def test_unplugged_during_long_exposure_raises_at_once(stand_in: StandIn, how: Plug) -> None:
     with open_camera(stand_in, readout_speed=1, exposure_s=3.8) as camera:
         camera.start()
         camera.read(5.0)
@@ -200,7 +200,7 @@ def test_unplugged_in_the_middle_of_a_long_exposure(stand_in: StandIn, how: Plug
         assert stand_in.now() - start_s == pytest.approx(2.0, abs=0.11)
 
 
-def test_a_slice_of_waiting_and_a_stop_take_less_than_200_ms_of_a_3_8_s_exposure(stand_in: StandIn) -> None:
+def test_wait_slice_and_stop_take_under_200_ms(stand_in: StandIn) -> None:
     with open_camera(stand_in, readout_speed=1, exposure_s=3.8) as camera:
         camera.start()
         camera.read(5.0)
@@ -212,9 +212,7 @@ def test_a_slice_of_waiting_and_a_stop_take_less_than_200_ms_of_a_3_8_s_exposure
 
 
 @pytest.mark.parametrize("function", ["dcambuf_copyframe", "dcamcap_transferinfo", "dcamwait_start", "dcamcap_status"])
-def test_whatever_fails_first_tells_that_the_camera_is_gone(
-    stand_in: StandIn, camera: DcamCamera, function: str
-) -> None:
+def test_any_first_failure_reveals_loss(stand_in: StandIn, camera: DcamCamera, function: str) -> None:
     stand_in.stall(is_stalled=function == "dcamcap_status")
     stand_in.fail(function, 0x80000F07)
     with pytest.raises(Disconnected, match=function):
@@ -222,7 +220,7 @@ def test_whatever_fails_first_tells_that_the_camera_is_gone(
     assert camera.state == "lost"
 
 
-def test_a_loss_is_not_asked_about_while_frames_come(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_connection_is_not_polled_while_frames_come(stand_in: StandIn, camera: DcamCamera) -> None:
     before = stand_in.calls("dcamprop_getvalue") + stand_in.calls("dcamcap_status")
     for _ in range(100):
         camera.read(1.0)
@@ -231,7 +229,7 @@ def test_a_loss_is_not_asked_about_while_frames_come(stand_in: StandIn, camera: 
     assert stand_in.calls("dcamprop_getvalue") + stand_in.calls("dcamcap_status") == before
 
 
-# In real time: what another thread, or a person, waits for.
+# In real time: waits of another thread or a person.
 
 
 @pytest.fixture
@@ -253,7 +251,7 @@ def duration_s(call: Callable[[], object]) -> float:
     return time.perf_counter() - start_s
 
 
-def test_a_long_exposure_does_not_hold_up_a_stop(long_exposure: DcamCamera) -> None:
+def test_stop_interrupts_long_exposure(long_exposure: DcamCamera) -> None:
     def wait_and_stop() -> None:
         with pytest.raises(DeviceTimeout):
             long_exposure.read(0.1)
@@ -263,7 +261,7 @@ def test_a_long_exposure_does_not_hold_up_a_stop(long_exposure: DcamCamera) -> N
 
 
 @pytest.mark.parametrize("is_abort_refused", [False, True])
-def test_closing_ends_the_wait_of_another_thread(
+def test_close_ends_read_of_another_thread(
     in_real_time: StandIn, long_exposure: DcamCamera, *, is_abort_refused: bool
 ) -> None:
     ended: list[BaseException] = []

@@ -1,4 +1,4 @@
-"""What is fixed on the wire: structures against a C compiler and the vendor's numbers, the meaning of error codes."""
+"""Binary interface of the DCAM-API: structure layouts, prototypes, error codes, library faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from drivers.errors import (
 )
 from simulated_devices.wires.dcam.build import SOURCES, build_program
 
-# Ours and its name in C; size and some offsets as gcc gave them for Hamamatsu's own header with 64-bit pointers.
+# Name in C, size and some offsets, as gcc gave them for Hamamatsu's own header with 64-bit pointers.
 LAYOUTS: dict[type[ctypes.Structure], tuple[str, int, dict[str, int]]] = {
     structures.Init: ("DCAMAPI_INIT", 32, {"iDeviceCount": 4, "initoption": 16, "guid": 24}),
     structures.DeviceOpen: ("DCAMDEV_OPEN", 16, {"index": 4, "hdcam": 8}),
@@ -52,13 +52,13 @@ def layout(kind: type[ctypes.Structure]) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
-def test_structures_lie_as_in_the_vendors_header(kind: type[ctypes.Structure]) -> None:
+def test_structures_match_vendor_header(kind: type[ctypes.Structure]) -> None:
     _, size, offsets = LAYOUTS[kind]
     assert ctypes.sizeof(kind) == size
     assert layout(kind).items() >= offsets.items()
 
 
-def test_structures_lie_as_a_c_compiler_lays_them(tmp_path: Path) -> None:
+def test_structures_match_c_compiler(tmp_path: Path) -> None:
     lines = []
     for kind, (name, _, _) in LAYOUTS.items():
         lines.append(f'printf("{name} size %zu\\n", sizeof({name}));')
@@ -77,13 +77,13 @@ def test_structures_lie_as_a_c_compiler_lays_them(tmp_path: Path) -> None:
     assert told == expected
 
 
-def test_every_function_is_declared_in_the_interface() -> None:
+def test_every_function_has_a_prototype() -> None:
     header = (SOURCES / "dcamapi.h").read_text()
     assert all(f"{name}(" in header for name in PROTOTYPES)
     assert header.count("DCAM_EXPORT int32_t") == len(PROTOTYPES)
 
 
-# What a person has to do differently after each of them.
+# Codes by error: each needs another reaction at the bench.
 MEANINGS: dict[type[DeviceError], list[int]] = {
     DeviceTimeout: [0x80000106, 0x80000303],
     FrameLost: [0x80000301, 0x80000F06, 0x80000321, 0x80000305, 0x80000833],
@@ -102,34 +102,34 @@ MEANINGS: dict[type[DeviceError], list[int]] = {
 }
 
 
-def test_every_error_code_has_its_meaning() -> None:
+def test_every_error_code_is_translated() -> None:
     assert sorted(ERRORS) == sorted(code for codes in MEANINGS.values() for code in codes)
     for kind, codes in MEANINGS.items():
         for code in codes:
-            error = error_of(code - 2**32, "dcamcap_start")  # as ctypes gives it
+            error = error_of(code - 2**32, "dcamcap_start")  # as ctypes returns it
             assert type(error) in {kind, NotThere}
             assert isinstance(error, kind)
             assert f"{code:08x}" in str(error)
             assert "dcamcap_start" in str(error)
 
 
-def test_a_code_that_nobody_knows_is_told_with_its_number() -> None:
+def test_unknown_error_code_is_shown() -> None:
     error = error_of(-0x12345678, "dcamprop_getvalue")
     assert type(error) is DeviceError
     assert "edcba988" in str(error)
 
 
-def test_a_missing_library_says_what_to_install(tmp_path: Path) -> None:
+def test_missing_library_says_what_to_install(tmp_path: Path) -> None:
     with pytest.raises(Unsupported, match="install it from Hamamatsu"):
         DcamLibrary(str(tmp_path / "dcamapi.dll"))
 
 
-def test_a_library_that_is_something_else_says_so() -> None:
+def test_wrong_library_is_refused() -> None:
     with pytest.raises(Unsupported, match="dcamapi_init"):
         DcamLibrary("libc.so.6")
 
 
-def test_a_library_that_crashes_leaves_as_one_of_the_family() -> None:
+def test_library_crash_becomes_device_error() -> None:
     library = object.__new__(DcamLibrary)
 
     def crash(*_: object) -> int:

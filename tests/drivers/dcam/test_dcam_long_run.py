@@ -1,6 +1,6 @@
-"""A day at the bench in a minute: every frame number through the DCAM driver is accounted for.
+"""Hours of DCAM capture in a minute, with every frame number accounted for.
 
-`SVWFS_HOURS=10 SVWFS_PIXELS=512 pytest tests/test_dcam_long_run.py` runs ten hours of the camera's time, whole frames.
+`SVWFS_HOURS=10 SVWFS_PIXELS=512 pytest tests/drivers/dcam/test_dcam_long_run.py` runs ten hours of camera time.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ REGION = Region(0, 0, PIXELS, PIXELS)
 
 @dataclass
 class Tally:
-    """What was read, and what became of every number that was not."""
+    """Record of the frames read, and of the cause of each gap."""
 
     read: int = 0
     next_index: int = 0
     missing: Counter[str] = field(default_factory=Counter)
 
     def take(self, frame: Frame, because: str = "") -> None:
-        """Count a frame; a gap before it must have a cause that is known."""
+        """Count a frame; a gap before it must have a known cause."""
         gap = frame.index - self.next_index
         assert gap >= 0
         assert bool(gap) is bool(because), f"{gap} frames are missing before {frame.index} {because}"
@@ -44,15 +44,15 @@ class Tally:
         self.next_index = frame.index + 1
         self.read += 1
         number = int(frame.pixels[-1, 0]) + (int(frame.pixels[-1, 1]) << 16)
-        assert frame.index == number  # the camera's own count, from the last row
+        assert frame.index == number  # the camera's number, from the last row
         if frame.index % 101 == 0 or because:
             np.testing.assert_array_equal(frame.pixels, pattern(number, REGION))
 
 
 def happen(dice: Random, stand_in: StandIn, camera: DcamCamera, tally: Tally) -> None:
-    """One mishap, of a known size."""
+    """Cause one fault of known size."""
     match dice.choice(("late", "overrun", "lost", "damaged")):
-        case "late":  # the program was busy, but not for too long
+        case "late":  # a short stall of the program
             stand_in.advance(dice.uniform(0, (RING - 2) * PERIOD_S))
         case "overrun":
             before = tally.next_index
@@ -79,7 +79,7 @@ def happen(dice: Random, stand_in: StandIn, camera: DcamCamera, tally: Tally) ->
 
 
 def catch_up(camera: DcamCamera, tally: Tally) -> None:
-    """Read all that waits."""
+    """Read all waiting frames."""
     while True:
         try:
             frame = camera.read(0.0)
@@ -88,7 +88,7 @@ def catch_up(camera: DcamCamera, tally: Tally) -> None:
         tally.take(frame)
 
 
-def test_every_number_of_a_long_run_is_accounted_for() -> None:
+def test_long_run_accounts_for_every_frame() -> None:
     duration_s = 3600 * float(os.environ.get("SVWFS_HOURS", "0.05"))
     dice = Random(7)  # noqa: S311 - mishaps, no secrets
     tally = Tally()
@@ -115,8 +115,8 @@ def test_every_number_of_a_long_run_is_accounted_for() -> None:
 
 
 @pytest.mark.parametrize("speed", [50.0, 2000.0])
-def test_a_clock_that_runs_by_itself(speed: float) -> None:
-    """In its own time, once slower and once faster than frames can be read: none is torn, none has a wrong number."""
+def test_frames_keep_pace_with_running_clock(speed: float) -> None:
+    """In real time, slower and faster than frames are read, all frames are intact and numbered."""
     tally = Tally()
     with (
         dcam_stand_in(speed) as stand_in,

@@ -1,4 +1,4 @@
-"""DCAM cameras are found, opened, closed, and lost."""
+"""Discovery, opening, closing and loss of DCAM cameras."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def read_patiently(camera: DcamCamera) -> Frame:
             continue
 
 
-def test_cameras_are_found_without_opening_them(stand_in: StandIn) -> None:
+def test_discovery_opens_no_camera(stand_in: StandIn) -> None:
     stand_in.attach(2)
     stand_in.hold()
     found = discover(library(stand_in))
@@ -43,13 +43,13 @@ def test_cameras_are_found_without_opening_them(stand_in: StandIn) -> None:
     assert discover(library(stand_in)) == ()
 
 
-def test_cameras_are_found_while_one_of_them_is_open(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_discovery_works_while_camera_is_open(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.start()
     assert [found.settings for found in discover(library(stand_in))] == [{"device": "000123"}]
     assert camera.read(1.0).index == 0
 
 
-def test_one_of_several_has_to_be_named(stand_in: StandIn) -> None:
+def test_one_of_several_cameras_must_be_named(stand_in: StandIn) -> None:
     stand_in.attach(2)
     with pytest.raises(BadValue, match=r"000123.*000456"):
         open_camera(stand_in)
@@ -62,26 +62,26 @@ def test_one_of_several_has_to_be_named(stand_in: StandIn) -> None:
         second.start()
         second.close()
         assert first.read(1.0).index == 0
-    assert stand_in.calls("dcamapi_init") == stand_in.calls("dcamapi_uninit") == 3  # one for each opening
+    assert stand_in.calls("dcamapi_init") == stand_in.calls("dcamapi_uninit") == 3  # one per opening
 
 
-def test_no_camera_is_told_as_that(stand_in: StandIn) -> None:
+def test_missing_camera_is_reported(stand_in: StandIn) -> None:
     stand_in.attach(0)
     with pytest.raises(Disconnected, match="no Hamamatsu camera was found"):
         open_camera(stand_in)
 
 
-def test_a_camera_that_another_program_holds_can_be_opened_afterwards(stand_in: StandIn) -> None:
+def test_camera_opens_after_other_program_releases_it(stand_in: StandIn) -> None:
     stand_in.hold()
     for _ in range(2):
         with pytest.raises(Busy, match="another program"):
             open_camera(stand_in)
-    assert stand_in.calls("dcamapi_uninit") == 2  # else it would stay taken
+    assert stand_in.calls("dcamapi_uninit") == 2  # otherwise the camera would stay taken
     stand_in.hold(is_held=False)
     open_camera(stand_in).close()
 
 
-def test_closing_lets_go_of_everything_and_it_opens_anew(stand_in: StandIn) -> None:
+def test_close_releases_everything_and_camera_reopens(stand_in: StandIn) -> None:
     for _ in range(3):
         camera = open_camera(stand_in)
         camera.start()
@@ -98,7 +98,7 @@ def test_closing_lets_go_of_everything_and_it_opens_anew(stand_in: StandIn) -> N
 @pytest.mark.parametrize(
     "function", ["dcamwait_abort", "dcamcap_stop", "dcambuf_release", "dcamwait_close", "dcamdev_close"]
 )
-def test_a_step_of_closing_that_fails_does_not_keep_the_others(stand_in: StandIn, function: str) -> None:
+def test_failing_close_step_does_not_stop_the_others(stand_in: StandIn, function: str) -> None:
     camera = open_camera(stand_in)
     camera.start()
     stand_in.fail(function, 0x80000203)
@@ -107,7 +107,7 @@ def test_a_step_of_closing_that_fails_does_not_keep_the_others(stand_in: StandIn
     open_camera(stand_in).close()
 
 
-def test_a_stop_that_fails_can_be_tried_again(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_failed_stop_can_be_repeated(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.start()
     stand_in.fail("dcamcap_stop", 0x80000106)
     with pytest.raises(DeviceTimeout):
@@ -118,7 +118,7 @@ def test_a_stop_that_fails_can_be_tried_again(stand_in: StandIn, camera: DcamCam
     assert camera.state == "stopped"
 
 
-def test_a_ring_that_is_not_given_back_is_given_back_later(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_unreleased_ring_is_released_later(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.start()
     stand_in.fail("dcambuf_release", 0x80000106, times=2)
     camera.stop()
@@ -130,7 +130,7 @@ def test_a_ring_that_is_not_given_back_is_given_back_later(stand_in: StandIn, ca
     assert camera.read(1.0).index == 0
 
 
-def test_an_amplifier_whose_gain_cannot_be_prepared_is_not_taken(stand_in: StandIn) -> None:
+def test_amplifier_is_restored_if_gain_preparation_fails(stand_in: StandIn) -> None:
     with open_camera(stand_in, amplifier="normal") as camera:
         stand_in.refuse(Id.DIRECTEMGAIN_MODE, OUTOFRANGE)
         with pytest.raises(BadValue):
@@ -139,7 +139,7 @@ def test_an_amplifier_whose_gain_cannot_be_prepared_is_not_taken(stand_in: Stand
 
 
 @pytest.mark.parametrize("running", [False, True])
-def test_an_amplifier_that_is_in_use_keeps_its_settings(camera: DcamCamera, *, running: bool) -> None:
+def test_setting_same_amplifier_keeps_settings(camera: DcamCamera, *, running: bool) -> None:
     camera.set_readout_speed(1)
     camera.set_exposure(3.8)
     if running:
@@ -150,20 +150,18 @@ def test_an_amplifier_that_is_in_use_keeps_its_settings(camera: DcamCamera, *, r
 
 
 @pytest.mark.parametrize("function", ["dcamwait_open", "dcambuf_alloc", "dcamcap_start"])
-def test_a_start_that_fails_leaves_a_camera_that_can_be_started(
-    stand_in: StandIn, camera: DcamCamera, function: str
-) -> None:
+def test_failed_start_can_be_repeated(stand_in: StandIn, camera: DcamCamera, function: str) -> None:
     stand_in.fail(function, 0x80000203)
     with pytest.raises(DeviceError, match="NOMEMORY"):
         camera.start()
     assert camera.state == "stopped"
-    camera.set_binning(2)  # there is no buffer in the way
+    camera.set_binning(2)  # blocked by a remaining ring
     camera.start()
     assert camera.read(1.0).index == 0
 
 
 @pytest.mark.parametrize("how", Plug)
-def test_an_unplugged_camera_is_lost_and_opens_anew(stand_in: StandIn, how: Plug) -> None:
+def test_unplugged_camera_is_lost_and_reopens(stand_in: StandIn, how: Plug) -> None:
     camera = open_camera(stand_in)
     camera.start()
     stand_in.unplug(how)
@@ -186,8 +184,8 @@ def test_an_unplugged_camera_is_lost_and_opens_anew(stand_in: StandIn, how: Plug
 
 @pytest.mark.parametrize("first", Plug)
 @pytest.mark.parametrize("second", Plug)
-def test_whoever_waits_sees_a_plug_that_is_pulled_twice(stand_in: StandIn, first: Plug, second: Plug) -> None:
-    """The stand-in once waited for ever for the second moment, which was past."""
+def test_second_unplug_reaches_waiting_reader(stand_in: StandIn, first: Plug, second: Plug) -> None:
+    """Regression: the stand-in once hung waiting for the second unplug."""
     with open_camera(stand_in) as camera:
         camera.start()
         stand_in.unplug(first)
@@ -198,7 +196,7 @@ def test_whoever_waits_sees_a_plug_that_is_pulled_twice(stand_in: StandIn, first
 
 @pytest.mark.parametrize("how", [Plug.TOLD, Plug.HALFWAY])
 @pytest.mark.parametrize("command", ["set_exposure", "start", "set_amplifier", "stop", "properties"])
-def test_a_camera_that_goes_in_the_middle_of_a_command_is_lost(stand_in: StandIn, how: Plug, command: str) -> None:
+def test_loss_during_command_is_raised(stand_in: StandIn, how: Plug, command: str) -> None:
     with open_camera(stand_in) as camera:
         if command == "stop":
             camera.start()

@@ -1,4 +1,4 @@
-"""What a DCAM camera tells of itself: its EM gain, its properties, and what to beware of."""
+"""EM gain, properties and warnings of DCAM cameras."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SENSOR = Region(0, 0, 512, 512)
 EM_PROPERTIES = (0x00400310, 0x00200220, 0x00200250, 0x00200260, 0x00200270, 0x00200290, 0x002002A0, 0x002002B0)
 
 
-def test_the_em_gain_is_the_true_multiplication(camera: DcamCamera) -> None:
+def test_em_gain_is_true_multiplication(camera: DcamCamera) -> None:
     assert camera.capabilities.em_gain_range == Range(4.0, 1200.0)
     assert camera.set_em_gain(300.4) == camera.em_gain == 300.0
     camera.start()
@@ -37,9 +37,7 @@ def test_the_em_gain_is_the_true_multiplication(camera: DcamCamera) -> None:
 
 
 @pytest.mark.parametrize("code", [0x80000F03, 0x80000825])
-def test_a_question_that_fails_is_not_taken_for_a_camera_without_em_gain(
-    stand_in: StandIn, camera: DcamCamera, code: int
-) -> None:
+def test_failed_query_does_not_hide_em_gain(stand_in: StandIn, camera: DcamCamera, code: int) -> None:
     assert camera.em_gain == 4.0
     stand_in.fail("dcamprop_getvalue", code)
     with pytest.raises(Unsupported):
@@ -47,14 +45,14 @@ def test_a_question_that_fails_is_not_taken_for_a_camera_without_em_gain(
     assert camera.em_gain == 4.0
 
 
-def test_a_relative_em_gain_is_told_as_such(stand_in: StandIn) -> None:
+def test_relative_em_gain_warns(stand_in: StandIn) -> None:
     stand_in.remove(Id.DIRECTEMGAIN_MODE)
     with open_camera(stand_in) as camera:
         assert camera.capabilities.em_gain_range == Range(0.0, 255.0)
         assert any("own scale" in sentence for sentence in camera.warnings())
 
 
-def test_a_camera_without_em_gain_is_an_ordinary_one(stand_in: StandIn) -> None:
+def test_camera_without_em_gain_works(stand_in: StandIn) -> None:
     stand_in.remove(*EM_PROPERTIES, Id.READOUTSPEED, Id.SUBARRAYMODE, Id.TRIGGERSOURCE, Id.BINNING)
     with open_camera(stand_in) as camera:
         allowed = camera.capabilities
@@ -70,7 +68,7 @@ def test_a_camera_without_em_gain_is_an_ordinary_one(stand_in: StandIn) -> None:
         assert camera.warnings() == ()
 
 
-def test_a_property_that_goes_with_the_mode_is_no_longer_asked_for(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_property_lost_with_mode_is_not_queried(stand_in: StandIn, camera: DcamCamera) -> None:
     assert list(camera.capabilities.triggers) == ["internal", "external", "software"]
     stand_in.remove(Id.TRIGGERSOURCE)
     camera.set_binning(2)
@@ -78,7 +76,7 @@ def test_a_property_that_goes_with_the_mode_is_no_longer_asked_for(stand_in: Sta
     assert camera.trigger == "internal"
 
 
-def test_a_camera_that_does_not_tell_its_pixels_needs_to_be_told(stand_in: StandIn) -> None:
+def test_camera_without_pixel_pitch_needs_setting(stand_in: StandIn) -> None:
     stand_in.remove(Id.IMAGEDETECTOR_PIXELWIDTH)
     with pytest.raises(Unsupported, match=r"set camera\.pixel_pitch_m"):
         open_camera(stand_in)
@@ -86,7 +84,7 @@ def test_a_camera_that_does_not_tell_its_pixels_needs_to_be_told(stand_in: Stand
         assert camera.capabilities.pixel_pitch_m == 6.5e-6
 
 
-def test_too_much_light_is_warned_of_and_black_frames_are_no_frames(stand_in: StandIn) -> None:
+def test_too_much_light_warns_and_black_frames_raise(stand_in: StandIn) -> None:
     with open_camera(stand_in, em_gain_protection_frames=3) as camera:
         camera.start()
         stand_in.overexpose()
@@ -102,7 +100,7 @@ def test_too_much_light_is_warned_of_and_black_frames_are_no_frames(stand_in: St
         assert camera.read(1.0).pixels.any()
 
 
-def test_without_protection_the_frames_go_on(stand_in: StandIn) -> None:
+def test_unprotected_camera_keeps_sending_frames(stand_in: StandIn) -> None:
     with open_camera(stand_in, em_gain_protection=False) as camera:
         stand_in.overexpose()
         camera.start()
@@ -110,7 +108,7 @@ def test_without_protection_the_frames_go_on(stand_in: StandIn) -> None:
             assert camera.read(1.0).pixels.any()
 
 
-def test_every_readable_property_is_told(camera: DcamCamera) -> None:
+def test_every_readable_property_is_reported(camera: DcamCamera) -> None:
     told = camera.properties()
     assert told["exposure_s"] == told["EXPOSURE TIME"] == 0.0139
     expected = {
@@ -125,7 +123,7 @@ def test_every_readable_property_is_told(camera: DcamCamera) -> None:
         "warnings": "",
     }
     assert {name: told[name] for name in expected} == expected
-    assert "STORE SUBTRACT IMAGE TO MEMORY" not in told  # can only be written
+    assert "STORE SUBTRACT IMAGE TO MEMORY" not in told  # write-only
 
 
 @pytest.mark.parametrize(
@@ -141,7 +139,7 @@ def test_every_readable_property_is_told(camera: DcamCamera) -> None:
         (Id.CAPTUREMODE, 2, "calibration"),
     ],
 )
-def test_filters_in_the_camera_are_warned_of(camera: DcamCamera, identifier: Id, value: float, word: str) -> None:
+def test_camera_filters_warn(camera: DcamCamera, identifier: Id, value: float, word: str) -> None:
     assert camera.warnings() == ()
     camera._values.set(identifier, value)
     (warning,) = camera.warnings()
@@ -149,13 +147,13 @@ def test_filters_in_the_camera_are_warned_of(camera: DcamCamera, identifier: Id,
     assert camera.properties()["warnings"] == warning
 
 
-def test_a_warm_sensor_is_warned_of(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_warm_sensor_warns(stand_in: StandIn, camera: DcamCamera) -> None:
     stand_in.break_cooler()
     (warning,) = camera.warnings()
     assert "cooler reports a fault at 12.5 degC" in warning
 
 
-def test_a_property_that_cannot_be_read_now_says_so_in_its_place(stand_in: StandIn, camera: DcamCamera) -> None:
+def test_unreadable_property_holds_error_message(stand_in: StandIn, camera: DcamCamera) -> None:
     before = len(camera.properties())
     calls = stand_in.calls("dcamprop_getvalue")
     camera.properties()

@@ -1,4 +1,4 @@
-"""Commands and faults in any order through the DCAM driver."""
+"""Random commands and faults through the DCAM driver."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def codes(*kinds: type[DeviceError]) -> st.SearchStrategy[int]:
     return st.sampled_from([code for code, (_, kind, _) in ERRORS.items() if kind in kinds])
 
 
-# What each function may say beside the truth. One that tells of another state than it is in, would be believed.
+# Wrong errors that each function may return; a wrong state would be believed, so there is none.
 ANY = st.tuples(st.sampled_from(sorted(PROTOTYPES)), codes(Disconnected, DeviceTimeout, DeviceError), st.integers(1, 3))
 REFUSAL = st.tuples(st.just("dcamprop_setgetvalue"), codes(BadValue, Unsupported, NotThere), st.just(1))
 DAMAGE = st.tuples(st.sampled_from(["dcambuf_copyframe", "dcamwait_start"]), codes(FrameLost), st.integers(1, 3))
@@ -39,11 +39,11 @@ FAILURE = st.tuples(ANY | REFUSAL | DAMAGE | NO_START, st.integers(0, 6)).map(
 )
 
 
-def test_no_sequence_of_commands_and_faults_leaves_the_family() -> None:
+def test_storm_raises_only_device_errors() -> None:
     with dcam_stand_in() as stand_in:
 
         class Storm(CameraStorm):
-            longest_s = 300.0  # a question about all properties, of a library that takes 0.3 s for each call
+            longest_s = 300.0  # reading all properties, at 0.3 s per call
 
             def now(self) -> float:
                 return stand_in.now()

@@ -1,4 +1,4 @@
-"""What begins an exposure of a DCAM camera."""
+"""Triggers of DCAM cameras."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SENSOR = Region(0, 0, 512, 512)
 LOSTFRAME, NOTREADY = 0x80000301, 0x80000103
 
 
-def test_an_external_trigger_makes_a_frame(stand_in: StandIn) -> None:
+def test_external_trigger_makes_one_frame(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="external", exposure_s=0.05) as camera:
         camera.start()
         with pytest.raises(DeviceTimeout):
@@ -31,7 +31,7 @@ def test_an_external_trigger_makes_a_frame(stand_in: StandIn) -> None:
         assert stand_in.calls("dcamcap_firetrigger") == 0
 
 
-def test_a_change_before_a_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
+def test_change_before_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="external", exposure_s=0.05) as camera:
         camera.start()
         for exposure_s in (0.1, 0.2, 0.3):
@@ -42,17 +42,16 @@ def test_a_change_before_a_trigger_holds_for_its_frame(stand_in: StandIn) -> Non
             assert frame.camera_time_s == pytest.approx(stand_in.now(), abs=2e-6)
 
 
-def test_an_exposure_that_pulses_make_is_warned_of(stand_in: StandIn) -> None:
+def test_exposure_by_trigger_pulse_warns(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="external", trigger_active="level") as camera:
         assert camera.warnings() == ("the trigger pulses determine the exposure, not the set time",)
 
 
-def test_with_the_software_trigger_each_read_makes_its_frame(stand_in: StandIn, camera: DcamCamera) -> None:
-    """So that whoever measures or looks needs not know that somebody has to trigger."""
+def test_each_read_fires_software_trigger(stand_in: StandIn, camera: DcamCamera) -> None:
     camera.set_trigger("software")
     camera.start()
     for index in range(3):
-        stand_in.advance(10.0)  # nothing is taken meanwhile
+        stand_in.advance(10.0)  # no frame meanwhile
         asked_s = stand_in.now()
         frame = camera.read(1.0)
         assert frame.index == index
@@ -61,18 +60,18 @@ def test_with_the_software_trigger_each_read_makes_its_frame(stand_in: StandIn, 
     assert stand_in.calls("dcamcap_firetrigger") == 3
 
 
-def test_a_software_trigger_is_fired_once_for_a_frame_that_takes_long(stand_in: StandIn) -> None:
+def test_software_trigger_fires_once_for_slow_frame(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="software", exposure_s=0.5, readout_speed=2) as camera:
         camera.start()
         for timeout_s in (0.0, 0.1, 0.2):
             with pytest.raises(DeviceTimeout):
                 camera.read(timeout_s)
-        camera.set_exposure(0.1)  # holds from the next one on
+        camera.set_exposure(0.1)  # holds from the next frame
         assert [camera.read(1.0).exposure_s for _ in range(3)] == [0.5, 0.1, 0.1]
         assert stand_in.calls("dcamcap_firetrigger") == 3
 
 
-def test_a_software_trigger_is_fired_again_for_a_frame_that_was_lost(stand_in: StandIn) -> None:
+def test_software_trigger_fires_again_after_lost_frame(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="software") as camera:
         camera.start()
         assert camera.read(1.0).index == 0
@@ -84,11 +83,11 @@ def test_a_software_trigger_is_fired_again_for_a_frame_that_was_lost(stand_in: S
         assert camera.read(1.0).index == 5
 
 
-def test_a_camera_that_takes_no_software_trigger_times_out(stand_in: StandIn) -> None:
+def test_refused_software_trigger_times_out(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="software") as camera:
         camera.start()
         stand_in.fail("dcamcap_firetrigger", NOTREADY, times=2)
-        assert camera.read(1.0).index == 0  # asked again, it does
+        assert camera.read(1.0).index == 0  # the second attempt works
         stand_in.stall()
         for _ in range(2):
             with pytest.raises(DeviceTimeout):

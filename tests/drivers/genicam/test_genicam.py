@@ -1,4 +1,4 @@
-"""The GenICam driver on the wire: Aravis's own GigE Vision camera, in a process that can be stopped and killed."""
+"""GenICam driver over UDP, with Aravis's fake GigE Vision camera in a process of its own."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from drivers.genicam.discovery import discover
 from drivers.genicam.library import load_aravis
 from drivers.genicam.settings import GenicamSettings
 
-NOTICED_S = 2.0  # within which a camera that is gone must be noticed
-# The fake camera's pattern is scaled by 1 + log10(exposure / 10 ms): at 10 ms its pixels tell the frame's number.
-TELLING = GenicamSettings(
+NOTICED_S = 2.0  # until a loss must be noticed
+# The fake camera scales its pattern by 1 + log10(exposure / 10 ms): at 10 ms its pixels encode the frame number.
+NUMBERED = GenicamSettings(
     device=SERIAL, pixel_pitch_m=5e-6, exposure_s=0.01, frame_rate_hz=70.0, region=Region(8, 16, 96, 128), gain=0.0
 )
 
@@ -52,24 +52,24 @@ def _peer() -> Iterator[Peer]:
 
 @pytest.fixture
 def peer(_peer: Peer) -> Peer:
-    """The camera, running."""
+    """The camera process, running."""
     _peer.ensure()
     return _peer
 
 
 @pytest.fixture
-def camera(peer: Peer) -> Iterator[GenicamCamera]:  # noqa: ARG001 - it must be there
-    with GenicamCamera(TELLING) as camera:
+def camera(peer: Peer) -> Iterator[GenicamCamera]:  # noqa: ARG001 - must run
+    with GenicamCamera(NUMBERED) as camera:
         yield camera
 
 
 def frame_number(frame: Frame) -> int:
-    """The fake camera's own count of this frame, modulo 65535, from its pixels: 256 n modulo 65535 at the corner."""
+    """The fake camera's frame number n modulo 65535; its corner pixel is 256 n modulo 65535."""
     return int(frame.pixels[0, 0]) * 256 % 65535
 
 
 def whole_frames(camera: GenicamCamera, count: int) -> list[Frame]:
-    """The next frames that came whole."""
+    """Read the next undamaged frames."""
     frames: list[Frame] = []
     while len(frames) < count:
         with suppress(FrameLost):
@@ -78,13 +78,13 @@ def whole_frames(camera: GenicamCamera, count: int) -> list[Frame]:
 
 
 def assert_accounted(frames: list[Frame]) -> None:
-    """Every frame's index is what its pixels say."""
+    """Assert that every index agrees with the number in the pixels."""
     numbers = [frame_number(frame) for frame in frames]
     assert [(number - numbers[0]) % 65535 for number in numbers] == [frame.index - frames[0].index for frame in frames]
 
 
 def seconds_until_lost(call: Callable[[], object]) -> float:
-    """Call until the camera is found gone, and return how long that took."""
+    """Call until the loss is noticed; return the time it took."""
     with own_time() as elapsed_s:
         while True:
             try:
@@ -100,14 +100,14 @@ def seconds_until_lost(call: Callable[[], object]) -> float:
 def wire(peer: Peer) -> Iterator[GigeWire]:
     with GigeWire(peer) as wire:
         yield wire
-        if not wire.is_whole:  # whoever was cut off holds the camera still
+        if not wire.is_whole:  # the cut-off driver still holds the camera
             peer.kill()
 
 
-# Sequences: a plug that is pulled takes a second to be noticed.
+# Sequences; noticing a pulled plug takes a second.
 FEW = 4
-# not so many packets that Python could not pass them on, also where half of the sensor is read out
-OVER_THE_WIRE = replace(TELLING, device=HERE, exposure_s=1e-4, frame_rate_hz=25.0, packet_size=16000)
+# few enough packets for the Python proxy
+OVER_THE_WIRE = replace(NUMBERED, device=HERE, exposure_s=1e-4, frame_rate_hz=25.0, packet_size=16000)
 
 
 class TestContract(CameraFaultContract):
@@ -116,7 +116,7 @@ class TestContract(CameraFaultContract):
         return wire
 
     @pytest.fixture
-    def reopen(self, wire: GigeWire) -> Callable[[], GenicamCamera]:  # noqa: ARG002 - it must be there
+    def reopen(self, wire: GigeWire) -> Callable[[], GenicamCamera]:  # noqa: ARG002 - must run
         return lambda: GenicamCamera(OVER_THE_WIRE)
 
     @pytest.fixture
@@ -125,9 +125,9 @@ class TestContract(CameraFaultContract):
             yield camera
 
 
-def test_no_sequence_of_commands_and_faults_leaves_the_family(wire: GigeWire) -> None:
+def test_storm_raises_only_device_errors(wire: GigeWire) -> None:
     class Storm(CameraStorm):
-        longest_s = 60.0  # on the machine's clock, and the machine may be busy
+        longest_s = 60.0  # real time on a busy machine
 
         def now(self) -> float:
             return time.monotonic()
@@ -139,7 +139,7 @@ def test_no_sequence_of_commands_and_faults_leaves_the_family(wire: GigeWire) ->
         def open(self) -> GenicamCamera:
             try:
                 return GenicamCamera(OVER_THE_WIRE)
-            except Disconnected:  # also where a busy computer was silent for so long that the camera gave it up
+            except Disconnected:  # also if a busy computer let the connection time out
                 if not wire.is_whole:
                     raise
                 return GenicamCamera(OVER_THE_WIRE)
@@ -158,17 +158,17 @@ def test_no_sequence_of_commands_and_faults_leaves_the_family(wire: GigeWire) ->
 
 
 @pytest.mark.parametrize("fault", ["garble_next", "delay_next"])
-def test_a_reply_that_is_garbage_or_late_is_asked_for_again(wire: GigeWire, fault: str) -> None:
+def test_garbled_or_late_reply_is_requested_again(wire: GigeWire, fault: str) -> None:
     with GenicamCamera(OVER_THE_WIRE) as camera:
         for exposure_s in (0.001, 0.002):
             getattr(wire, fault)()
             assert camera.set_exposure(exposure_s) == camera.exposure_s == exposure_s
 
 
-def test_the_numbers_of_the_frames_go_round_on_the_wire(peer: Peer) -> None:
+def test_frame_numbers_wrap_around_on_the_wire(peer: Peer) -> None:
     peer.kill()
-    peer.start()  # switched on, it counts from 65400
-    with GenicamCamera(replace(TELLING, frame_rate_hz=250.0)) as camera:
+    peer.start()  # counts from 65400 after power-on
+    with GenicamCamera(replace(NUMBERED, frame_rate_hz=250.0)) as camera:
         camera.start()
         frames = whole_frames(camera, 150)
         assert_accounted(frames)
@@ -177,30 +177,30 @@ def test_the_numbers_of_the_frames_go_round_on_the_wire(peer: Peer) -> None:
         assert min(numbers) < 100
 
 
-def test_a_cable_that_is_cut_within_a_frame(wire: GigeWire) -> None:
+def test_cable_cut_within_frame_is_a_loss(wire: GigeWire) -> None:
     with GenicamCamera(OVER_THE_WIRE) as camera:
         camera.start()
         whole_frames(camera, 2)
         wire.unplug_in_a_frame()
         with own_time() as elapsed_s:
-            with suppress(FrameLost):  # what had come of it
+            with suppress(FrameLost):  # the incomplete frame
                 while True:
                     camera.read(10.0)
             seconds_until_lost(lambda: camera.read(10.0))
             assert elapsed_s() < NOTICED_S
 
 
-def test_frames_at_70_per_second_are_all_accounted_for(camera: GenicamCamera) -> None:
+def test_all_frames_at_70_hz_are_accounted_for(camera: GenicamCamera) -> None:
     camera.start()
     frames = whole_frames(camera, 140)
     assert frames[0].index == 0
     assert_accounted(frames)
     spacing_s = np.diff([frame.camera_time_s for frame in frames]) / np.diff([frame.index for frame in frames])
-    assert 0.9 / 70 < np.median(spacing_s) < 1  # on the camera's clock; a busy computer may slow this camera down
+    assert 0.9 / 70 < np.median(spacing_s) < 1  # a busy computer may slow this camera down
     assert (np.diff([frame.host_time_s for frame in frames]) > 0).all()
 
 
-def test_the_pixels_are_those_that_were_sent(camera: GenicamCamera) -> None:
+def test_pixels_arrive_as_sent(camera: GenicamCamera) -> None:
     camera.start()
     frame = whole_frames(camera, 1)[0]
     y, x = np.indices((96, 128))
@@ -208,8 +208,8 @@ def test_the_pixels_are_those_that_were_sent(camera: GenicamCamera) -> None:
 
 
 @pytest.mark.usefixtures("peer")
-def test_eight_bits_are_eight_bits() -> None:
-    with GenicamCamera(replace(TELLING, pixel_format="Mono8")) as camera:
+def test_eight_bit_format_works() -> None:
+    with GenicamCamera(replace(NUMBERED, pixel_format="Mono8")) as camera:
         assert camera.capabilities.full_scale == 255
         camera.start()
         pixels = whole_frames(camera, 1)[0].pixels
@@ -217,10 +217,10 @@ def test_eight_bits_are_eight_bits() -> None:
         np.testing.assert_array_equal(pixels, (int(pixels[0, 0]) + x + y) % 255)
 
 
-def test_lost_packets_are_lost_frames_and_nothing_else(peer: Peer) -> None:
+def test_lost_packets_lose_only_their_frames(peer: Peer) -> None:
     peer.kill()
-    peer.start("--gvsp-lost-ratio=10")  # per thousand packets, with 20 in a frame
-    with GenicamCamera(TELLING) as camera:
+    peer.start("--gvsp-lost-ratio=10")  # per thousand packets, 20 per frame
+    with GenicamCamera(NUMBERED) as camera:
         camera.start()
         frames: list[Frame] = []
         lost = 0
@@ -237,8 +237,8 @@ def test_lost_packets_are_lost_frames_and_nothing_else(peer: Peer) -> None:
 
 
 @pytest.mark.usefixtures("peer")
-def test_who_reads_too_slowly_sees_a_gap() -> None:
-    with GenicamCamera(replace(TELLING, buffers=3)) as camera:
+def test_slow_reader_sees_gap() -> None:
+    with GenicamCamera(replace(NUMBERED, buffers=3)) as camera:
         camera.start()
         first = whole_frames(camera, 1)
         time.sleep(0.5)
@@ -247,37 +247,37 @@ def test_who_reads_too_slowly_sees_a_gap() -> None:
         assert frames[-1].index - frames[0].index > 10
 
 
-def test_a_camera_that_goes_before_a_command_is_missed(peer: Peer) -> None:
-    with GenicamCamera(TELLING) as camera:
+def test_loss_before_command_is_noticed(peer: Peer) -> None:
+    with GenicamCamera(NUMBERED) as camera:
         camera.start()
         peer.kill()
         assert seconds_until_lost(camera.stop) < NOTICED_S
         assert camera.state == "lost"
     peer.start()
-    with GenicamCamera(TELLING) as camera:  # the same one, found again
+    with GenicamCamera(NUMBERED) as camera:  # found again
         camera.start()
         assert whole_frames(camera, 1)[0].index == 0
 
 
-def test_a_camera_that_restarts_is_not_taken_for_the_same(peer: Peer) -> None:
-    with GenicamCamera(TELLING) as camera:
+def test_restarted_camera_is_lost(peer: Peer) -> None:
+    with GenicamCamera(NUMBERED) as camera:
         camera.start()
         whole_frames(camera, 3)
         peer.kill()
         peer.start()
-        assert seconds_until_lost(lambda: camera.read(10.0)) < 3.5  # the library asks once in a second
-    with GenicamCamera(TELLING) as camera:
+        assert seconds_until_lost(lambda: camera.read(10.0)) < 3.5  # the library polls once a second
+    with GenicamCamera(NUMBERED) as camera:
         camera.start()
         assert whole_frames(camera, 3)[-1].index == 2
 
 
-def test_a_camera_that_restarts_at_rest_is_lost_to_commands(peer: Peer) -> None:
-    with GenicamCamera(TELLING) as camera:
+def test_camera_restarted_at_rest_is_lost(peer: Peer) -> None:
+    with GenicamCamera(NUMBERED) as camera:
         peer.kill()
         peer.start()
 
         def command() -> None:
-            with suppress(WrongState):  # it denies us access, until the library has asked who has it
+            with suppress(WrongState):  # access denied, until the library has polled
                 camera.set_exposure(0.02)
             time.sleep(0.01)
 
@@ -285,20 +285,20 @@ def test_a_camera_that_restarts_at_rest_is_lost_to_commands(peer: Peer) -> None:
         assert camera.state == "lost"
 
 
-def test_a_short_silence_is_a_timeout_and_no_loss(camera: GenicamCamera, peer: Peer) -> None:
+def test_short_silence_is_a_timeout(camera: GenicamCamera, peer: Peer) -> None:
     camera.start()
     frames = whole_frames(camera, 3)
     peer.send(signal.SIGSTOP)
     with suppress(DeviceTimeout):
-        while True:  # what had come before is read first
+        while True:  # earlier frames are read first
             frames.append(camera.read(0.05))
     peer.send(signal.SIGCONT)
     frames += whole_frames(camera, 5)
     assert_accounted(frames)
 
 
-def test_a_long_silence_is_a_loss_and_the_camera_can_be_opened_again(peer: Peer) -> None:
-    with GenicamCamera(TELLING) as camera:
+def test_long_silence_is_a_loss_and_camera_reopens(peer: Peer) -> None:
+    with GenicamCamera(NUMBERED) as camera:
         camera.start()
         peer.send(signal.SIGSTOP)
         while True:
@@ -313,13 +313,13 @@ def test_a_long_silence_is_a_loss_and_the_camera_can_be_opened_again(peer: Peer)
         assert whole_frames(camera, 2)[-1].index == 1
 
 
-def test_a_camera_that_is_never_triggered_is_only_late(camera: GenicamCamera) -> None:
+def test_untriggered_camera_only_times_out(camera: GenicamCamera) -> None:
     assert camera.capabilities.triggers == ("internal", "Line0")
     camera.set_trigger("Line0")
     assert camera.trigger == "Line0"
     camera.start()
     begin_s = time.perf_counter()
-    while time.perf_counter() - begin_s < 1.5:  # longer than silence is forgiven to one that does not answer
+    while time.perf_counter() - begin_s < 1.5:  # longer than an unanswering camera is tolerated
         with pytest.raises(DeviceTimeout):
             camera.read(0.3)
     assert camera.state == "running"
@@ -332,14 +332,14 @@ def test_a_camera_that_is_never_triggered_is_only_late(camera: GenicamCamera) ->
     assert whole_frames(camera, 2)[-1].index == 1
 
 
-def test_the_exposure_in_force_is_whole_microseconds(camera: GenicamCamera) -> None:
+def test_exposure_in_force_is_whole_microseconds(camera: GenicamCamera) -> None:
     taken_s = camera.set_exposure(0.0123456)
     assert taken_s == camera.exposure_s
     assert taken_s == pytest.approx(0.012345, abs=1.1e-6)
     assert round(taken_s * 1e6, 6) % 1 == 0
 
 
-def test_a_part_of_the_sensor_is_read_out(camera: GenicamCamera) -> None:
+def test_region_is_read_out(camera: GenicamCamera) -> None:
     assert camera.capabilities.sensor == Region(0, 0, 2048, 2048)
     part = Region(100, 200, 48, 80)
     assert camera.set_region(part) == camera.region == part
@@ -355,10 +355,10 @@ def test_a_part_of_the_sensor_is_read_out(camera: GenicamCamera) -> None:
     assert camera.region == part
 
 
-def test_binning_keeps_the_part_of_the_sensor(camera: GenicamCamera) -> None:
+def test_binning_keeps_region(camera: GenicamCamera) -> None:
     camera.set_binning(2)
     assert camera.binning == 2
-    assert camera.region == TELLING.region
+    assert camera.region == NUMBERED.region
     assert (camera.capabilities.rows, camera.capabilities.columns) == (48, 64)
     assert camera.capabilities.pixel_pitch_m == pytest.approx(2 * 5e-6)
     camera.start()
@@ -369,32 +369,32 @@ def test_binning_keeps_the_part_of_the_sensor(camera: GenicamCamera) -> None:
 
 
 @pytest.mark.usefixtures("peer")
-def test_how_large_its_pixels_are_need_not_be_known() -> None:
-    with GenicamCamera(replace(TELLING, pixel_pitch_m=None)) as camera:
-        assert camera.capabilities.pixel_pitch_m is None  # this one does not tell
+def test_pixel_pitch_may_be_unknown() -> None:
+    with GenicamCamera(replace(NUMBERED, pixel_pitch_m=None)) as camera:
+        assert camera.capabilities.pixel_pitch_m is None  # not reported by this camera
 
 
 @pytest.mark.usefixtures("peer")
-def test_what_was_left_in_the_camera_does_not_count() -> None:
-    with GenicamCamera(replace(TELLING, binning=2, trigger="Line0", pixel_format="Mono8")):
+def test_earlier_camera_settings_are_reset() -> None:
+    with GenicamCamera(replace(NUMBERED, binning=2, trigger="Line0", pixel_format="Mono8")):
         pass
-    with GenicamCamera(TELLING) as camera:
+    with GenicamCamera(NUMBERED) as camera:
         assert camera.binning == 1
         assert camera.trigger == "internal"
         assert camera.capabilities.full_scale == 65535
-        assert camera.region == TELLING.region
+        assert camera.region == NUMBERED.region
 
 
-def test_a_camera_that_was_left_running_sends_to_whom_it_should(peer: Peer) -> None:
+def test_camera_left_running_sends_to_new_owner(peer: Peer) -> None:
     peer.leave_running()
-    with GenicamCamera(TELLING) as camera:
-        time.sleep(0.3)  # it would have begun by now
+    with GenicamCamera(NUMBERED) as camera:
+        time.sleep(0.3)  # time enough to begin
         camera.start()
         assert whole_frames(camera, 2)[-1].index == 1
 
 
 @pytest.mark.parametrize("which", range(1, 8))
-def test_a_mode_that_is_refused_half_way_is_taken_back(wire: GigeWire, which: int) -> None:
+def test_mode_refused_half_way_is_restored(wire: GigeWire, which: int) -> None:
     changes: tuple[Callable[[Camera], object], ...] = (
         lambda camera: camera.set_region(Region(4, 2, 80, 60)),
         lambda camera: camera.set_binning(2),
@@ -408,7 +408,7 @@ def test_a_mode_that_is_refused_half_way_is_taken_back(wire: GigeWire, which: in
                 change(camera)
             except WrongState:
                 assert camera.properties() == before
-            else:  # in fewer steps
+            else:  # fewer steps
                 assert which > 4
                 wire.mend()
                 camera.set_trigger("internal")
@@ -418,7 +418,7 @@ def test_a_mode_that_is_refused_half_way_is_taken_back(wire: GigeWire, which: in
                 assert camera.properties() == before
 
 
-def test_all_that_matters_is_recorded(camera: GenicamCamera) -> None:
+def test_properties_are_complete(camera: GenicamCamera) -> None:
     properties = camera.properties()
     assert properties["name"] == f"Aravis Fake {SERIAL}"
     assert properties["protocol"] == "GigE Vision"
@@ -433,39 +433,39 @@ def test_all_that_matters_is_recorded(camera: GenicamCamera) -> None:
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [
-        (replace(TELLING, exposure_s=100.0), "exposure_s = 100 is outside"),
-        (replace(TELLING, gain=11.0), "gain = 11 is outside 0"),
-        (replace(TELLING, pixel_format="Mono12"), "Mono12 is not one of Mono16, Mono8"),
-        (replace(TELLING, trigger="Line7"), "no trigger 'Line7'; there are internal, Line0"),
-        (replace(TELLING, region=Region(0, 0, 4096, 4096)), "does not lie on the sensor"),
+        (replace(NUMBERED, exposure_s=100.0), "exposure_s = 100 is outside"),
+        (replace(NUMBERED, gain=11.0), "gain = 11 is outside 0"),
+        (replace(NUMBERED, pixel_format="Mono12"), "Mono12 is not one of Mono16, Mono8"),
+        (replace(NUMBERED, trigger="Line7"), "no trigger 'Line7'; there are internal, Line0"),
+        (replace(NUMBERED, region=Region(0, 0, 4096, 4096)), "does not lie on the sensor"),
     ],
 )
-def test_a_setting_that_the_camera_refuses_is_told(asked: GenicamSettings, sentence: str) -> None:
+def test_refused_setting_raises(asked: GenicamSettings, sentence: str) -> None:
     with pytest.raises(BadValue, match=sentence):
         GenicamCamera(asked)
-    GenicamCamera(TELLING).close()  # and the camera is free again
+    GenicamCamera(NUMBERED).close()  # the camera is free again
 
 
 @pytest.mark.usefixtures("peer")
-def test_it_is_found_by_every_name_it_has() -> None:
+def test_camera_opens_by_every_name() -> None:
     (found,) = discover()
     assert found.name == f"genicam:Aravis-Fake-{SERIAL}"
     assert found.description == f"Aravis Fake {SERIAL}"
     for device in ("", SERIAL, f"Aravis-Fake-{SERIAL}", "127.0.0.1"):
-        with GenicamCamera(replace(TELLING, device=device)) as camera:
+        with GenicamCamera(replace(NUMBERED, device=device)) as camera:
             assert camera.name == found.description
     with pytest.raises(Disconnected, match=f"no GenICam camera NONE; there are Aravis-Fake-{SERIAL}"):
-        GenicamCamera(replace(TELLING, device="NONE"))
+        GenicamCamera(replace(NUMBERED, device="NONE"))
 
 
-def test_one_that_is_off_is_not_found(peer: Peer) -> None:
-    GenicamCamera(TELLING).close()
+def test_switched_off_camera_is_not_discovered(peer: Peer) -> None:
+    GenicamCamera(NUMBERED).close()
     peer.kill()
     with pytest.raises(Disconnected, match="does not answer"):
-        GenicamCamera(TELLING)  # known from before
+        GenicamCamera(NUMBERED)  # known from earlier
     assert discover() == ()
     with pytest.raises(Disconnected, match=f"no GenICam camera {SERIAL}: none answers"):
-        GenicamCamera(TELLING)
+        GenicamCamera(NUMBERED)
 
 
 HOLDER = """
@@ -479,25 +479,25 @@ camera.close()
 
 
 @pytest.mark.usefixtures("peer")
-def test_a_camera_that_another_program_has_is_busy() -> None:
+def test_camera_held_by_other_program_is_busy() -> None:
     code = HOLDER.format(serial=SERIAL)
     held = [sys.executable, "-c", code]
     with subprocess.Popen(held, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:  # noqa: S603 - ours
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"open\n"
         with pytest.raises(Busy, match="another program has the camera"):
-            GenicamCamera(TELLING)
+            GenicamCamera(NUMBERED)
         holder.communicate(b"\n")
-    with GenicamCamera(TELLING) as camera:
+    with GenicamCamera(NUMBERED) as camera:
         assert camera.state == "stopped"
 
 
 def open_when_free() -> GenicamCamera:
-    """The camera, as soon as it has noticed that whoever held it is gone."""
+    """Open the camera once it has noticed the loss of its former owner."""
     deadline_s = time.perf_counter() + HANG_S
     while True:
         try:
-            return GenicamCamera(TELLING)
+            return GenicamCamera(NUMBERED)
         except Busy:
             assert time.perf_counter() < deadline_s
 
@@ -506,4 +506,4 @@ def test_library_errors_become_device_errors(camera: GenicamCamera) -> None:
     with pytest.raises(DeviceError, match="the camera refuses the request"):
         camera._line.integer("NoSuchFeature")
     with pytest.raises(Unsupported):
-        camera._line.call("arv_camera_execute_command", b"Width")  # a number is no command
+        camera._line.call("arv_camera_execute_command", b"Width")  # an integer, no command

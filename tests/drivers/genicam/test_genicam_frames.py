@@ -1,4 +1,4 @@
-"""GenICam cameras without any camera: frame numbers, pixel formats, calls that hang, settings, a missing library."""
+"""GenICam parts without a camera: frame numbers, pixel formats, hanging calls, settings, missing library."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from drivers.genicam.settings import GenicamSettings
 
 
 @given(first=st.integers(1, 65535), steps=st.lists(st.integers(1, 65534), max_size=50))
-def test_short_numbers_go_round_without_a_zero(first: int, steps: list[int]) -> None:
+def test_short_frame_numbers_wrap_without_zero(first: int, steps: list[int]) -> None:
     given_in_turn = itertools.cycle(range(1, 65536))
     ids = itertools.islice(given_in_turn, first - 1, None)
     count = FrameCount()
@@ -32,12 +32,12 @@ def test_short_numbers_go_round_without_a_zero(first: int, steps: list[int]) -> 
         assert count.advance(next(itertools.islice(ids, step - 1, None))) == expected
 
 
-def test_a_loss_across_the_end_of_the_numbers_is_counted() -> None:
+def test_loss_across_number_wrap_is_counted() -> None:
     count = FrameCount()
     assert [count.advance(frame_id) for frame_id in (65533, 65534, 2, 3)] == [0, 1, 4, 5]  # 65535 and 1 are missing
 
 
-def test_long_numbers_go_on_and_may_begin_with_zero() -> None:
+def test_long_frame_numbers_may_begin_with_zero() -> None:
     count = FrameCount()
     assert [count.advance(frame_id) for frame_id in (0, 1, 65535, 65536, 2**40)] == [0, 1, 65535, 65536, 2**40]
 
@@ -58,21 +58,21 @@ def test_pixels_are_copied_row_by_row(name: str, full_scale: int) -> None:
     np.testing.assert_array_equal(pixels, counts.reshape(3, 4))
 
 
-def test_the_deepest_format_comes_first() -> None:
+def test_deepest_format_comes_first() -> None:
     assert [pixel_format.bits for pixel_format in PIXEL_FORMATS.values()] == [16, 14, 12, 10, 8]
 
 
-def test_a_frame_has_the_exposure_that_was_in_force_when_it_began() -> None:
+def test_frame_has_exposure_from_its_begin() -> None:
     log = ExposureLog.beginning_with(0.5)
     log.change(10.0, 2.0)
-    assert log.of_frame(11.9) == 0.5  # began at 11.4 at the earliest with the old one; with the new one, before 10
+    assert log.of_frame(11.9) == 0.5  # began at 11.4 or later with the old exposure; with the new one, before 10
     assert log.of_frame(12.1) == 2.0
     log.change(13.0, 0.1)
     assert log.of_frame(13.05) == 2.0
     assert log.of_frame(13.2) == 0.1
 
 
-def test_a_short_exposure_overtakes_a_long_one_that_never_was() -> None:
+def test_short_exposure_replaces_long_one() -> None:
     log = ExposureLog.beginning_with(0.5)
     log.change(10.0, 100.0)
     log.change(10.1, 0.2)
@@ -80,19 +80,19 @@ def test_a_short_exposure_overtakes_a_long_one_that_never_was() -> None:
     assert log.of_frame(10.4) == 0.2
 
 
-def test_a_call_that_hangs_is_given_up() -> None:
+def test_hanging_call_is_given_up() -> None:
     calls, ending = PatientCalls("test"), threading.Event()
     with pytest.raises(Disconnected, match=r"did not answer for 0\.1 s"):
         calls.make(lambda: ending.wait(HANG_S), 0.1)
     with pytest.raises(Disconnected):
-        calls.make(lambda: 1, 0.1)  # behind it
+        calls.make(lambda: 1, 0.1)  # queued behind it
     ending.set()
-    assert calls.make(lambda: 2, 10) == 2  # what nobody waits for any longer does no harm
+    assert calls.make(lambda: 2, 10) == 2  # the abandoned call does no harm
     calls.end()
 
 
-def test_an_answer_is_seen_that_is_overdue_when_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where this computer stood still: both the answer and the end of the patience lay in that time."""
+def test_overdue_answer_is_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both the answer and the timeout fall into a stall of this computer."""
     monkeypatch.setattr("drivers.genicam.connection._GRACE_S", HANG_S)
     calls, coming = PatientCalls("test"), threading.Timer(0.05, lambda: None)
     coming.start()
@@ -100,7 +100,7 @@ def test_an_answer_is_seen_that_is_overdue_when_it_comes(monkeypatch: pytest.Mon
     calls.end()
 
 
-def test_a_call_raises_what_it_raises() -> None:
+def test_call_passes_on_exception() -> None:
     def fails() -> None:
         raise Unsupported("no")
 
@@ -111,13 +111,13 @@ def test_a_call_raises_what_it_raises() -> None:
     calls.end()
 
 
-def test_the_thread_ends() -> None:
+def test_call_thread_ends() -> None:
     calls = PatientCalls("test that ends")
     calls.end()
     wait_until(lambda: not any(thread.name == "test that ends" for thread in threading.enumerate()))
 
 
-def test_without_the_library_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> None:
         raise OSError(name)
 
@@ -142,6 +142,6 @@ def test_without_the_library_one_sentence_says_what_to_install(monkeypatch: pyte
         (lambda: GenicamSettings(socket_buffer_bytes=0), "socket_buffer_bytes"),
     ],
 )
-def test_a_bad_setting_is_named(make: Callable[[], object], key: str) -> None:
+def test_bad_setting_is_named(make: Callable[[], object], key: str) -> None:
     with pytest.raises(ValueError, match=f"^{key} "):
         make()

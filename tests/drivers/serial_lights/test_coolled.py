@@ -1,4 +1,4 @@
-"""CoolLED's driver, byte by byte, over a stand-in that speaks unasked and has its faults, and over a real port."""
+"""CoolLED driver, byte by byte, over its stand-in in memory and on a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ OPENING = [
     (b"\r", b"CoolLED pE-4000\r\nSystem ready\r\n"),
     (b"XMODEL\r", b"XMODEL:pE-4000\r\n"),
     (b"CSF\r", b""),
-    (b"CSS?\r", b"CSSASF020BSF020CSF020DSF100\n"),  # a line feed alone ends a line, too
+    (b"CSS?\r", b"CSSASF020BSF020CSF020DSF100\n"),  # a line feed alone ends a line
     (b"CSS?\r", b"CSSASF020BSF020CSF020DSF100\r\n"),
     (b"LAMS\r", b"LAM:A:365\r\nLAM:B:470\r\nLAM:C:525\r\nLAM:D:635\r\n"),
     (b"LOAD:460\r", b"LAM:B:460\r\n"),
@@ -94,7 +94,7 @@ SWITCHING_ON = [
 CLOSING = [(b"CSF\r", b""), (b"CSS?\r", b"CSSAXF020BSF020CXF020DXF100\r\n")]
 
 
-def test_every_byte_of_opening_switching_and_closing(clock: ManualClock) -> None:
+def test_opening_switching_and_closing_byte_by_byte(clock: ManualClock) -> None:
     port = ScriptedPort(OPENING + SWITCHING_ON + CLOSING, clock)
     settings = CoolLEDSettings(port="COM7", channel="B", full_current_a=0.5, wavelength_nm=460)
     light = CoolLED(settings, wire=Wire(open_port=port.opener({}), clock=clock.now), sleep=clock.sleep)
@@ -104,22 +104,22 @@ def test_every_byte_of_opening_switching_and_closing(clock: ManualClock) -> None
     assert port.is_done()
 
 
-def test_percent_are_currents(device: CoolLEDWire, light: CoolLED) -> None:
+def test_percent_translates_to_current(device: CoolLEDWire, light: CoolLED) -> None:
     assert light.current_range_a.maximum == 0.5
     assert light.set_current(0.25) == 0.25
     assert device.lamps["A"].percent == 50
-    assert light.set_current(0.0199) == 0.015  # whole percents, never more than was asked
+    assert light.set_current(0.0199) == 0.015  # whole percents, never above the request
     assert device.lamps["A"].percent == 3
-    assert light.set_current(0.145) == 0.145  # 29 %, which binary fractions would make 28
+    assert light.set_current(0.145) == 0.145  # 29 %, not 28 by truncation
 
 
-def test_what_was_left_on_is_off_and_only_one_channel_goes_on(device: CoolLEDWire, light: CoolLED) -> None:
+def test_opening_switches_off_and_selects_one_channel(device: CoolLEDWire, light: CoolLED) -> None:
     assert not device.is_lit
     light.set_on(True)
     assert {letter for letter, lamp in device.lamps.items() if lamp.is_on} == {"A"}
 
 
-def test_a_knob_is_turned(device: CoolLEDWire, light: CoolLED) -> None:
+def test_turned_knob_changes_current(device: CoolLEDWire, light: CoolLED) -> None:
     light.set_on(True)
     device.turn_knob("A", 70)
     assert light.current_a == 0.35
@@ -150,9 +150,7 @@ def test_a_pe_300(clock: ManualClock) -> None:
 
 
 @pytest.mark.parametrize("kind", ["silence", "late", "half", "garbage"])
-def test_a_lost_answer_switches_off_and_the_next_question_works(
-    device: CoolLEDWire, light: CoolLED, kind: FaultKind
-) -> None:
+def test_lost_answer_switches_off_and_next_query_works(device: CoolLEDWire, light: CoolLED, kind: FaultKind) -> None:
     light.set_current(0.2)
     light.set_on(True)
     device.faults.append(LineFault(kind, delay_s=0.6 if kind == "late" else 0.0))
@@ -165,7 +163,7 @@ def test_a_lost_answer_switches_off_and_the_next_question_works(
 
 
 @pytest.mark.parametrize("delay_s", [0.51, 0.6, 0.9, 1.02, 1.3])
-def test_a_late_answer_is_never_taken_for_a_later_state(device: CoolLEDWire, light: CoolLED, delay_s: float) -> None:
+def test_late_answer_is_not_taken_for_later_state(device: CoolLEDWire, light: CoolLED, delay_s: float) -> None:
     light.set_current(0.2)
     device.faults.append(LineFault("late", delay_s=delay_s))
     with pytest.raises(DeviceTimeout):
@@ -174,17 +172,17 @@ def test_a_late_answer_is_never_taken_for_a_later_state(device: CoolLEDWire, lig
     for _ in range(4):
         with suppress(DeviceTimeout):
             assert light.current_a == 0.4
-            assert device.received.count("XMODEL") > 1  # what it came into step with
+            assert device.received.count("XMODEL") > 1  # the marker
             return
     pytest.fail("never came into step again")
 
 
-def test_noise_is_passed_over(device: CoolLEDWire, light: CoolLED) -> None:
+def test_noise_is_ignored(device: CoolLEDWire, light: CoolLED) -> None:
     device.faults.append(LineFault("noise"))
     assert light.current_a == 0.1
 
 
-def test_a_lost_command_is_repeated(device: CoolLEDWire, light: CoolLED, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_command_is_repeated(device: CoolLEDWire, light: CoolLED, monkeypatch: pytest.MonkeyPatch) -> None:
     original, lost = device.answer, ["CAI50"]
 
     def answer(command: str) -> Iterable[str]:
@@ -199,28 +197,28 @@ def test_a_lost_command_is_repeated(device: CoolLEDWire, light: CoolLED, monkeyp
     assert not lost
 
 
-def test_a_light_that_stays_on_is_told(device: CoolLEDWire, light: CoolLED) -> None:
+def test_light_that_stays_on_raises(device: CoolLEDWire, light: CoolLED) -> None:
     light.set_on(True)
     device.is_stuck_on = True
     with pytest.raises(DeviceError, match="still on"):
         light.set_on(False)
 
 
-def test_another_instrument_is_left_alone(clock: ManualClock) -> None:
+def test_other_instrument_is_left_alone(clock: ManualClock) -> None:
     device = CoolLEDWire("SM-7")
     with pytest.raises(DeviceError, match="another device"):
         open_light(device, clock)
     assert device.received == ["", "XMODEL"]
-    assert device.is_lit  # whatever that is
+    assert device.is_lit  # still, whatever the driver did
 
 
-def test_more_than_all(device: CoolLEDWire, light: CoolLED) -> None:
+def test_more_than_100_percent_raises(device: CoolLEDWire, light: CoolLED) -> None:
     device.lamps["C"].percent = 101
     with pytest.raises(DeviceError, match="more than 100 %"):
         _ = light.current_a
 
 
-def test_unplugged_in_the_middle_of_a_command(device: CoolLEDWire, light: CoolLED, clock: ManualClock) -> None:
+def test_unplugged_during_command_raises(device: CoolLEDWire, light: CoolLED, clock: ManualClock) -> None:
     device.faults.append(LineFault("unplug"))
     start_s = clock.now()
     with pytest.raises(Disconnected, match="CoolLED at COM7 is gone"):
@@ -232,7 +230,7 @@ def test_unplugged_in_the_middle_of_a_command(device: CoolLEDWire, light: CoolLE
     "wrong",
     [{"channel": "E"}, {"full_current_a": 0.0}, {"wavelength_nm": 5}, {"limit_a": float("nan")}, {"port": ""}],
 )
-def test_settings_check_themselves(wrong: dict[str, Any]) -> None:
+def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         CoolLEDSettings(**{"port": "COM7", **wrong})
 

@@ -1,4 +1,4 @@
-"""The DC4100's driver, byte by byte, over a stand-in that has its limits and its faults, and over a real port."""
+"""DC4100 driver, byte by byte, over its stand-in in memory and on a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.pseudo_terminal import PtyServer
 from simulated_devices.wires.serial import FaultKind, LineFault
 
-# What goes over the wire when channel 1 is opened, from the protocol, by hand.
+# Traffic of opening channel 1, written by hand from the protocol.
 OPENING = [
     (b"\r\n", b""),
     (b"n?\r\n", b"DC4104\r\n"),
     (b"o -1 0\r\n", b""),
     (b"v?\r\n", b"1.8.4\r\n"),
     (b"s?\r\n", b"M00266001\r\n"),
-    (b"e?\r\n", b"ERROR 1: Unknown command\r\n"),  # what somebody else did
+    (b"e?\r\n", b"ERROR 1: Unknown command\r\n"),  # an old error
     (b"sm?\r\n", b"1\r\n"),
     (b"sm 0\r\n", b""),
     (b"e?\r\n", b"ERROR 0: No error\r\n"),
@@ -61,7 +61,7 @@ CLOSING = [(b"o -1 0\r\n", b""), (b"e?\r\n", b"ERROR 0: No error\r\n"), (b"o? 1\
 @pytest.fixture
 def device() -> DC4100Wire:
     device = DC4100Wire()
-    device.heads[0].is_on = True  # as somebody left it
+    device.heads[0].is_on = True  # left on
     return device
 
 
@@ -93,7 +93,7 @@ class TestContractOnAPort(LightFaultContract):
         return lambda: ThorlabsDC4100(DC4100Settings(port=faults.server.port))
 
 
-def test_every_byte_of_opening_setting_and_closing(clock: ManualClock) -> None:
+def test_opening_setting_and_closing_byte_by_byte(clock: ManualClock) -> None:
     setting = [
         (b"ml? 1\r\n", b"350\r\n"),
         (b"l? 1\r\n", b"200\r\n"),
@@ -106,13 +106,13 @@ def test_every_byte_of_opening_setting_and_closing(clock: ManualClock) -> None:
     wire = Wire(open_port=port.opener(seen), clock=clock.now)
     light = ThorlabsDC4100(DC4100Settings(port="COM7", channel=1), wire=wire, sleep=clock.sleep)
     assert light.name == "Thorlabs DC4104 M00266001 LED2"
-    assert light.set_current(0.0204) == 0.020  # whole milliamperes, never more than was asked
+    assert light.set_current(0.0204) == 0.020  # whole milliamperes, never above the request
     light.close()
     assert port.is_done()
     assert seen == {"port": "COM7", "baudrate": 115200, "timeout": 0.02, "write_timeout": 1.0, "exclusive": True}
 
 
-def test_what_was_left_on_is_off_in_constant_current(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_opening_switches_off_and_sets_constant_current(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     assert not device.is_lit
     assert (device.mode, device.selection) == (0, 0)
     light.set_on(True)
@@ -122,7 +122,7 @@ def test_what_was_left_on_is_off_in_constant_current(device: DC4100Wire, light: 
 @pytest.mark.parametrize(
     ("channel", "limit_a", "maximum_a"), [(0, None, 1.0), (1, None, 0.2), (1, 0.05, 0.05), (0, 5.0, 1.0)]
 )
-def test_the_lowest_of_three_limits_holds(
+def test_lowest_of_three_limits_holds(
     device: DC4100Wire, clock: ManualClock, channel: int, limit_a: float | None, maximum_a: float
 ) -> None:
     with open_light(device, clock, channel=channel, limit_a=limit_a) as light:
@@ -134,12 +134,12 @@ def test_the_lowest_of_three_limits_holds(
         assert device.heads[channel].current_ma == round(maximum_a * 1000)
 
 
-def test_the_owners_limit_is_not_rounded_up(device: DC4100Wire, clock: ManualClock) -> None:
+def test_owner_limit_is_not_rounded_up(device: DC4100Wire, clock: ManualClock) -> None:
     with open_light(device, clock, limit_a=0.0357) as light:
         assert light.set_current(0.0357) == 0.035
 
 
-def test_the_current_comes_up_in_steps(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_current_rises_in_steps(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_current(1.0)
     del device.received[:]
     light.set_on(True)
@@ -150,7 +150,7 @@ def test_the_current_comes_up_in_steps(device: DC4100Wire, light: ThorlabsDC4100
     assert steps[-1] == 1000
 
 
-def test_each_set_is_followed_by_the_question_for_errors(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_errors_are_queried_after_each_command(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_current(0.1)
     light.set_on(True)
     light.set_on(False)
@@ -168,16 +168,16 @@ def test_each_set_is_followed_by_the_question_for_errors(device: DC4100Wire, lig
         (1 << 9, "no LED"),  # 5, 7, 9, 11 are LED1 ... LED4
         (1 << 17, "does not conduct"),  # 13, 15, 17, 19
         (1 << 5 | 1 << 7 | 1 << 11 | 1 << 13 | 1 << 15 | 1 << 19, ""),  # the other channels
-        (0x55555555, ""),  # the even bits only say that something has changed
+        (0x55555555, ""),  # even bits flag changes only
     ],
 )
-def test_the_status_register(register: int, words: str) -> None:
+def test_status_register_is_decoded(register: int, words: str) -> None:
     fault = Status.decode(register, 2).fault
     assert words in fault
     assert bool(words) == bool(fault)
 
 
-def test_the_limit_is_a_status_and_no_fault() -> None:
+def test_current_limit_is_no_fault() -> None:
     status = Status.decode(1 << 25, 2)
     assert status.is_at_limit
     assert not status.fault
@@ -205,7 +205,7 @@ def test_properties(device: DC4100Wire, light: ThorlabsDC4100) -> None:
 
 
 @pytest.mark.parametrize("kind", ["silence", "late", "half", "garbage"])
-def test_a_lost_answer_switches_off_and_the_next_question_works(
+def test_lost_answer_switches_off_and_next_query_works(
     device: DC4100Wire, light: ThorlabsDC4100, kind: FaultKind
 ) -> None:
     light.set_current(0.2)
@@ -221,10 +221,8 @@ def test_a_lost_answer_switches_off_and_the_next_question_works(
 
 
 @pytest.mark.parametrize("delay_s", [0.51, 0.6, 0.9, 1.02, 1.3, 1.55, 1.9])
-def test_a_late_answer_is_never_taken_for_that_of_another_question(
-    device: DC4100Wire, light: ThorlabsDC4100, delay_s: float
-) -> None:
-    device.heads[0].current_ma = 77  # would be the limit, if it were taken for the next answer
+def test_late_answer_is_not_taken_for_another(device: DC4100Wire, light: ThorlabsDC4100, delay_s: float) -> None:
+    device.heads[0].current_ma = 77  # would become the limit if taken for the next answer
     device.faults.append(LineFault("late", delay_s=delay_s))
     with pytest.raises(DeviceTimeout):
         _ = light.current_a
@@ -238,12 +236,12 @@ def test_a_late_answer_is_never_taken_for_that_of_another_question(
     assert not light.is_on
 
 
-def test_noise_between_answers_is_passed_over(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_noise_between_answers_is_ignored(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     device.faults.append(LineFault("noise"))
     assert light.current_a == 0.1
 
 
-def test_a_command_that_was_lost_is_noticed(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_lost_command_is_noticed(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_current(0.2)
     light.set_on(True)
     original = device.answer
@@ -257,14 +255,14 @@ def test_a_command_that_was_lost_is_noticed(device: DC4100Wire, light: ThorlabsD
     assert not device.is_lit
 
 
-def test_switching_off_is_said_again_where_it_was_lost(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_lost_switch_off_is_repeated(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_on(True)
     device.faults.append(LineFault("deaf"))
     light.set_on(False)
     assert not device.is_lit
 
 
-def test_a_refused_value_changes_nothing(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_refused_value_changes_nothing(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_current(0.2)
     light.set_on(True)
     device.refuses_next = True
@@ -274,12 +272,12 @@ def test_a_refused_value_changes_nothing(device: DC4100Wire, light: ThorlabsDC41
     assert light.current_a == 0.2
 
 
-def test_over_temperature_while_lit(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_over_temperature_switches_off(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_on(True)
     device.heat_up()
     with pytest.raises(DeviceError, match="too hot"):
         _ = light.is_on
-    assert not light.is_on  # told once
+    assert not light.is_on  # raised once
     with pytest.raises(DeviceError, match="too hot"):
         light.set_on(True)
     device.is_hot = False
@@ -287,27 +285,27 @@ def test_over_temperature_while_lit(device: DC4100Wire, light: ThorlabsDC4100) -
     assert device.is_lit
 
 
-def test_a_led_that_does_not_conduct(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_open_led_is_reported(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     device.heads[0].is_open = True
     with pytest.raises(DeviceError, match="does not conduct"):
         light.set_on(True)
     assert not device.heads[0].is_on
 
 
-def test_a_button_at_the_front_panel(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_front_panel_switch_off_is_noticed(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_on(True)
     device.heads[0].is_on = False
     with pytest.raises(DeviceError, match="front panel"):
         light.set_current(0.05)
 
 
-def test_no_head_at_the_channel(device: DC4100Wire, clock: ManualClock) -> None:
+def test_missing_head_is_reported(device: DC4100Wire, clock: ManualClock) -> None:
     with pytest.raises(WrongState, match=r"COM7, LED3: there is no LED"):
         open_light(device, clock, channel=2)
     assert not device.is_lit
 
 
-def test_a_light_that_stays_on_is_told(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_light_that_stays_on_raises(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     light.set_on(True)
     device.is_stuck_on = True
     with pytest.raises(DeviceError, match="still on"):
@@ -315,31 +313,31 @@ def test_a_light_that_stays_on_is_told(device: DC4100Wire, light: ThorlabsDC4100
 
 
 @pytest.mark.parametrize("model", ["DC4100", "DC4104", "LEDD4"])
-def test_each_model_is_known_by_its_name(clock: ManualClock, model: str) -> None:
+def test_each_model_is_recognised(clock: ManualClock, model: str) -> None:
     with open_light(DC4100Wire(f"Thorlabs {model} 1.8"), clock) as light:
         assert light.name == f"Thorlabs {model} M00266001 LED1"
 
 
 @pytest.mark.parametrize("name", ["PM100D 1.0", "DC2100"])
-def test_another_instrument_is_left_alone(clock: ManualClock, name: str) -> None:
+def test_other_instrument_is_left_alone(clock: ManualClock, name: str) -> None:
     device = DC4100Wire(name)
     with pytest.raises(DeviceError, match=f"answered “n\\?” with '{name}': a bad cable, or another device"):
         open_light(device, clock)
     assert device.received == ["", "n?"]
 
 
-def test_a_silent_port(device: DC4100Wire, clock: ManualClock) -> None:
+def test_silent_port_times_out(device: DC4100Wire, clock: ManualClock) -> None:
     device.faults.append(LineFault("silence"))
     with pytest.raises(DeviceTimeout, match=r"did not answer “n\?” within 0.5 s; is it switched on"):
         open_light(device, clock)
 
 
-def test_an_empty_line_may_be_an_error(clock: ManualClock) -> None:
+def test_empty_line_may_be_an_error(clock: ManualClock) -> None:
     with open_light(DC4100Wire(is_empty_line_an_error=True), clock) as light:
         assert light.set_current(0.1) == 0.1
 
 
-def test_unplugged_in_the_middle_of_a_command(device: DC4100Wire, light: ThorlabsDC4100, clock: ManualClock) -> None:
+def test_unplugged_during_command_raises(device: DC4100Wire, light: ThorlabsDC4100, clock: ManualClock) -> None:
     device.faults.append(LineFault("unplug"))
     start_s = clock.now()
     with pytest.raises(Disconnected, match="COM7 is gone"):
@@ -351,7 +349,7 @@ def test_unplugged_in_the_middle_of_a_command(device: DC4100Wire, light: Thorlab
     light.close()
 
 
-def test_unplugged_between_commands_on_a_port() -> None:
+def test_unplugged_port_between_commands_raises() -> None:
     with PtyServer(DC4100Wire()) as server:
         light = ThorlabsDC4100(DC4100Settings(port=server.port))
         server.unplug()
@@ -362,7 +360,7 @@ def test_unplugged_between_commands_on_a_port() -> None:
         light.close()
 
 
-def test_unplugged_in_the_middle_of_a_command_on_a_port_and_plugged_in_again() -> None:
+def test_unplugged_port_during_command_reopens_when_plugged_in() -> None:
     device = DC4100Wire()
     with PtyServer(device) as server:
         light = ThorlabsDC4100(DC4100Settings(port=server.port))
@@ -377,7 +375,7 @@ def test_unplugged_in_the_middle_of_a_command_on_a_port_and_plugged_in_again() -
     assert not device.is_lit
 
 
-def test_a_port_that_another_program_holds() -> None:
+def test_port_held_by_other_program_is_busy() -> None:
     with (
         PtyServer(DC4100Wire()) as server,
         serial.Serial(server.port, exclusive=True),
@@ -386,7 +384,7 @@ def test_a_port_that_another_program_holds() -> None:
         ThorlabsDC4100(DC4100Settings(port=server.port))
 
 
-def test_a_port_that_is_not_there() -> None:
+def test_missing_port_is_reported() -> None:
     with pytest.raises(Disconnected, match="there is no /dev/ttyNone"):
         ThorlabsDC4100(DC4100Settings(port="/dev/ttyNone"))
     with pytest.raises(DeviceError, match="cannot be opened as a serial port"):
@@ -402,7 +400,7 @@ def test_a_port_that_is_not_there() -> None:
         (serial.SerialException("could not open port 'COM7': FileNotFoundError(2, 'x')"), Disconnected, "no COM7"),
     ],
 )
-def test_why_a_port_cannot_be_opened(error: Exception, kind: type[DeviceError], words: str) -> None:
+def test_open_error_states_reason(error: Exception, kind: type[DeviceError], words: str) -> None:
     def open_port(_port: str, **_settings: object) -> Any:
         raise error
 
@@ -420,7 +418,7 @@ def test_why_a_port_cannot_be_opened(error: Exception, kind: type[DeviceError], 
         ({"port": "COM1", "limit_a": float("nan")}, "limit_a"),
     ],
 )
-def test_settings_check_themselves(wrong: dict[str, Any], words: str) -> None:
+def test_invalid_settings_are_refused(wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         DC4100Settings(**wrong)
 
@@ -429,7 +427,7 @@ LEAVING = """
 import signal, sys
 from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
-signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests were started with
+signal.signal(signal.SIGINT, signal.default_int_handler)  # even if the tests ignore it
 light = ThorlabsDC4100(DC4100Settings(port=sys.argv[1]))
 light.set_on(True)
 assert light.is_on
@@ -443,7 +441,7 @@ WITHOUT_DEL = "from drivers.light_source import LightSource; del LightSource.__d
 
 
 @pytest.mark.parametrize("ending", ["sys.exit(3)", "raise RuntimeError", "del light", "while True: pass", WITHOUT_DEL])
-def test_off_when_the_interpreter_ends(ending: str) -> None:
+def test_light_goes_off_at_interpreter_exit(ending: str) -> None:
     device = DC4100Wire()
     with PtyServer(device) as server:
         program = subprocess.Popen(  # noqa: S603 - our own interpreter

@@ -1,4 +1,4 @@
-"""A serial line comes back into step, whatever came late: shown with answers that all look alike."""
+"""Resynchronisation of a serial line after faults, with answers that all look alike."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DIALECT = Dialect("counter", end=b"\r\n", timeout_s=0.5)
 
 
 class Counter(LineDevice):
-    """Answers each question with its name, and how often it was asked."""
+    """Answers each query with its text and its count."""
 
     def __init__(self) -> None:
         super().__init__(command_end=b"\r\n", answer_end=b"\n")
@@ -50,51 +50,51 @@ def ask(line: SerialLine, question: str) -> str:
 
 
 @pytest.mark.parametrize("delay_s", [0.51, 0.55, 0.7, 0.9])
-def test_a_late_answer_is_thrown_away(line: SerialLine, device: Counter, delay_s: float) -> None:
+def test_late_answer_is_discarded(line: SerialLine, device: Counter, delay_s: float) -> None:
     device.faults.append(LineFault("late", delay_s=delay_s))
     with pytest.raises(DeviceTimeout):
         ask(line, "a?")
     assert [ask(line, question) for question in ("a?", "b?", "a?")] == ["a2", "b1", "a3"]
-    assert device.asked["n?"] == 1  # in step again, it is not asked every time
+    assert device.asked["n?"] == 1  # not sent again once in step
 
 
-def test_a_marker_that_is_late_itself_is_not_mistaken_for_the_next(line: SerialLine, device: Counter) -> None:
+def test_late_marker_is_not_taken_for_next_one(line: SerialLine, device: Counter) -> None:
     device.faults.append(LineFault("late", delay_s=1.2))
-    for question in ("a?", "b?"):  # the second one does not get as far as being asked
+    for question in ("a?", "b?"):  # the second query is not even sent
         with pytest.raises(DeviceTimeout):
             ask(line, question)
     assert [ask(line, question) for question in ("b?", "b?", "c?")] == ["b1", "b2", "c1"]
     assert device.received == ["", "a?", "n?", "s?", "b?", "b?", "c?"]
 
 
-def test_when_no_marker_is_left_it_waits_for_silence(line: SerialLine, device: Counter, clock: ManualClock) -> None:
+def test_without_fresh_marker_it_waits_for_silence(line: SerialLine, device: Counter, clock: ManualClock) -> None:
     device.faults.append(LineFault("late", delay_s=2.2))
     for _ in range(3):
         with pytest.raises(DeviceTimeout):
             ask(line, "a?")
     assert device.received == ["", "a?", "n?", "s?"]
-    start_s = clock.now()  # all answers come 0.7 s later, after the silence and the next question for the name
+    start_s = clock.now()  # answers come 0.7 s late, after the silence and the next marker
     assert [ask(line, question) for question in ("b?", "b?", "a?")] == ["b1", "b2", "a2"]
     assert clock.now() - start_s < 1
     assert device.received[4:] == ["n?", "b?", "b?", "a?"]
 
 
 @pytest.mark.parametrize("kind", ["silence", "half", "garbage"])
-def test_an_answer_that_never_comes(line: SerialLine, device: Counter, kind: str) -> None:
-    device.faults.append(LineFault(kind))  # type: ignore[arg-type] # pytest knows no literals
+def test_missing_answer_times_out(line: SerialLine, device: Counter, kind: str) -> None:
+    device.faults.append(LineFault(kind))  # type: ignore[arg-type] # a literal
     with pytest.raises(DeviceError):
         line.query("a?", "a[0-9]")
     assert ask(line, "a?") == "a2"
 
 
-def test_what_comes_unasked_is_thrown_away(line: SerialLine, device: Counter) -> None:
+def test_unasked_input_is_discarded(line: SerialLine, device: Counter) -> None:
     assert ask(line, "a?") == "a1"
     device.faults.append(LineFault("noise"))
-    ask(line, "x?")  # takes the noise; its own answer comes unasked
+    ask(line, "x?")  # takes the noise; its own answer comes late
     assert ask(line, "b?") == "b1"
 
 
-def test_many_lines(line: SerialLine, device: Counter, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_query_returns_many_lines(line: SerialLine, device: Counter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(device, "answer", lambda _: ["x1", "noise", "x2", "", "x3"])
     assert [match[1] for match in line.query_lines("x?", "x([0-9])", 3)] == ["1", "2", "3"]
     with pytest.raises(DeviceTimeout):
@@ -102,7 +102,7 @@ def test_many_lines(line: SerialLine, device: Counter, monkeypatch: pytest.Monke
 
 
 class Chatter:
-    """A port at which something sends without an end, and without a line's end."""
+    """A port with endless input and no line end."""
 
     in_waiting = 64
 
@@ -120,7 +120,7 @@ class Chatter:
         pass
 
 
-def test_a_stream_without_an_end_is_no_hang(clock: ManualClock) -> None:
+def test_endless_stream_does_not_hang(clock: ManualClock) -> None:
     line = SerialLine("COM7", DIALECT, Wire(lambda _port, **_settings: Chatter(clock), clock.now))
     start_s = clock.now()
     with pytest.raises(DeviceError, match="bad cable"):
@@ -129,7 +129,7 @@ def test_a_stream_without_an_end_is_no_hang(clock: ManualClock) -> None:
 
 
 class Clogged(MemoryPort):
-    """A port that takes half of one command, and the rest not in time."""
+    """A port that accepts half a command and times out."""
 
     is_clogged = False
 
@@ -141,7 +141,7 @@ class Clogged(MemoryPort):
         return super().write(data)
 
 
-def test_half_a_command_does_not_spoil_the_next(device: Counter, clock: ManualClock) -> None:
+def test_half_sent_command_does_not_spoil_next(device: Counter, clock: ManualClock) -> None:
     port = Clogged(device, clock)
     line = SerialLine("COM7", DIALECT, Wire(lambda _port, **_settings: port, clock.now))
     port.is_clogged = True
@@ -152,7 +152,7 @@ def test_half_a_command_does_not_spoil_the_next(device: Counter, clock: ManualCl
 
 
 class Halting(MemoryPort):
-    """A port of a computer that stands still for two seconds after each command."""
+    """A port of a computer that stalls for two seconds after each command."""
 
     def __init__(self, device: LineDevice, clock: ManualClock) -> None:
         super().__init__(device, clock)
@@ -164,7 +164,7 @@ class Halting(MemoryPort):
         return count
 
 
-def test_a_computer_that_stood_still_hears_what_came_meanwhile(device: Counter, clock: ManualClock) -> None:
+def test_stalled_computer_still_reads_answer(device: Counter, clock: ManualClock) -> None:
     line = SerialLine("COM7", DIALECT, Wire(lambda _port, **_settings: Halting(device, clock), clock.now))
     assert [ask(line, "a?"), ask(line, "b?")] == ["a1", "b1"]
     device.faults.append(LineFault("late", delay_s=2.03))

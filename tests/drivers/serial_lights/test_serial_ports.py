@@ -1,4 +1,4 @@
-"""Which serial ports there are, and what may hang on them."""
+"""Discovery of serial ports and of the devices they may lead to."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ def _ports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda path, _mode: path != "/dev/ttyUSB0")
 
 
-def test_a_port_is_found_by_its_serial_number() -> None:
+def test_port_is_found_by_serial_number() -> None:
     assert find_port("B2") == "/dev/ttyUSB1"
     with pytest.raises(Disconnected, match=r"'D4'; connected are /dev/ttyS0 \(n/a\), /dev/ttyUSB0 \(FTDI, FT232R"):
         find_port("D4")
 
 
-def test_without_any_port(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_ports_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("serial.tools.list_ports.comports", list)
     with pytest.raises(Disconnected, match="none is connected"):
         find_port("A1")
     assert thorlabs_dc4100.discover() == ()
 
 
-def test_what_may_hang_on_them() -> None:
+def test_discovery_lists_possible_devices() -> None:
     found = {one.settings["port"]: one for one in thorlabs_dc4100.discover()}
-    assert set(found) == {"/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"}  # what is built in is passed over
+    assert set(found) == {"/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"}  # built-in ports are ignored
     assert [one.is_certain for one in found.values()] == [False, True, False]
     assert "dialout" in found["/dev/ttyUSB0"].missing
     assert not found["/dev/ttyUSB1"].missing

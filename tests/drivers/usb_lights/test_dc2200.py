@@ -1,4 +1,4 @@
-"""The DC2200's driver over a stand-in on the USB bus: its bytes, its limits, its faults."""
+"""DC2200 driver over its stand-in on the USB bus."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class TestContractGated(TestContract):
         return lambda: open_light(device, clock, gate="ttl", terminal=2)
 
 
-def test_every_command_of_opening_setting_and_closing(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_opening_setting_and_closing_command_by_command(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     assert device.received == [
         "*IDN?",
         "OUTP 0",
@@ -89,14 +89,14 @@ def test_every_command_of_opening_setting_and_closing(device: DC2200Wire, light:
     ]
     assert device.transfers[2] == b"\x01\x03\xfc\x00\x06\x00\x00\x00\x01\x00\x00\x00OUTP 0\x00\x00"
     del device.received[:]
-    assert light.set_current(0.12345678) == 0.1234  # tenths of a milliampere, never more than was asked
+    assert light.set_current(0.12345678) == 0.1234  # tenths of a milliampere, never above the request
     assert device.received[-4:] == ["*CLS", "SOUR:CCUR 0.1234", "SYST:ERR?", "SOUR:CCUR?"]
     del device.received[:]
     light.close()
     assert device.received == ["OUTP 0", "SYST:ERR?", "OUTP?"]
 
 
-def test_what_was_left_on_is_off(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_opening_switches_off(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     assert not device.is_lit
     assert (device.terminal, device.mode) == (1, "CC")
     assert light.name == "Thorlabs DC2200 M00331234 terminal 1"
@@ -105,7 +105,7 @@ def test_what_was_left_on_is_off(device: DC2200Wire, light: ThorlabsDC2200) -> N
 @pytest.mark.parametrize(
     ("terminal", "limit_a", "maximum_a"), [(1, None, 1.0), (2, None, 0.5), (2, 0.05, 0.05), (1, 5.0, 1.0)]
 )
-def test_the_lowest_of_three_limits_holds(
+def test_lowest_of_three_limits_holds(
     device: DC2200Wire, clock: ManualClock, terminal: int, limit_a: float | None, maximum_a: float
 ) -> None:
     with open_light(device, clock, terminal=terminal, limit_a=limit_a) as light:
@@ -116,13 +116,13 @@ def test_the_lowest_of_three_limits_holds(
             light.set_current(maximum_a + 0.001)
 
 
-def test_a_limit_that_was_meant_for_another_head_does_not_count(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_limit_of_another_head_is_ignored(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     terminal = device.terminals[1]
     terminal.limit_a = 2 * terminal.maximum_a
     assert light.current_range_a.maximum == terminal.maximum_a
 
 
-def test_gated_by_the_camera(device: DC2200Wire, clock: ManualClock) -> None:
+def test_ttl_gate_sets_mode_and_current(device: DC2200Wire, clock: ManualClock) -> None:
     with open_light(device, clock, gate="ttl", terminal=2) as light:
         assert device.mode == "TTL"
         light.set_current(0.25)
@@ -135,7 +135,7 @@ def test_gated_by_the_camera(device: DC2200Wire, clock: ManualClock) -> None:
     assert not device.is_output_on
 
 
-def test_each_set_is_followed_by_the_question_for_errors(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_errors_are_queried_after_each_command(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     light.set_current(0.3)
     light.set_on(True)
     light.set_on(False)
@@ -167,7 +167,7 @@ def test_properties(light: ThorlabsDC2200) -> None:
 
 
 @pytest.mark.parametrize("kind", ["silence", "late", "half", "wrong tag", "garbage", "deaf", "stall"])
-def test_a_lost_answer_switches_off_and_the_next_question_works(
+def test_lost_answer_switches_off_and_next_query_works(
     device: DC2200Wire, light: ThorlabsDC2200, kind: UsbFaultKind
 ) -> None:
     light.set_current(0.2)
@@ -183,7 +183,7 @@ def test_a_lost_answer_switches_off_and_the_next_question_works(
     assert light.set_current(0.15) == 0.15
 
 
-def test_a_refused_value_changes_nothing(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_refused_value_changes_nothing(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     light.set_current(0.2)
     light.set_on(True)
     device.refuses_next = True
@@ -193,7 +193,7 @@ def test_a_refused_value_changes_nothing(device: DC2200Wire, light: ThorlabsDC22
     assert light.current_a == 0.2
 
 
-def test_another_value_than_was_asked_is_no_setting(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_other_value_than_requested_raises(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     light.set_on(True)
 
     def set_milliamperes(argument: str) -> None:
@@ -208,13 +208,13 @@ def test_another_value_than_was_asked_is_no_setting(device: DC2200Wire, light: T
     assert not device.is_lit
 
 
-def test_errors_of_others_are_forgotten(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_old_errors_are_cleared(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     for _ in range(12):
         list(device.receive("NONSENSE"))
     assert light.set_current(0.15) == 0.15
 
 
-def test_over_temperature_while_lit(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_over_temperature_switches_off(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     light.set_on(True)
     device.heat_up()
     with pytest.raises(DeviceError, match="head is too hot; let it cool"):
@@ -227,35 +227,35 @@ def test_over_temperature_while_lit(device: DC2200Wire, light: ThorlabsDC2200) -
     assert device.is_lit
 
 
-def test_switched_off_at_its_screen(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_screen_switch_off_is_noticed(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     light.set_on(True)
     device.is_output_on = False
     with pytest.raises(DeviceError, match="at its screen"):
         light.set_current(0.1)
 
 
-def test_a_light_that_stays_on_is_told(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_light_that_stays_on_raises(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     light.set_on(True)
     device.is_stuck_on = True
     with pytest.raises(DeviceError, match="still on"):
         light.set_on(False)
 
 
-def test_no_head(device: DC2200Wire, clock: ManualClock) -> None:
+def test_missing_head_is_reported(device: DC2200Wire, clock: ManualClock) -> None:
     device.terminals[1].head = "Thorlabs,no head,no head,-2.0.0"
     with pytest.raises(WrongState, match="no LED at terminal 1"):
         open_light(device, clock)
     assert not device.is_lit
 
 
-def test_another_instrument_is_left_alone(device: DC2200Wire, clock: ManualClock) -> None:
+def test_other_instrument_is_left_alone(device: DC2200Wire, clock: ManualClock) -> None:
     device.model = "PM400"
     with pytest.raises(DeviceError, match=r"identifies itself as 'Thorlabs,PM400,.*no DC2200"):
         open_light(device, clock)
     assert device.received == ["*IDN?"]
 
 
-def test_unplugged_in_the_middle_of_a_command(device: DC2200Wire, light: ThorlabsDC2200, clock: ManualClock) -> None:
+def test_unplugged_during_command_raises(device: DC2200Wire, light: ThorlabsDC2200, clock: ManualClock) -> None:
     device.faults.append(UsbFault("unplug"))
     start_s = clock.now()
     with pytest.raises(Disconnected, match="DC2200 M00331234 is gone"):
@@ -265,7 +265,7 @@ def test_unplugged_in_the_middle_of_a_command(device: DC2200Wire, light: Thorlab
     light.close()
 
 
-def test_unplugged_while_it_is_opened(device: DC2200Wire, clock: ManualClock) -> None:
+def test_unplugged_during_opening_raises(device: DC2200Wire, clock: ManualClock) -> None:
     device.faults.append(UsbFault("unplug"))
     with pytest.raises(Disconnected):
         open_light(device, clock)
@@ -274,7 +274,7 @@ def test_unplugged_while_it_is_opened(device: DC2200Wire, clock: ManualClock) ->
         assert not light.is_on
 
 
-def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
+def test_one_of_several_must_be_named(device: DC2200Wire, clock: ManualClock) -> None:
     other = DC2200Wire("M00990000")
     bus = Bus(Plug(device, "M00331234"), Plug(other, "M00990000"), clock=clock)
     assert [(one.description, one.settings) for one in discover(bus)] == [
@@ -292,7 +292,7 @@ def test_which_one(device: DC2200Wire, clock: ManualClock) -> None:
         ThorlabsDC2200(DC2200Settings(), backend=Bus(clock=clock))
 
 
-def test_one_that_may_not_be_used(device: DC2200Wire, clock: ManualClock) -> None:
+def test_device_without_permission_is_reported(device: DC2200Wire, clock: ManualClock) -> None:
     plug = Plug(device, "M1")
     plug.is_allowed = False
     (found,) = discover(Bus(plug, clock=clock))
@@ -306,7 +306,7 @@ def test_one_that_may_not_be_used(device: DC2200Wire, clock: ManualClock) -> Non
 
 
 @pytest.mark.parametrize("wrong", [{"terminal": 3}, {"gate": "external"}, {"limit_a": -1.0}, {"limit_a": float("inf")}])
-def test_settings_check_themselves(wrong: dict[str, Any]) -> None:
+def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         DC2200Settings(**wrong)
 
@@ -322,7 +322,7 @@ def test_settings_check_themselves(wrong: dict[str, Any]) -> None:
         ("SOUR2:CCUR", False),
     ],
 )
-def test_the_stand_in_knows_short_and_long_headers_alone(word: str, *, fits: bool) -> None:
+def test_stand_in_accepts_short_and_long_headers_only(word: str, *, fits: bool) -> None:
     assert bool(header("SOURce1:CCURent[:CURRent]").fullmatch(word)) == fits
 
 

@@ -1,4 +1,4 @@
-"""USBTMC, byte by byte: framing, long answers, and that the next question works whatever came before."""
+"""USBTMC, byte by byte: framing, long answers, recovery after faults."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from simulated_devices.wires.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
 
 
 class Echo(UsbtmcWire):
-    """Answers every question with itself."""
+    """Answers every query with its own text."""
 
     def __init__(self, *, largest_answer: int = 1 << 16) -> None:
         super().__init__(largest_answer=largest_answer)
@@ -43,7 +43,7 @@ def connect(wire: UsbtmcWire, clock: ManualClock) -> Usbtmc:
     return Usbtmc(instrument, what="the echo", sleep=clock.sleep)
 
 
-def test_every_byte_of_a_question(wire: Echo, clock: ManualClock) -> None:
+def test_query_bytes_match_specification(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     assert wire.requests == [(7, 0, 0), (5, 0, 0), (6, 0, 0), (6, 0, 0)]  # capabilities, clear, pending, cleared
     assert not wire.transfers
@@ -56,7 +56,7 @@ def test_every_byte_of_a_question(wire: Echo, clock: ManualClock) -> None:
     assert wire.transfers[2] == b"\x01\x03\xfc\x00\x07\x00\x00\x00\x01\x00\x00\x00OUTP 0 \x00"
 
 
-def test_tags_go_round_and_are_never_zero(wire: Echo, clock: ManualClock) -> None:
+def test_tags_wrap_around_and_skip_zero(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     for _ in range(300):
         assert echo.query("A?") == "A?"
@@ -66,7 +66,7 @@ def test_tags_go_round_and_are_never_zero(wire: Echo, clock: ManualClock) -> Non
 
 @pytest.mark.parametrize("length", [1, 2, 3, 4, 50, 51, 52, 53, 115, 116, 4084, 4085, 9000])
 @pytest.mark.parametrize("largest_answer", [40, 52, 1 << 16])
-def test_answers_and_messages_of_any_length(length: int, largest_answer: int, clock: ManualClock) -> None:
+def test_messages_of_any_length_pass(length: int, largest_answer: int, clock: ManualClock) -> None:
     wire = Echo(largest_answer=largest_answer)
     echo, question = connect(wire, clock), "x" * (length - 1) + "?"
     assert echo.query(question) == question
@@ -82,7 +82,7 @@ def test_endless_answer_is_refused(clock: ManualClock) -> None:
 
 @pytest.mark.parametrize("kind", ["silence", "late", "half", "wrong tag", "garbage", "deaf", "stall"])
 @pytest.mark.parametrize("after", [1, 2])
-def test_the_next_question_works(kind: UsbFaultKind, after: int, wire: Echo, clock: ManualClock) -> None:
+def test_next_query_works_after_fault(kind: UsbFaultKind, after: int, wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     for number in range(3):
         if kind == "garbage":
@@ -97,7 +97,7 @@ def test_the_next_question_works(kind: UsbFaultKind, after: int, wire: Echo, clo
     assert not wire.faults
 
 
-def test_a_timeout_aborts_the_transfer_drains_and_clears(wire: Echo, clock: ManualClock) -> None:
+def test_timeout_aborts_drains_and_clears(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     wire.faults.append(UsbFault("silence"))
     del wire.requests[:]
@@ -107,19 +107,19 @@ def test_a_timeout_aborts_the_transfer_drains_and_clears(wire: Echo, clock: Manu
     assert clock.now() == pytest.approx(3.0, abs=0.01)
 
 
-def test_a_message_that_is_not_taken_is_aborted(wire: Echo, clock: ManualClock) -> None:
+def test_refused_message_is_aborted(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     echo.query("A?")
     wire.faults.append(UsbFault("deaf"))
     del wire.requests[:]
     with pytest.raises(DeviceTimeout):
         echo.write("B")
-    assert wire.requests[:2] == [(1, 3, 1), (5, 0, 0)]  # it had not begun
+    assert wire.requests[:2] == [(1, 3, 1), (5, 0, 0)]  # not begun yet
     echo.write("C")
     assert wire.messages == ["A?", "C"]
 
 
-def test_unplugged(wire: Echo, clock: ManualClock) -> None:
+def test_unplugged_raises_disconnected(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     wire.faults.append(UsbFault("unplug"))
     with pytest.raises(Disconnected, match="the echo is gone"):
@@ -131,7 +131,7 @@ def test_unplugged(wire: Echo, clock: ManualClock) -> None:
     echo.close()
 
 
-def test_unplugged_while_it_recovers(wire: Echo, clock: ManualClock, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unplugged_during_recovery_raises(wire: Echo, clock: ManualClock, monkeypatch: pytest.MonkeyPatch) -> None:
     echo = connect(wire, clock)
     wire.faults.append(UsbFault("silence"))
     monkeypatch.setattr(wire, "_let_time_pass", lambda: setattr(wire, "is_unplugged", True))
@@ -139,7 +139,7 @@ def test_unplugged_while_it_recovers(wire: Echo, clock: ManualClock, monkeypatch
         echo.query("A?")
 
 
-def test_what_keeps_an_instrument_from_being_used(wire: Echo, clock: ManualClock) -> None:
+def test_unusable_instrument_states_reason(wire: Echo, clock: ManualClock) -> None:
     plug = Plug(wire, "M1")
     bus = Bus(plug, clock=clock)
     plug.is_taken = True
@@ -164,20 +164,20 @@ def test_what_keeps_an_instrument_from_being_used(wire: Echo, clock: ManualClock
     assert plug.is_configured
 
 
-def test_an_instrument_in_its_update_mode(wire: Echo, clock: ManualClock) -> None:
+def test_instrument_in_update_mode_is_unsupported(wire: Echo, clock: ManualClock) -> None:
     (instrument,) = usbtmc.instruments(0x1313, {0x80C0}, Bus(Plug(wire, "M1", product_id=0x80C0), clock=clock))
     with pytest.raises(Unsupported, match="firmware update mode"):
         Usbtmc(instrument, what="the echo")
 
 
-def test_without_libusb(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_libusb_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for backend in (usb.backend.libusb1, usb.backend.openusb, usb.backend.libusb0):
         monkeypatch.setattr(backend, "get_backend", lambda: None)
     with pytest.raises(Unsupported, match=r"apt install libusb-1\.0-0"):
         usbtmc.instruments(0x1313, {0x80C8})
 
 
-def test_looking_for_instruments_says_nothing_to_them(wire: Echo, clock: ManualClock) -> None:
+def test_listing_instruments_sends_nothing(wire: Echo, clock: ManualClock) -> None:
     assert usbtmc.instruments(0x1313, {0x80C8}, Bus(clock=clock)) == []
     assert usbtmc.instruments(0x1313, {0x1111}, Bus(Plug(wire, "M1"), clock=clock)) == []
     usbtmc.instruments(0x1313, {0x80C8}, Bus(Plug(wire, "M1"), clock=clock))
