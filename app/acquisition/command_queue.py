@@ -17,15 +17,8 @@ from reconstruction.errors import ReconstructionError
 
 T = TypeVar("T")
 
-_HARMLESS = (
-    Cancelled,
-    RoutineError,
-    ReconstructionError,
-    InputError,
-    BadValue,
-    Unsupported,
-    WrongState,
-)  # passed to the caller; the thread goes on
+# passed to the caller; the thread goes on
+_HARMLESS = (Cancelled, RoutineError, ReconstructionError, InputError, BadValue, Unsupported, WrongState)
 
 
 class CommandQueue:
@@ -45,14 +38,18 @@ class CommandQueue:
         future: Future[T] = Future()
 
         def execute(instrument: Instrument) -> None:
-            if future.set_running_or_notify_cancel():
+            if not future.set_running_or_notify_cancel():
+                return
+            try:
                 try:
-                    resolve = _execute(command, instrument, future)
-                    self._afterwards(instrument)
-                except BaseException as error:
-                    future.set_exception(error)
-                    raise
-                resolve()
+                    resolve = partial(future.set_result, command(instrument))
+                except _HARMLESS as error:
+                    resolve = partial(future.set_exception, error)
+                self._afterwards(instrument)
+            except BaseException as error:
+                future.set_exception(error)
+                raise
+            resolve()
 
         with self._ending:
             if self._refusal is None:
@@ -85,11 +82,3 @@ class CommandQueue:
             _, future = self._waiting.get()
             if future.set_running_or_notify_cancel():
                 future.set_exception(WrongState(refusal))
-
-
-def _execute(command: Callable[[Instrument], T], instrument: Instrument, future: Future[T]) -> Callable[[], None]:
-    """Execute the command; return a function that resolves its future with the result or a harmless error."""
-    try:
-        return partial(future.set_result, command(instrument))
-    except _HARMLESS as error:
-        return partial(future.set_exception, error)

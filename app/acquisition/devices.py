@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from app.bench.config import Bench, CameraSettings, LightSettings
-from app.bench.recording_settings import RecordingSettings
+from app.bench.settings import RecordingSettings
 from app.cache import cache_folder
 from app.errors import InputError
 from app.recording.devices import recorded_devices

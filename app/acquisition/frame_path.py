@@ -17,39 +17,6 @@ _SKIPPING_S = 0.5  # time limit for skipping frames that arrive faster than they
 _OLD_S = 0.1  # an older frame is skipped if there is a newer one
 
 
-class Arrivals:
-    """Counts arrived and lost frames, and converts the camera's clock to this computer's; used by one thread."""
-
-    def __init__(self) -> None:
-        self.counts = Counts()  # immutable: other threads read it
-        self._next_index = 0
-        self._clock_lag_s = math.inf  # this computer's clock minus the camera's
-
-    def count(self, frame: Frame) -> None:
-        """Count a frame and those lost before it."""
-        was_restarted = frame.index < self._next_index
-        lost = frame.index if was_restarted else frame.index - self._next_index
-        self._next_index = frame.index + 1
-        self.counts = replace(self.counts, acquired=self.counts.acquired + 1, lost=self.counts.lost + lost)
-        self.set_clock(frame)
-
-    def count_reconstructed(self) -> None:
-        """Count a reconstructed frame."""
-        self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)
-
-    def set_clock(self, frame: Frame) -> None:
-        """Update the clock difference: the smallest delay seen belongs to the fastest transfer."""
-        self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
-
-    def exposure_end_s(self, frame: Frame) -> float:
-        """End of the exposure on this computer's clock, `time.perf_counter()`."""
-        return frame.camera_time_s + self._clock_lag_s
-
-    def age_s(self, frame: Frame) -> float:
-        """Time since the end of the exposure."""
-        return time.perf_counter() - self.exposure_end_s(frame)
-
-
 class FramePath:
     """Reads and reconstructs frames; every result goes to the sinks, the newest to the mailbox."""
 
@@ -61,20 +28,17 @@ class FramePath:
     ) -> None:
         """`must_stop_waiting` is polled at 10 Hz while waiting for a frame."""
         self._sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
-        self._arrivals = Arrivals()
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
-
-    @property
-    def counts(self) -> Counts:
-        """Numbers of frames acquired, reconstructed and lost so far."""
-        return self._arrivals.counts
+        self.counts = Counts()  # immutable: other threads read it
+        self._next_index = 0
+        self._clock_lag_s = math.inf  # this computer's clock minus the camera's
 
     def acquire(self, instrument: Instrument, light: LightState | None) -> None:
         """Read one frame, reconstruct it and pass it on; `Cancelled` if the wait was stopped."""
         frame = self._newest_frame(instrument, light)
         made = instrument.measure(frame)
         if made.wavefront is not None:
-            self._arrivals.count_reconstructed()
+            self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)
         measurement = self._measurement(frame, made, light)
         self._timings.note("to_result", measurement.latency_s)
         with self._timings.of("publish"):
@@ -83,7 +47,7 @@ class FramePath:
 
     def show(self, frame: Frame, text: str, light: LightState | None) -> None:
         """Put a frame into the mailbox with a text in place of a wavefront, neither measured nor counted."""
-        self._arrivals.set_clock(frame)
+        self._update_clock(frame)
         self.newest = self._measurement(frame, Reconstruction(None, text), light)
 
     def _newest_frame(self, instrument: Instrument, light: LightState | None) -> Frame:
@@ -93,8 +57,8 @@ class FramePath:
         arrived_s = max(frame.host_time_s, start_s)  # it may have been waiting in the camera
         self._timings.note("wait", arrived_s - start_s)
         self._timings.note("copy", time.perf_counter() - arrived_s)
-        self._arrivals.count(frame)
-        if self._arrivals.age_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
+        self._count(frame)
+        if time.perf_counter() - self._exposure_end_s(frame) > max(_OLD_S, 2 * frame.exposure_s):
             while not self._must_stop_waiting(instrument) and time.perf_counter() < arrived_s + _SKIPPING_S:
                 try:
                     newer = camera.read(0.0)
@@ -102,7 +66,7 @@ class FramePath:
                     break
                 self._publish(self._measurement(frame, instrument.pass_over(frame), light))
                 frame = newer
-                self._arrivals.count(frame)
+                self._count(frame)
         return frame
 
     def _publish(self, measurement: Measurement) -> None:
@@ -110,12 +74,12 @@ class FramePath:
             sink(measurement)
 
     def _measurement(self, frame: Frame, made: Reconstruction, light: LightState | None) -> Measurement:
-        exposure_end_s = self._arrivals.exposure_end_s(frame)
+        exposure_end_s = self._exposure_end_s(frame)
         return Measurement(
             frame,
             made.wavefront,
             made.problem,
-            self._arrivals.counts,
+            self.counts,
             exposure_end_s,
             latency_s=time.perf_counter() - exposure_end_s,
             refinement=made.refinement,
@@ -124,3 +88,19 @@ class FramePath:
             registered=made.registered,
             light=light,
         )
+
+    def _count(self, frame: Frame) -> None:
+        """Count a frame and those lost before it."""
+        was_restarted = frame.index < self._next_index
+        lost = frame.index if was_restarted else frame.index - self._next_index
+        self._next_index = frame.index + 1
+        self.counts = replace(self.counts, acquired=self.counts.acquired + 1, lost=self.counts.lost + lost)
+        self._update_clock(frame)
+
+    def _update_clock(self, frame: Frame) -> None:
+        """Update the clock difference; the smallest delay seen belongs to the fastest transfer."""
+        self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
+
+    def _exposure_end_s(self, frame: Frame) -> float:
+        """End of the exposure on this computer's clock, `time.perf_counter()`."""
+        return frame.camera_time_s + self._clock_lag_s

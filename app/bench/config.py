@@ -16,8 +16,7 @@ import cattrs
 import tomli_w
 
 from app.bench.presets import PRESETS
-from app.bench.recording_settings import RecordingSettings
-from app.bench.stream_settings import StreamSettings
+from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings

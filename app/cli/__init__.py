@@ -37,22 +37,9 @@ def _common(
         raise typer.Exit
 
 
-_COMMANDS = (  # in the order of the help
-    live,
-    measure,
-    recover,
-    replay,
-    export,
-    report,
-    calibrate,
-    simulate,
-    devices,
-    selftest,
-    study,
-    benchmark,
-    reconstruct,
-)
-for command in _COMMANDS:
+# in the order of the help
+_BENCH = (live, measure, recover, replay, export, report, calibrate, simulate, devices)
+for command in (*_BENCH, selftest, study, benchmark, reconstruct):
     cli.command()(command)
 cli.add_typer(paper, name="paper")
 

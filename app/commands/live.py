@@ -50,14 +50,9 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
         if seconds is None:
             return run_window(make, begin=begin)
         make_folder(out)
-        status = run_window(
-            make,
-            offscreen_s=seconds,
-            screenshot=out / "window.png",
-            on_finish=finish,
-            begin=begin,
-        )
-    sys.stdout.write(f"screenshot: {out / 'window.png'}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
+        picture = out / "window.png"
+        status = run_window(make, offscreen_s=seconds, screenshot=picture, on_finish=finish, begin=begin)
+    sys.stdout.write(f"screenshot: {picture}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
     return status
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -32,28 +33,18 @@ class BenchModel:
         reference, (rows, columns) = reconstructor.subimages, reconstructor.frame_shape
         fill_factor = bench.camera_model.pixel_fill_factor
         samples = 2 * math.ceil(_SAMPLES_PER_BLUR * lattice.pitch_px / reference.blur_px / 2)
-        self._model = ForwardModel(
-            sensor,
-            lattice,
-            field,
-            rows=rows,
-            columns=columns,
-            pupil_samples=samples,
-            pixel_fill_factor=fill_factor,
-            threads=threads,
+        forward_model = partial(
+            ForwardModel, field=field, pupil_samples=samples, pixel_fill_factor=fill_factor, threads=threads
         )
+        self._model = forward_model(sensor, lattice, rows=rows, columns=columns)
         subimage, light = mean_subimage(reference)
         # The same lenslets on as many pixels as one window has.
         middle_px = (reference.width - 1 + lattice.pitch_px) / 2
-        one_lenslet = ForwardModel(
+        one_lenslet = forward_model(
             replace(sensor, lenslet_rows=2, lenslet_columns=2),
             Lattice(center_x_px=middle_px, center_y_px=middle_px, pitch_px=lattice.pitch_px),
-            field,
             rows=reference.width,
             columns=reference.width,
-            pupil_samples=samples,
-            pixel_fill_factor=fill_factor,
-            threads=threads,
         )
         steps = math.ceil(2 * reference.half_width_px / reference.blur_px * _POINTS_PER_BLUR)
         along_m = (np.arange(-_MARGIN_POINTS, steps + 1 + _MARGIN_POINTS) / steps * 2 - 1) * field.half_width_m

@@ -41,12 +41,6 @@ class RefinementState:
     bias: Floats | None = field(default=None, compare=False, repr=False)  # as applied, px; see `Reconstructor.solve`
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _TimedBias:
-    bias: Bias
-    time_s: float
-
-
 class LiveRefinement:
     """Refinement of one reconstructor's frames; its thread ends soon after `close`."""
 
@@ -54,7 +48,7 @@ class LiveRefinement:
         """Build the model, which blocks all threads for some tenths of a second, and start the thread."""
         self._reconstructor = reconstructor
         self._newest: tuple[Wavefront, float] | None = None  # one slot each way, written by one thread
-        self._bias: _TimedBias | None = None
+        self._bias: tuple[Bias, float] | None = None
         self._problem = ""
         self._state = RefinementState("preparing")  # of the previous frame
         self._something_new, self._closing = threading.Event(), threading.Event()
@@ -71,22 +65,23 @@ class LiveRefinement:
 
     def refine(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, RefinementState]:
         """Reconstruct a frame exposed at `time_s`, corrected by the newest bias if it applies."""
-        newest = self._bias
+        newest = self._bias  # read once: the thread may replace it
         if newest is None:
             wavefront = self._reconstructor.solve(displacement)
             state = RefinementState("failed" if self._problem else "preparing", problem=self._problem)
         else:
-            wavefront = self._reconstructor.solve(displacement, bias=newest.bias.displacement)
-            moved_rad = distance_rad(wavefront.views, newest.bias.views)
-            limit_rad = max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(newest.bias.views))
+            bias, found_s = newest
+            wavefront = self._reconstructor.solve(displacement, bias=bias.displacement)
+            moved_rad = distance_rad(wavefront.views, bias.views)
+            limit_rad = max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(bias.views))
             is_near = moved_rad <= limit_rad
             if not is_near:
                 wavefront = self._reconstructor.solve(displacement)
             state = RefinementState(
                 "applied" if is_near else "moved",
-                time_s - newest.time_s,
+                time_s - found_s,
                 moved_rad,
-                bias=newest.bias.displacement if is_near else None,
+                bias=bias.displacement if is_near else None,
             )
         self._newest, self._state = (wavefront, time_s), state
         self._something_new.set()
@@ -109,7 +104,7 @@ class LiveRefinement:
                     self._something_new.clear()
                     wavefront, time_s = self._newest
                     try:
-                        self._bias = _TimedBias(refinement.bias(wavefront), time_s)
+                        self._bias = refinement.bias(wavefront), time_s
                     except ReconstructionError as error:  # the next wavefront may succeed
                         self._problem = str(error)
         except Exception as error:

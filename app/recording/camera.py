@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from app.bench.recording_settings import Pace
+from app.bench.settings import Pace
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.routines.averages import Average

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from app.bench.recording_settings import Pace
+from app.bench.settings import Pace
 from app.recording.camera import RecordedCamera
 from app.recording.reader import Recording
 from drivers.interface import Devices, LightSource, Range

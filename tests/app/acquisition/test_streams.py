@@ -26,7 +26,7 @@ from support.patience import HANG_S
 
 from app.acquisition.streams.publisher import Publisher, stream_sinks
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
-from app.bench.stream_settings import StreamSettings
+from app.bench.settings import StreamSettings
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.live_refinement import RefinementState

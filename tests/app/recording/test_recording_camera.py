@@ -18,7 +18,7 @@ from support.recordings import edit_line, record
 
 from app.acquisition.devices import open_camera, open_devices
 from app.bench.config import load_bench, parse_bench, write_bench
-from app.bench.recording_settings import Pace, RecordingSettings
+from app.bench.settings import Pace, RecordingSettings
 from app.commands.measure import measure
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration

@@ -1,16 +1,29 @@
-"""Section `[streams]` of a bench: publication of live results."""
+"""Settings of a bench that belong to the application: played recordings and published results."""
 
 from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass
+from typing import Literal
 
 from reconstruction.geometry import require
+
+Pace = Literal["own", "fastest"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingSettings:
+    """Section `[camera]` with driver "recording": a recording in place of the devices."""
+
+    driver: Literal["recording"] = "recording"
+    folder: str
+    pace: Pace = "own"  # as recorded; "fastest": each frame when it is read, so that none is skipped
+    repeat: bool = False  # start again after the last frame; otherwise no more frames come
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamSettings:
-    """Port that other programs connect to; without one nothing is published and no socket opened.
+    """Section `[streams]`: port for other programs; without one nothing is published and no socket opened.
 
     `address` is this computer's on the network to be served; by default only this computer can connect.
     """
