@@ -1,1 +1,1 @@
-"""Stand-ins that speak the wire protocols of real devices; used by tests only."""
+"""Stand-ins with the wire protocols of real devices, for tests only."""

@@ -1,7 +1,7 @@
-"""A stand-in for CoolLED's pE-300 and pE-4000 that speaks their protocol, with its unasked lines and its faults.
+"""Stand-in for CoolLED's pE-300 and pE-4000, with unasked lines and faults.
 
-From the commands of micro-manager/mmCoreAndDevices DeviceAdapters/CoolLEDpE300 and CoolLEDpE4000. What commands are
-answered with is not documented; `echo` chooses among what has to be reckoned with.
+Commands follow micro-manager/mmCoreAndDevices DeviceAdapters/CoolLEDpE300 and CoolLEDpE4000. Answers to commands are
+undocumented; `echo` chooses among plausible ones.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LAMPS_NM = {"A": (365, 385, 405, 435), "B": (460, 470, 490, 500), "C": (525, 55
 class Lamp:
     """One channel."""
 
-    is_selected: bool = True  # as somebody left it
+    is_selected: bool = True  # left so
     is_on: bool = False
     percent: int = 20
     wavelength_nm: int = 0
@@ -43,20 +43,20 @@ class CoolLEDWire(LineDevice):
 
     @property
     def is_lit(self) -> bool:
-        """Whether light comes out."""
+        """True state of the light."""
         return any(lamp.is_on for lamp in self.lamps.values())
 
     def greeting(self) -> bytes:
-        """Two lines when the port is opened."""
+        """Two lines on opening the port."""
         return b"CoolLED " + self.name.encode() + b"\r\nSystem ready\r\n"
 
     def turn_knob(self, letter: str, percent: int) -> None:
-        """Somebody turns a knob on the control pod."""
+        """Turn a knob on the control pod."""
         self.lamps[letter].percent = percent
         self.unasked.append(self._channel(letter))
 
     def answer(self, command: str) -> Iterable[str]:
-        """Carry out a command; one that is not understood is passed over."""
+        """Execute a command; unknown ones are ignored."""
         unasked, self.unasked = self.unasked, []
         yield from unasked
         if command == "XMODEL":
@@ -74,7 +74,7 @@ class CoolLEDWire(LineDevice):
             yield from [answers[self._echo]] if self._echo in answers else []
 
     def _set(self, command: str) -> str:
-        """Return the channel that it concerns, or nothing where it makes no sense."""
+        """Execute a setting; return its channel, or an empty text if invalid."""
         if self.refuses_next and command != "CSF":
             self.refuses_next = False
             self._refused = command

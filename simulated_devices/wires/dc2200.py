@@ -1,6 +1,6 @@
-"""A stand-in for the Thorlabs DC2200 that speaks SCPI over USBTMC, with its limits and its faults.
+"""Stand-in for the Thorlabs DC2200 (SCPI over USBTMC), with limits and faults.
 
-Headers, ranges and modes are those of the manual, section 4.3.2 (`CCURent` has one R there, too), errors those of SCPI.
+Headers, ranges and modes follow the manual, section 4.3.2 (`CCURent` has one R there, too), errors SCPI.
 """
 
 from __future__ import annotations
@@ -18,23 +18,16 @@ _QUEUE = 10  # errors
 
 
 class _Refused(Exception):
-    """A command is not carried out: number and text of the error."""
+    """A command is refused, with error number and text."""
 
 
-def _undefined() -> _Refused:
-    return _Refused(-113, "Undefined header")
-
-
-def _conflict() -> _Refused:
-    return _Refused(-221, "Settings conflict")
-
-
-def _out_of_range() -> _Refused:
-    return _Refused(-222, "Data out of range")
+_UNDEFINED = (-113, "Undefined header")
+_CONFLICT = (-221, "Settings conflict")
+_OUT_OF_RANGE = (-222, "Data out of range")
 
 
 def header(pattern: str) -> re.Pattern[str]:
-    """Compile a header as manuals write it: small letters may be left out, nodes in brackets and the number 1, too."""
+    """Compile a header in the manual's notation: lower case, nodes in brackets and the number 1 are optional."""
     nodes = []
     for bracket, short, rest, number in re.findall(r"(\[?):?([*A-Z]+)([a-z]*)(\d?)\]?", pattern):
         node = re.escape(short) + (f"(?:{rest.upper()})?" if rest else "") + ("1?" if number == "1" else number)
@@ -44,7 +37,7 @@ def header(pattern: str) -> re.Pattern[str]:
 
 @dataclass(slots=True)
 class Terminal:
-    """One of the two outputs, and the head that is plugged in."""
+    """Output with its head."""
 
     head: str
     maximum_a: float
@@ -52,7 +45,7 @@ class Terminal:
 
 
 class DC2200Wire(UsbtmcWire):
-    """Two terminals, both with a head; somebody left the second one on, at constant brightness."""
+    """Two terminals with heads; the second one was left on, at constant brightness."""
 
     def __init__(self, serial_number: str = "M00331234", *, largest_answer: int = 1 << 16) -> None:
         super().__init__(largest_answer=largest_answer)
@@ -80,7 +73,7 @@ class DC2200Wire(UsbtmcWire):
             (header("SOURce1:MODE"), self._set_mode, lambda _: self.mode),
             (header("SOURce1:CCURent[:CURRent]"), self._set_current, lambda _: f"{self.current_a:.6E}"),
             (header("SOURce1:TTL[:CURRent]"), self._set_ttl, lambda _: f"{self.ttl_a:.6E}"),
-            (header("SOURce1:CURRent:LIMit[:AMPLitude]"), self._set_limit, self._tell_limit),
+            (header("SOURce1:CURRent:LIMit[:AMPLitude]"), self._set_limit, self._query_limit),
             (header("MEASure:CURRent"), None, lambda _: f"{self._flowing_a():.6E}"),
             (header("SYSTem:TERMinal1:HTYPe"), None, lambda _: self.terminals[1].head),
             (header("SYSTem:TERMinal2:HTYPe"), None, lambda _: self.terminals[2].head),
@@ -88,15 +81,15 @@ class DC2200Wire(UsbtmcWire):
 
     @property
     def is_lit(self) -> bool:
-        """Whether light comes out, or would with a high gate."""
+        """True state of the light, given a high gate."""
         return self.is_output_on
 
     def heat_up(self) -> None:
-        """The LED's head becomes too hot: the output is switched off and stays off."""
+        """Heat the LED's head too much: switch the output off, to stay off."""
         self.is_hot, self.is_output_on = True, False
 
     def receive(self, message: str) -> Iterable[str]:
-        """Carry out the commands of a message."""
+        """Execute the commands of a message."""
         self.received.append(message)
         for command in message.upper().split(";"):
             try:
@@ -108,28 +101,25 @@ class DC2200Wire(UsbtmcWire):
                 self._note(*refusal.args)
 
     def interrupted(self) -> None:
-        """Note what IEEE 488.2 says."""
+        """Queue the error of IEEE 488.2."""
         self._note(-410, "Query INTERRUPTED")
 
     def _execute(self, word: str, argument: str) -> str | None:
         for pattern, setter, getter in self._commands:
             if match := pattern.fullmatch(word):
-                if match[1]:
-                    if getter is None:
-                        raise _undefined()
+                if match[1] and getter:
                     return getter(argument)
-                if setter is None:
-                    raise _undefined()
-                setter(argument)
-                return None
-        raise _undefined()
+                if not match[1] and setter:
+                    setter(argument)
+                    return None
+        raise _Refused(*_UNDEFINED)
 
     def _switch(self, argument: str) -> None:
         on = {"0": False, "OFF": False, "1": True, "ON": True}.get(argument)
         if on is None:
             raise _Refused(-104, "Data type error")
         if on and (self.is_driver_hot or self.is_hot or "no head" in self.terminals[self.terminal].head):
-            raise _conflict()
+            raise _Refused(*_CONFLICT)
         self._refuse(may=on)
         if on or not self.is_stuck_on:
             self.is_output_on = on
@@ -159,7 +149,7 @@ class DC2200Wire(UsbtmcWire):
         terminal = self.terminals[self.terminal]
         terminal.limit_a = self._number(argument, 0, terminal.maximum_a)
 
-    def _tell_limit(self, argument: str) -> str:
+    def _query_limit(self, argument: str) -> str:
         terminal = self.terminals[self.terminal]
         values = {"": terminal.limit_a, "MIN": 0.0, "MAX": terminal.maximum_a}
         if argument not in values:
@@ -174,12 +164,12 @@ class DC2200Wire(UsbtmcWire):
 
     def _check_off(self) -> None:
         if self.is_output_on:
-            raise _conflict()
+            raise _Refused(*_CONFLICT)
 
     def _refuse(self, *, may: bool = True) -> None:
         if may and self.refuses_next:
             self.refuses_next = False
-            raise _out_of_range()
+            raise _Refused(*_OUT_OF_RANGE)
 
     def _note(self, number: int, text: str) -> None:
         if len(self._errors) < _QUEUE:
@@ -198,5 +188,5 @@ class DC2200Wire(UsbtmcWire):
         except ValueError:
             raise _Refused(-104, "Data type error") from None
         if not math.isfinite(value) or not minimum <= value <= maximum:
-            raise _out_of_range()
+            raise _Refused(*_OUT_OF_RANGE)
         return value

@@ -1,7 +1,7 @@
-"""A stand-in for the Thorlabs DC4100 that speaks its protocol, line by line, with its limits and its faults.
+"""Stand-in for the Thorlabs DC4100, with limits and faults.
 
-Sources: the commands of micro-manager/mmCoreAndDevices DeviceAdapters/ThorlabsDCxxxx, the status register of the DC4100
-manual Rev. 2.2, page 28. The numbers and words of the errors are not documented, and are this stand-in's own.
+Commands follow micro-manager/mmCoreAndDevices DeviceAdapters/ThorlabsDCxxxx, the status register the DC4100 manual
+Rev. 2.2, page 28. Error numbers and texts are undocumented, and invented here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _VALUE_ERROR, _COMMAND_ERROR, _STATE_ERROR = 2, 1, 3
 
 
 class _Refused(Exception):
-    """A command is not carried out; the number of the error."""
+    """A command is refused, with an error number."""
 
     def __init__(self, number: int, text: str) -> None:
         super().__init__(text)
@@ -25,7 +25,7 @@ class _Refused(Exception):
 
 @dataclass(slots=True)
 class Head:
-    """What is plugged in at one channel."""
+    """Head at one channel."""
 
     maximum_ma: int = 1000
     limit_ma: int = 1000
@@ -42,43 +42,43 @@ class DC4100Wire(LineDevice):
     """Four channels, with heads in the first two."""
 
     def __init__(self, name: str = "DC4100", *, is_empty_line_an_error: bool = False) -> None:
-        super().__init__(command_end=b"\n", answer_end=b"\r\n")  # a carriage return before the line feed is no harm
+        super().__init__(command_end=b"\n", answer_end=b"\r\n")  # a carriage return before the line feed is harmless
         self.name = name
         self.heads = [Head(), Head(maximum_ma=350, limit_ma=200), Head(is_plugged=False), Head(is_plugged=False)]
-        self.mode = 1  # as somebody left it: brightness, one LED at a time
+        self.mode = 1  # left so: brightness, one LED at a time
         self.selection = 1
         self.is_hot = False
         self.refuses_next = False
         self.is_stuck_on = False  # a broken switch
         self._is_empty_line_an_error = is_empty_line_an_error
         self._error = (0, "No error")
-        self._status_told = 0
+        self._status_read = 0
 
     @property
     def is_lit(self) -> bool:
-        """Whether light comes out."""
+        """True state of the light."""
         return any(head.is_on and head.is_plugged and not head.is_open for head in self.heads)
 
     def heat_up(self) -> None:
-        """Become too hot: all LEDs are switched off and stay off."""
+        """Become too hot: switch all LEDs off, to stay off."""
         self.is_hot = True
         for head in self.heads:
             head.is_on = False
 
     def answer(self, command: str) -> Iterable[str]:
-        """Carry out a command; only questions are answered, and those only if they are understood."""
+        """Execute a command; only valid queries are answered."""
         word, *arguments = command.lower().split() or [""]
         if not word and not self._is_empty_line_an_error:
             return
         try:
             if word.endswith("?"):
-                yield self._tell(word, arguments)
+                yield self._query(word, arguments)
             else:
                 self._set(word, arguments)
         except _Refused as refusal:
             self._error = (refusal.number, str(refusal))
 
-    def _tell(self, word: str, arguments: list[str]) -> str:
+    def _query(self, word: str, arguments: list[str]) -> str:
         match word:
             case "e?":
                 (number, text), self._error = self._error, (0, "No error")
@@ -148,8 +148,8 @@ class DC4100Wire(LineDevice):
             states[13 + 2 * channel] = head.is_open
             states[21 + 2 * channel] = head.is_on and head.current_ma >= head.limit_ma
         now = sum(1 << bit for bit, is_set in states.items() if is_set)
-        changed = (now ^ self._status_told) >> 1  # the bit below each state says that it has changed since it was read
-        self._status_told = now
+        changed = (now ^ self._status_read) >> 1  # the bit below each state flags a change since the last read
+        self._status_read = now
         return now | changed
 
     def _head(self, channel: str) -> Head:

@@ -1,4 +1,4 @@
-"""A stand-in on a real serial port, as far as a program can tell: a pseudo-terminal, served by a thread."""
+"""Serial stand-in on a pseudo-terminal, which programs take for a serial port."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import threading
 import time
 import tty
 from collections import deque
-from types import TracebackType
 from typing import Self
 
 from simulated_devices.wires.serial import LineDevice
@@ -17,11 +16,11 @@ _SLICE_S = 0.005
 
 
 class PtyServer:
-    """Serves the device at `port` until it is closed; where the device is unplugged, the port goes with it."""
+    """Thread that serves the device at `port` until it is closed or unplugged, which removes the port."""
 
     def __init__(self, device: LineDevice) -> None:
         self._device = device
-        self._master, self._slave = os.openpty()  # while the slave is held, clients may come and go
+        self._master, self._slave = os.openpty()  # while the slave is open, clients may come and go
         tty.setraw(self._master)
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
@@ -43,21 +42,19 @@ class PtyServer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _serve(self) -> None:
-        coming: deque[tuple[float, bytes]] = deque()
+        pending: deque[tuple[float, bytes]] = deque()
         try:
             while not self._is_ending.is_set() and not self._device.is_unplugged:
                 if select.select([self._master], [], [], _SLICE_S)[0]:
                     for delay_s, answer in self._device.receive(os.read(self._master, 4096)):
-                        earliest = coming[-1][0] if coming else 0.0
-                        coming.append((max(earliest, time.monotonic() + delay_s), answer))
-                while coming and coming[0][0] <= time.monotonic():
-                    os.write(self._master, coming.popleft()[1])
+                        earliest = pending[-1][0] if pending else 0.0
+                        pending.append((max(earliest, time.monotonic() + delay_s), answer))
+                while pending and pending[0][0] <= time.monotonic():
+                    os.write(self._master, pending.popleft()[1])
         finally:
             os.close(self._slave)
             os.close(self._master)

@@ -1,7 +1,6 @@
-"""What stand-ins for devices on a serial port share: lines in, lines out, and the faults of such a line.
+"""Base of serial stand-ins: lines in, lines out, and line faults.
 
-`LineDevice` is the device's end. A `MemoryPort` connects it to a driver in the same thread, on a clock that is turned
-by hand: a timeout of half a second takes none. `simulated_devices.wires.pseudo_terminal` connects it to a real port.
+`MemoryPort` connects a `LineDevice` to a driver in the same thread, on a manual clock.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ FaultKind = Literal["silence", "late", "half", "garbage", "noise", "deaf", "unpl
 
 @dataclass(frozen=True, slots=True)
 class LineFault:
-    """What happens to one line.
+    """A fault of one line.
 
-    `silence`: the answer is lost; `late`: it comes after `delay_s`, and with it all later ones; `half`: its second half
-    is lost; `garbage`: other bytes come instead of it; `noise`: a line of garbage comes before it; `deaf`: the next
-    command is lost; `unplug`: the cable is pulled when the next command has been carried out.
+    `silence`: the answer is lost; `late`: it and all later ones come after `delay_s`; `half`: its second half is lost;
+    `garbage`: it is replaced; `noise`: a line of garbage precedes it; `deaf`: the next command is lost; `unplug`: the
+    cable is pulled after the next command.
     """
 
     kind: FaultKind
@@ -35,7 +34,7 @@ GARBAGE = b"\xff\x00\x9c{3;\x1b"
 
 
 class LineDevice(ABC):
-    """A device that reads commands and answers some of them; its subclass knows the commands."""
+    """A device that reads commands and answers some of them; subclasses define the commands."""
 
     name = "a device"
 
@@ -49,18 +48,18 @@ class LineDevice(ABC):
     @property
     @abstractmethod
     def is_lit(self) -> bool:
-        """Whether light comes out, whatever the device says."""
+        """True state of the light."""
 
     @abstractmethod
     def answer(self, command: str) -> Iterable[str]:
-        """Carry out a command and return the lines it is answered with."""
+        """Execute a command and return the lines of its answer."""
 
     def greeting(self) -> bytes:
-        """What the device says when its port is opened."""
+        """Output when the port is opened."""
         return b""
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
-        """Take bytes from the host; return what is sent back, and after how many seconds."""
+        """Take bytes from the host; return the answers with their delays in s."""
         self._unfinished += data
         sent: list[tuple[float, bytes]] = []
         while (end := self._unfinished.find(self._command_end)) >= 0 and not self.is_unplugged:
@@ -94,41 +93,41 @@ class LineDevice(ABC):
 
 
 class MemoryPort:
-    """A serial port as a driver sees it, with the device on its other end; one of its reads waits 20 ms."""
+    """A serial port to the device, as a driver sees it; a read waits up to 20 ms."""
 
     def __init__(self, device: LineDevice, clock: Clock) -> None:
         self._device, self._clock = device, clock
-        self._coming: deque[tuple[float, bytes]] = deque()  # when, what
-        self._came = bytearray(device.greeting())
+        self._pending: deque[tuple[float, bytes]] = deque()  # (time, bytes)
+        self._received = bytearray(device.greeting())
         self._is_closed = False
 
     @property
     def in_waiting(self) -> int:
-        """How many bytes have come."""
+        """Number of received bytes."""
         self._check()
-        while self._coming and self._coming[0][0] <= self._clock.now():
-            self._came += self._coming.popleft()[1]
-        return len(self._came)
+        while self._pending and self._pending[0][0] <= self._clock.now():
+            self._received += self._pending.popleft()[1]
+        return len(self._received)
 
     def read(self, size: int, /) -> bytes:
-        """Return what has come, after waiting a short time for it."""
+        """Return received bytes, after waiting a short time for some."""
         if not self.in_waiting:
             self._clock.sleep(0.02)
-        data = bytes(self._came[: min(size, self.in_waiting)])
-        del self._came[: len(data)]
+        data = bytes(self._received[: min(size, self.in_waiting)])
+        del self._received[: len(data)]
         return data
 
     def write(self, data: bytes, /) -> int:
-        """Send; the first write after the cable was pulled still succeeds, as it does on a real port."""
+        """Send; as on a real port, the first write after the cable was pulled still succeeds."""
         if self._is_closed:
             raise OSError(errno.EBADF, "the port is closed")
         for delay_s, answer in self._device.receive(data):
-            earliest = self._coming[-1][0] if self._coming else 0.0  # bytes do not overtake one another
-            self._coming.append((max(earliest, self._clock.now() + delay_s), answer))
+            earliest = self._pending[-1][0] if self._pending else 0.0  # bytes stay in order
+            self._pending.append((max(earliest, self._clock.now() + delay_s), answer))
         return len(data)
 
     def close(self) -> None:
-        """Let go; closing twice is allowed."""
+        """Close; twice is allowed."""
         self._is_closed = True
 
     def _check(self) -> None:

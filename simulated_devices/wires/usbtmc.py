@@ -1,7 +1,7 @@
-"""A stand-in for an instrument of the USB Test and Measurement Class, transfer by transfer, with its faults.
+"""Stand-in for a USB Test and Measurement Class instrument, transfer by transfer, with faults.
 
-Written from the class specification (USBTMC 1.0) and IEEE 488.2: it keeps the tags, refuses what is malformed, stays
-confused when a transfer is given up without being aborted, and drops an answer that nobody fetched.
+Follows USBTMC 1.0 and IEEE 488.2: it keeps the tags, refuses malformed transfers, is confused by a transfer given up
+without an abort, and drops an unread answer.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SUCCESS, _PENDING, _FAILED, _NOT_IN_PROGRESS = 0x01, 0x02, 0x80, 0x81
 
 
 class NoAnswerError(Exception):
-    """The host waits in vain."""
+    """The host times out."""
 
 
 class StalledError(Exception):
@@ -29,16 +29,16 @@ class StalledError(Exception):
 
 
 class GoneError(Exception):
-    """The cable is out."""
+    """The cable is unplugged."""
 
 
 @dataclass(frozen=True, slots=True)
 class UsbFault:
-    """What happens to the next message or answer.
+    """A fault of the next message or answer.
 
-    `silence`: there is no answer; `late`: it is ready when the host has given up `after` times; `half`: it breaks off
-    after its header; `wrong tag`: it says that it answers another request; `garbage`: it is nonsense; `deaf`: the next
-    message is not taken in time; `stall`: it is refused; `unplug`: the cable is pulled when it has been carried out.
+    `silence`: no answer; `late`: it is ready after `after` timeouts; `half`: it ends after its header; `wrong tag`: it
+    answers another request; `garbage`: it is replaced; `deaf`: the next message times out; `stall`: it is refused;
+    `unplug`: the cable is pulled after it.
     """
 
     kind: UsbFaultKind
@@ -46,15 +46,15 @@ class UsbFault:
 
 
 class UsbtmcWire(ABC):
-    """The instrument's end of the cable; its subclass knows the commands."""
+    """The instrument's end of the cable; subclasses define the commands."""
 
     def __init__(self, *, largest_answer: int = 1 << 16) -> None:
-        self._largest_answer = largest_answer  # bytes of data that it sends in one transfer
+        self._largest_answer = largest_answer  # bytes of data in one transfer
         self._message = bytearray()
         self._answer = b""
         self._is_answer_begun = False
         self._later: tuple[int, bytes] | None = None
-        self._request: tuple[int, int] | None = None  # tag and size that the host waits for
+        self._request: tuple[int, int] | None = None  # awaited tag and size
         self._is_confused = False
         self._packets: deque[bytes] = deque()
         self._is_aborting = self._is_clearing = False
@@ -62,19 +62,19 @@ class UsbtmcWire(ABC):
         self._out_tag = 0
         self.faults: deque[UsbFault] = deque()
         self.is_unplugged = False
-        self.transfers: list[bytes] = []  # all that came on bulk-OUT
-        self.requests: list[tuple[int, int, int]] = []  # request, value and index on the control pipe
+        self.transfers: list[bytes] = []  # all bulk-OUT transfers
+        self.requests: list[tuple[int, int, int]] = []  # (request, value, index) on the control pipe
 
     @abstractmethod
     def receive(self, message: str) -> Iterable[str]:
-        """Carry out a message and return its answers."""
+        """Execute a message and return its answers."""
 
     @abstractmethod
     def interrupted(self) -> None:
-        """An answer was thrown away, because a new message came before it was fetched."""
+        """React to an unread answer that a new message has replaced."""
 
     def bulk_out(self, data: bytes) -> None:
-        """Take one transfer."""
+        """Receive one transfer."""
         self._check()
         fault = self._take("deaf", "stall")
         if fault == "deaf":
@@ -89,7 +89,7 @@ class UsbtmcWire(ABC):
         if kind == 1 and is_sound and 0 < length <= len(data) - _HEADER.size < length + 4:
             self._message += data[_HEADER.size : _HEADER.size + length]
             if attributes & 1:
-                self._carry_out()
+                self._run_message()
         elif kind == 2 and is_sound and length and len(data) == _HEADER.size:
             self._is_confused |= self._request is not None or bool(self._packets)
             self._request = (tag, length)
@@ -99,13 +99,13 @@ class UsbtmcWire(ABC):
             raise StalledError
 
     def bulk_in(self, size: int) -> bytes:
-        """Return one read's worth of packets: as many as fit, up to a short one."""
+        """Return the packets of one read: as many as fit, up to a short one."""
         self._check()
         data = b""
         while self._packets and len(data) < size:
             packet = self._packets.popleft()
             if len(packet) > size - len(data):
-                raise StalledError  # the host's buffer overflows
+                raise StalledError  # overflow of the host's buffer
             data += packet
             if len(packet) < _PACKET:
                 return data
@@ -115,11 +115,11 @@ class UsbtmcWire(ABC):
         raise NoAnswerError
 
     def control(self, kind: int, request: int, value: int, index: int, length: int) -> bytes:
-        """Answer a request of the class."""
+        """Answer a class request."""
         self._check()
         self.requests.append((request, value, index))
         steps: dict[tuple[int, int], Callable[[int], bytes]] = {
-            (0xA1, 7): self._tell_capabilities,
+            (0xA1, 7): self._capabilities,
             (0xA1, 5): self._clear,
             (0xA1, 6): self._check_clear,
             (0xA2, 3): self._abort_in,
@@ -132,25 +132,25 @@ class UsbtmcWire(ABC):
         return steps[kind, request](value).ljust(length, b"\0")[:length]
 
     def clear_halt(self) -> None:
-        """Take transfers again."""
+        """Accept transfers again."""
         self._check()
         self._is_out_halted = False
 
     def plug_in(self) -> None:
-        """Put the cable back; whatever was under way is forgotten."""
+        """Put the cable back; pending transfers are lost."""
         self.is_unplugged = False
         self._reset_in()
         self._message.clear()
         self._is_out_halted = False
 
-    def _tell_capabilities(self, _value: int) -> bytes:
+    def _capabilities(self, _value: int) -> bytes:
         return bytes([_SUCCESS, 0, 0x00, 0x01, 0x04, 0x01])
 
     def _clear(self, _value: int) -> bytes:
         self._reset_in()
         self._message.clear()
         self._is_clearing = self._is_out_halted = True
-        self._packets.append(b"\xaa" * 10)  # was on its way
+        self._packets.append(b"\xaa" * 10)  # in transit
         return bytes([_SUCCESS])
 
     def _check_clear(self, _value: int) -> bytes:
@@ -165,7 +165,7 @@ class UsbtmcWire(ABC):
         if self._request is None or self._request[0] != tag:
             return bytes([_NOT_IN_PROGRESS if self._request is None else _FAILED, self._out_tag])
         self._request, self._is_confused, self._is_aborting = None, False, True
-        self._packets.append(b"\xbb" * 7)  # was on its way
+        self._packets.append(b"\xbb" * 7)  # in transit
         return bytes([_SUCCESS, tag])
 
     def _check_abort_in(self, _value: int) -> bytes:
@@ -187,7 +187,7 @@ class UsbtmcWire(ABC):
         self._is_answer_begun = self._is_confused = self._is_aborting = False
         self._packets.clear()
 
-    def _carry_out(self) -> None:
+    def _run_message(self) -> None:
         message = bytes(self._message).decode("ascii", "replace").strip()
         self._message.clear()
         if self._answer:
@@ -212,7 +212,7 @@ class UsbtmcWire(ABC):
             self._answer = data
 
     def _fill(self) -> None:
-        """Send what there is to the host that waits for it."""
+        """Send a ready answer to a waiting host."""
         if self._request is None or not self._answer or self._is_confused:
             return
         tag, size = self._request

@@ -1,4 +1,4 @@
-/* The cameras behind the interface, the time they live in, and the faults that they are told to have. */
+/* State of the fake cameras: settings, ring, clock and faults. */
 #ifndef SVWFS_CAMERA_H
 #define SVWFS_CAMERA_H
 
@@ -10,7 +10,7 @@
 enum { CAMERAS = 2, SENSOR_PX = 512, PROPERTIES = 128, ELEMENTS = 3, RING_FRAMES = 65536 };
 
 typedef struct {
-    int32_t number; /* the sensor's count since the start; a lost frame is missing here */
+    int32_t number; /* frame number since start, including lost frames */
     double end_s;   /* of its exposure */
     bool is_black;  /* the EM gain was protected */
 } Slot;
@@ -29,7 +29,7 @@ struct Camera {
     bool is_capturing, is_snap;
     int32_t exposed, transferred; /* frames since the start */
     int32_t overexposed_frames;
-    double exposure_end_s; /* of the frame under way; infinite while a trigger is awaited */
+    double exposure_end_s; /* of the current frame; infinite while waiting for a trigger */
     struct Wait wait;
 };
 
@@ -44,11 +44,11 @@ typedef enum { PLUGGED, UNPLUGGED, UNPLUGGED_SILENTLY, UNPLUGGED_HALFWAY } Plug;
 #define ENUMERATED(name) F_##name,
 typedef enum { EACH_FUNCTION(ENUMERATED) FUNCTIONS } Function;
 
-/* Everything, behind one lock; `changed` is signalled whenever somebody who waits should look again. */
+/* Global state behind one lock; `changed` wakes the waiting calls. */
 typedef struct {
     pthread_mutex_t lock;
     pthread_cond_t changed;
-    double speed, offset_s, origin_s; /* of the cameras' clock against the machine's; at speed 0 it jumps */
+    double speed, offset_s, origin_s; /* cameras' clock relative to real time; at speed 0 it jumps */
     int32_t sessions, present;
     bool is_held, is_stalled, is_overexposed, has_cooler_trouble, rounds;
     Plug plug, plug_then;
@@ -66,7 +66,7 @@ extern World world;
 /* clock.c: all with the lock held */
 double now_s(void);
 double machine_s(void);
-double patience_s(void); /* the clock of who waits: the machine's, or the cameras' where that one jumps */
+double patience_s(void); /* clock of timeouts: real time, or the cameras' if that one jumps */
 void pass_time(double until_s, double limit_s);
 void spend(int32_t duration_ms);
 

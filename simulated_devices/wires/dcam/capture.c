@@ -1,4 +1,4 @@
-/* The ring of frames, and what the sensor puts into it as time goes by. */
+/* Ring buffer, and the frames that the sensor writes into it over time. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -18,7 +18,7 @@ static bool is_protected(struct Camera *camera) {
            camera->overexposed_frames > value_of(camera, EMGAINPROTECT_AFTERFRAMES);
 }
 
-/* Bring the camera up to now: every exposure that has ended since is in the ring, or lost. */
+/* Advance the camera to the present: each ended exposure is in the ring, or lost. */
 void advance(struct Camera *camera) {
     double moment_s = fmin(now_s(), world.unplug_at_s);
     if (!camera->is_capturing || world.plug != PLUGGED) return;
@@ -35,7 +35,7 @@ void advance(struct Camera *camera) {
             camera->has_stopped_itself = true;
         }
     }
-    if (world.is_stalled && camera->exposure_end_s <= moment_s) /* it goes on from where it stood */
+    if (world.is_stalled && camera->exposure_end_s <= moment_s) /* later it continues from there */
         camera->exposure_end_s = moment_s + frame_period_s(camera);
 }
 
@@ -107,7 +107,7 @@ int32_t dcamcap_transferinfo(HDCAM h, DCAMCAP_TRANSFERINFO *param) {
     return leave(code);
 }
 
-/* Waits itself until the camera can take a trigger; one that has come to a standstill never can. */
+/* Blocks until the camera can take a trigger; a stalled one never can. */
 int32_t dcamcap_firetrigger(HDCAM h, int32_t iKind) {
     (void)iKind;
     int32_t code = enter_camera(F_dcamcap_firetrigger, h);
@@ -124,8 +124,8 @@ int32_t dcamcap_firetrigger(HDCAM h, int32_t iKind) {
     return leave(code);
 }
 
-/* Every pixel tells its frame and its place, and no two frames agree in a row, so that mixing them shows:
- * columns 0 and 1 carry the frame's number, the rest a permutation of all counts that starts elsewhere in each row. */
+/* Each pixel encodes its frame and place, and no row repeats in another frame, so that mixed frames show:
+ * columns 0 and 1 hold the frame number, the rest a permutation of all counts with another start in each row. */
 static void draw(const struct Camera *camera, const Slot *slot, int32_t row, uint16_t *pixels, int32_t columns) {
     static uint16_t counts[65536 + SENSOR_PX];
     if (!counts[1])
@@ -143,14 +143,14 @@ static void draw(const struct Camera *camera, const Slot *slot, int32_t row, uin
     pixels[1] = (uint16_t)(slot->number >> 16);
 }
 
-/* What a slot shows. Into the one after the newest, the next frame is being written: at worst all of it is there. */
+/* Content of a slot. The one after the newest is being overwritten, at worst completely. */
 static Slot written(const struct Camera *camera, int32_t index) {
     Slot next = {camera->exposed, 0, false};
     bool is_overwritten = camera->is_capturing && camera->transferred >= camera->ring_frames;
     return is_overwritten && index == camera->transferred % camera->ring_frames ? next : camera->ring[index];
 }
 
-/* A slow copy is slow half way down, and then finds in the slot what has been put there meanwhile. */
+/* A slow copy pauses half way down, and may continue in an overwritten slot. */
 int32_t dcambuf_copyframe(HDCAM h, DCAMBUF_FRAME *frame) {
     int32_t code = enter_camera(F_dcambuf_copyframe, h);
     if (code < 0) return leave(code);

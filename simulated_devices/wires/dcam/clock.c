@@ -1,4 +1,4 @@
-/* The cameras' own time: the machine's, faster, or one that jumps to the next event as soon as somebody waits for it. */
+/* Cameras' clock: real time, a multiple of it, or jumping to the next awaited event. */
 #include <math.h>
 #include <time.h>
 
@@ -14,7 +14,7 @@ double now_s(void) { return world.offset_s + world.speed * (machine_s() - world.
 
 double patience_s(void) { return world.speed > 0 ? machine_s() : now_s(); }
 
-/* Let time pass until `until_s` on the cameras' clock, `limit_s` on that of who waits, or until something has changed. */
+/* Wait until `until_s` on the cameras' clock, `limit_s` on that of timeouts, or a change. */
 void pass_time(double until_s, double limit_s) {
     if (isinf(until_s) && isinf(limit_s)) {
         pthread_cond_wait(&world.changed, &world.lock);
@@ -30,7 +30,7 @@ void pass_time(double until_s, double limit_s) {
     pthread_cond_timedwait(&world.changed, &world.lock, &wake);
 }
 
-/* Be slow; others may call meanwhile. */
+/* Take time; other threads may call meanwhile. */
 void spend(int32_t duration_ms) {
     if (world.speed <= 0) {
         world.offset_s += 1e-3 * duration_ms;

@@ -115,7 +115,7 @@ enum {
     IDSTR_DCAMAPIVERSION
 };
 
-/* DCAMPROP_ATTR.attribute: what kind of value, and what can be done with it. */
+/* DCAMPROP_ATTR.attribute: type of value and access. */
 #define TYPE_MODE 1u
 #define TYPE_LONG 2u
 #define TYPE_REAL 3u

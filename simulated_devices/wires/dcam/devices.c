@@ -1,4 +1,4 @@
-/* The session, and the cameras that can be opened in it. */
+/* Session and opening of cameras. */
 #include <stdio.h>
 #include <string.h>
 
@@ -8,7 +8,7 @@ int32_t dcamapi_init(DCAMAPI_INIT *param) {
     int32_t code = enter(F_dcamapi_init);
     if (code < 0) return leave(code);
     if (!param || param->size != sizeof *param) return leave(INVALIDPARAM);
-    if (world.sessions) return leave(BUSY); /* one session a process */
+    if (world.sessions) return leave(BUSY); /* one session per process */
     if (world.present == 0 || world.plug != PLUGGED) return leave(NOCAMERA);
     world.sessions = 1;
     param->iDeviceCount = world.present;
@@ -61,7 +61,7 @@ static const char *string_of(const struct Camera *camera, int32_t id) {
     }
 }
 
-/* Takes a handle or, without opening, the index of a camera. */
+/* Takes the handle of an open camera, or an index. */
 int32_t dcamdev_getstring(HDCAM h, DCAMDEV_STRING *param) {
     int32_t code;
     struct Camera *camera = h;

@@ -1,4 +1,4 @@
-/* What every function of the interface does first and last; and the hand that moves the cameras' world, stand_in_*. */
+/* Entry and exit of every interface function, and the test control, stand_in_*. */
 #include <math.h>
 #include <string.h>
 
@@ -9,7 +9,7 @@ World world = {.lock = PTHREAD_MUTEX_INITIALIZER};
 #define NAMED(name) #name,
 static const char *const NAMES[] = {EACH_FUNCTION(NAMED)};
 
-/* Bring the cameras up to now, and pull the plug if it is time, also one that was pulled in another way. */
+/* Advance the cameras to the present, and pull the plug when due, even if it was pulled in another way. */
 void follow_time(void) {
     double moment_s = now_s();
     for (int i = 0; i < CAMERAS; i++) advance(&world.cameras[i]);
@@ -78,7 +78,7 @@ static void unlock(void) {
     pthread_mutex_unlock(&world.lock);
 }
 
-/* As switched on: one camera, plugged in, no faults, no session; time at 0. */
+/* Initial state: one camera, plugged in, no faults, no session; time 0. */
 DCAM_EXPORT void stand_in_reset(double speed) {
     static const char *const SERIALS[CAMERAS] = {"S/N: 000123", "S/N: 000456"};
     pthread_mutex_lock(&world.lock);
@@ -104,7 +104,7 @@ DCAM_EXPORT void stand_in_reset(double speed) {
     unlock();
 }
 
-/* Loaded by whoever does not know of the hand, it is a camera in real time. */
+/* Without test control, the library acts as a camera in real time. */
 __attribute__((constructor)) static void begin(void) {
     pthread_condattr_t attributes;
     pthread_condattr_init(&attributes);
@@ -128,18 +128,19 @@ DCAM_EXPORT void stand_in_advance(double duration_s) {
     unlock();
 }
 
-DCAM_EXPORT void stand_in_cameras(int32_t count) {
-    lock();
-    world.present = count;
-    unlock();
-}
-
-/* Another program holds the camera. */
-DCAM_EXPORT void stand_in_held(int32_t is_held) {
-    lock();
-    world.is_held = is_held;
-    unlock();
-}
+#define SETTER(name, change)                                                                                           \
+    DCAM_EXPORT void stand_in_##name(int32_t value) {                                                                  \
+        lock();                                                                                                        \
+        change;                                                                                                        \
+        unlock();                                                                                                      \
+    }
+SETTER(cameras, world.present = value)
+SETTER(held, world.is_held = value)        /* by another program */
+SETTER(stall, world.is_stalled = value)    /* no frames, without any other fault */
+SETTER(lose, world.to_lose += value)       /* the next frames, before transfer */
+SETTER(overexpose, world.is_overexposed = value)
+SETTER(rounds, world.rounds = value)       /* a value between two steps, or refuses it */
+SETTER(cooler_trouble, world.has_cooler_trouble = value)
 
 /* Pull the plug, after some time, in one of three ways. */
 DCAM_EXPORT void stand_in_unplug(int32_t plug, double after_s) {
@@ -150,7 +151,7 @@ DCAM_EXPORT void stand_in_unplug(int32_t plug, double after_s) {
     unlock();
 }
 
-/* Put it in again; what was open before is no longer connected to anything. */
+/* Put the plug back; handles opened before stay invalid. */
 DCAM_EXPORT void stand_in_plug_in(void) {
     lock();
     world.plug = PLUGGED;
@@ -159,21 +160,7 @@ DCAM_EXPORT void stand_in_plug_in(void) {
     unlock();
 }
 
-/* No more frames come, though nothing else is wrong. */
-DCAM_EXPORT void stand_in_stall(int32_t is_stalled) {
-    lock();
-    world.is_stalled = is_stalled;
-    unlock();
-}
-
-/* The next frames get lost on their way. */
-DCAM_EXPORT void stand_in_lose(int32_t count) {
-    lock();
-    world.to_lose += count;
-    unlock();
-}
-
-/* The camera ends the capture by itself. */
+/* Stop the capture from the camera's side. */
 DCAM_EXPORT void stand_in_stop(void) {
     lock();
     for (int i = 0; i < CAMERAS; i++) {
@@ -183,7 +170,7 @@ DCAM_EXPORT void stand_in_stop(void) {
     unlock();
 }
 
-/* The calls of a function return an error, so many times, after so many that do not. */
+/* Make a function return an error `times` times, after `after` successes. */
 DCAM_EXPORT int32_t stand_in_fail(const char *name, int32_t code, int32_t times, int32_t after) {
     Function function = function_named(name);
     if (function == FUNCTIONS) return INVALIDPARAM;
@@ -204,20 +191,20 @@ DCAM_EXPORT int32_t stand_in_slow(const char *name, int32_t duration_ms) {
     return SUCCESS;
 }
 
-/* How often a function was called since the reset. */
+/* Count the calls of a function since the reset. */
 DCAM_EXPORT int32_t stand_in_calls(const char *name) {
     Function function = function_named(name);
     return function == FUNCTIONS ? INVALIDPARAM : world.calls[function];
 }
 
-/* The camera does not have this property. */
+/* Remove this property. */
 DCAM_EXPORT void stand_in_remove(int32_t id) {
     lock();
     if (world.removed_count < PROPERTIES) world.removed[world.removed_count++] = id;
     unlock();
 }
 
-/* Writing this property fails, until another is named. */
+/* Make writing this property fail, until another one is named. */
 DCAM_EXPORT void stand_in_refuse(int32_t id, int32_t code) {
     lock();
     world.refused_id = id;
@@ -225,26 +212,7 @@ DCAM_EXPORT void stand_in_refuse(int32_t id, int32_t code) {
     unlock();
 }
 
-DCAM_EXPORT void stand_in_overexpose(int32_t is_overexposed) {
-    lock();
-    world.is_overexposed = is_overexposed;
-    unlock();
-}
-
-/* Whether a value between two steps is rounded, or refused. */
-DCAM_EXPORT void stand_in_rounds(int32_t rounds) {
-    lock();
-    world.rounds = rounds;
-    unlock();
-}
-
-DCAM_EXPORT void stand_in_cooler_trouble(int32_t has_trouble) {
-    lock();
-    world.has_cooler_trouble = has_trouble;
-    unlock();
-}
-
-/* An external trigger arrives; one that comes during an exposure is ignored. */
+/* External trigger; ignored during an exposure. */
 DCAM_EXPORT void stand_in_trigger(void) {
     lock();
     for (int i = 0; i < CAMERAS; i++) {

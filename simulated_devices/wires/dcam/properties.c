@@ -1,4 +1,4 @@
-/* Reading and writing of properties, with the states and limits that the sheet demands. */
+/* Reading and writing of properties, within the limits and states of the property sheet. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -20,7 +20,7 @@ static bool is_removed(int32_t id) {
     return false;
 }
 
-/* The property and which element of it the id means, or NULL. */
+/* The property of an id, or NULL, and its array element. */
 static const Property *find(int32_t id, int32_t *element) {
     for (const Property *property = SHEET; property < SHEET + SHEET_LENGTH; property++)
         for (*element = 0; *element < property->elements; ++*element)
@@ -99,7 +99,7 @@ static double warning_status(const struct Camera *camera) {
     return is_protected ? EMGAINWARNING_PROTECTED : EMGAINWARNING_WARNING;
 }
 
-/* What is stored, or what the camera says of itself at this moment. */
+/* Stored or live value. */
 double value_of(const struct Camera *camera, int32_t id) {
     int32_t rows, columns;
     frame_shape(camera, &rows, &columns);
@@ -135,7 +135,7 @@ static const Choice *choice(const Property *property, double value) {
     return NULL;
 }
 
-/* Bring the value to one that the property can take, or say why there is none. */
+/* Round the value to an allowed one, or return an error. */
 static int32_t take(const struct Camera *camera, const Property *property, double *value) {
     if (property->choices) return choice(property, *value) ? SUCCESS : INVALIDVALUE;
     Limits allowed = limits(camera, property);
@@ -149,7 +149,7 @@ static int32_t take(const struct Camera *camera, const Property *property, doubl
     return SUCCESS;
 }
 
-/* A subarray lies on the sensor at every moment, not only in the end. */
+/* A subarray must lie on the sensor after every write. */
 static bool fits(const struct Camera *camera, int32_t id, double value) {
     switch (id) {
     case SUBARRAYHPOS: return value + stored(camera, SUBARRAYHSIZE) <= SENSOR_PX;
@@ -160,7 +160,7 @@ static bool fits(const struct Camera *camera, int32_t id, double value) {
     }
 }
 
-/* Whatever the new mode does not allow moves into its range. */
+/* Move values that the new mode does not allow into its range. */
 static void follow_mode(struct Camera *camera, int32_t id) {
     if (id == CCDMODE) {
         store(camera, READOUTSPEED, is_em(camera) ? 3 : 1);
@@ -207,7 +207,7 @@ int32_t dcamprop_getattr(HDCAM h, DCAMPROP_ATTR *param) {
 int32_t dcamprop_getvalue(HDCAM h, int32_t iProp, double *value) {
     int32_t code = enter_camera(F_dcamprop_getvalue, h), element;
     if (code < 0) {
-        if (code == NOCONNECTION && iProp == SYSTEM_ALIVE) { /* the one question that is still answered */
+        if (code == NOCONNECTION && iProp == SYSTEM_ALIVE) { /* the one query that is still answered */
             *value = ALIVE_OFFLINE;
             code = SUCCESS;
         }
@@ -240,7 +240,7 @@ int32_t dcamprop_setgetvalue(HDCAM h, int32_t iProp, double *value, int32_t opti
     return leave(code);
 }
 
-/* The next or the prior value that the property can take. */
+/* Next or previous allowed value. */
 int32_t dcamprop_queryvalue(HDCAM h, int32_t iProp, double *value, int32_t option) {
     int32_t code = enter_camera(F_dcamprop_queryvalue, h), element;
     if (code < 0) return leave(code);

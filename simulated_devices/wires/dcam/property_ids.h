@@ -1,4 +1,4 @@
-/* Those properties that the cameras act upon, and their values. */
+/* Properties that the fake cameras act upon, and their values. */
 #ifndef SVWFS_PROPERTY_IDS_H
 #define SVWFS_PROPERTY_IDS_H
 

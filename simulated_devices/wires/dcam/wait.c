@@ -1,4 +1,4 @@
-/* Waiting for a frame: only what happens while somebody waits is an event. */
+/* dcamwait_*: only what happens during a wait is an event. */
 #include <math.h>
 
 #include "camera.h"
@@ -31,14 +31,14 @@ int32_t dcamwait_close(HDCAMWAIT hwait) {
 
 int32_t dcamwait_abort(HDCAMWAIT hwait) {
     int32_t code = enter_wait(F_dcamwait_abort, hwait);
-    if (code > 0 && hwait->is_waiting) { /* where nobody waits, nothing happens */
+    if (code > 0 && hwait->is_waiting) { /* no effect without a waiting call */
         hwait->is_aborted = true;
         pthread_cond_broadcast(&world.changed);
     }
     return leave(code);
 }
 
-/* What ends the waiting now, or 0. */
+/* Result that ends the wait now, or 0. */
 static int32_t event(HDCAMWAIT hwait, int32_t before, int32_t mask, int32_t *happened) {
     struct Camera *camera = hwait->camera;
     if (!camera || hwait->is_aborted) return ABORT;
