@@ -134,17 +134,17 @@ def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, jso
     """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
     from app.cli.tables import progress_bar
     from app.commands.acquisition_benchmark import benchmark_acquisition
-    from app.evaluation.benchmark.live_path.output import live_json, missed, print_live
+    from app.evaluation.benchmark.live_path.figures import print_figures
     from app.evaluation.benchmark.live_path.plan import LivePlan
     from app.evaluation.study_files import write_json
 
     plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
     with progress_bar() as progress:
         figures = benchmark_acquisition(plan, progress)
-    print_live(figures)
+    print_figures(figures)
     if json is not None:
-        write_json(json, live_json(figures))
-    if check and (failed := missed(figures)):
+        write_json(json, figures.tree())
+    if check and (failed := figures.missed()):
         raise RunError("missed: " + "; ".join(failed))
 
 

@@ -57,14 +57,14 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 def _run_in_window(course: Course) -> None:
     from app.gui.application import run_window
 
-    run_window(lambda: course.acquisition, begin=lambda _: course.begin(), until=course.look)
+    run_window(lambda: course.acquisition, begin=lambda _: course.begin(), until=course.poll)
 
 
 def _run(course: Course) -> None:
     course.acquisition.start()
     try:
         course.begin()
-        while not course.look():
+        while not course.poll():
             time.sleep(_POLL_S)
     finally:
         course.acquisition.close()

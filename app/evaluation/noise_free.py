@@ -1,4 +1,4 @@
-"""Frames of the simulated bench without any noise, with their truth: rendered once and remembered."""
+"""Noise-free frames of the simulated bench with their truth, cached on disk."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from simulated_devices.settings import Screen
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseFreeFrame:
-    """A frame with the sample in, and what it should show."""
+    """A frame with the sample, and its true wavefronts."""
 
-    photons: Image  # mean number that meets each pixel in a second, (row, column)
+    photons: Image  # mean number per pixel and second, (row, column)
     truth: Floats  # wavefronts, rad, (view_row, view_column, lenslet_row, lenslet_column)
 
 
 class NoiseFreeFrames:
-    """The frames of one bench, each rendered when it is first asked for."""
+    """The frames of one bench, rendered on demand."""
 
     def __init__(self, bench: Bench) -> None:
         camera = bench.camera_model
@@ -43,14 +43,14 @@ class NoiseFreeFrames:
         self._light = np.float32(PHOTONS_PER_S_M2_A * bench.light_model.current_a)
 
     def reference(self, mask: str) -> Image:
-        """Mean photons in a second on each pixel without the sample, (row, column)."""
-        # It is the same whatever screen is in the bench.
+        """Mean photons per pixel and second without the sample, (row, column)."""
+        # The reference does not depend on the screen.
         empty = replace(self._scene, simulation=replace(self._scene.simulation, seed=0, screen=Screen()))
         rendered = self._remembered(empty, f"{mask}-reference", lambda: {"photons": self.renderer.reference(mask)})
         return rendered["photons"]
 
     def frame(self, mask: str, state: int = 0) -> NoiseFreeFrame:
-        """Return the frame with the sample in one of its states."""
+        """Return the frame with the sample in a state."""
         kept = self._remembered(
             self._scene,
             f"{mask}-{state}",
@@ -77,11 +77,11 @@ class NoiseFreeFrames:
 
         try:
             return remembered("noise_free", f"{scene.fingerprint()}-{self._light:.6g}-{name}", lit)
-        except ValueError as error:  # settings that are each possible but not together, or the screen's file
+        except ValueError as error:  # incompatible settings, or the file of the screen
             raise InputError(f"simulation: {error}") from error
 
 
 def seeded(bench: Bench, seeds: int, first: int | None = None) -> list[Bench]:
-    """Return the bench with so many screens, one after the other, from its own seed or from `first` on."""
+    """Return the bench with consecutive seeds of its screen, from its own seed or from `first` on."""
     start = bench.simulation.seed if first is None else first
     return [replace(bench, simulation=replace(bench.simulation, seed=start + index)) for index in range(seeds)]

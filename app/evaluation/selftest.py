@@ -1,7 +1,7 @@
-"""Signs, axes and units, proven on phases that are known in closed form: `svwfs selftest`.
+"""Checks of signs, axes and units with phases in closed form, for `svwfs selftest`.
 
-A small lattice that is not square, turned and off centre, is simulated with each phase in turn and reconstructed; what
-comes back is fitted against what was put in. A wrong sign, axis or unit anywhere shows as a scale other than 1.
+A small non-square lattice, rotated and off centre, is simulated with each phase and reconstructed. A wrong sign, axis
+or unit gives a scale other than 1 between the result and the phase.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LATTICE = Lattice(center_x_px=121.3, center_y_px=84.6, pitch_px=31.25, rotation_
 _TOLERANCE = 0.1  # far from the -1, 0 or 1.4 of a wrong sign, axis or unit
 
 Phase = Callable[[Floats, Floats, float, float], Floats]
-PHASES: dict[str, Phase] = {  # of pupil x, y and field x, y in m, in rad
+PHASES: dict[str, Phase] = {  # rad, of pupil x, y and field x, y in m
     "tilt: light moves to +x": lambda u, _v, _x, _y: 3000.0 * u,
     "tilt: light moves to +y": lambda _u, v, _x, _y: 3000.0 * v,
     "defocus": lambda u, v, _x, _y: 4e5 * (u**2 + v**2),
@@ -48,16 +48,16 @@ PHASES: dict[str, Phase] = {  # of pupil x, y and field x, y in m, in rad
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """How one known phase came back."""
+    """Comparison of one known phase with its reconstruction."""
 
     name: str
-    rms_rad: float  # of what was put in, over all views and lenslets
-    scale: float  # measured over put in; 1 is right
-    residual_rad: float  # RMS of measured minus put in
+    rms_rad: float  # of the phase, over all views and lenslets
+    scale: float  # measured over true phase; 1 is right
+    residual_rad: float  # RMS of measured minus true phase
 
     @property
     def passes(self) -> bool:
-        """Whether sign, axis and unit are right; diffraction makes what varies over the field seem up to 6 % small."""
+        """True if sign, axis and unit are right; diffraction reduces variations over the field by up to 6 %."""
         return abs(self.scale - 1) < _TOLERANCE and self.residual_rad < _TOLERANCE * self.rms_rad
 
 
@@ -77,7 +77,7 @@ def run_checks() -> Iterator[Check]:
     for name, phase in PHASES.items():
 
         def of_point(x_m: float, y_m: float, phase: Phase = phase) -> NDArray[np.float32]:
-            values = phase(sample_x_m, sample_y_m, x_m, y_m)  # may depend on one of the two only
+            values = phase(sample_x_m, sample_y_m, x_m, y_m)  # may depend on x or y only
             return np.broadcast_to(values, (sample_y_m.size, sample_x_m.size)).astype(np.float32)
 
         yield _compare(name, _truth(phase), reconstructor(model.irradiance(source, of_point)).views)

@@ -29,8 +29,8 @@ def print_results(results: Sequence[StudyResult]) -> None:
 
 
 def print_table(title: str | None, headings: Sequence[str], lines: Iterable[Sequence[str]], *, width: int) -> None:
-    """Print rows of text under headings, at least `width` columns wide so that no number is cut short in a pipe."""
-    table = Table(title=title, box=box.SIMPLE, padding=(0, 1))
+    """Print lines of cells under headings, at least `width` characters wide so that a pipe cuts no number."""
+    table = Table(title=title, box=box.SIMPLE, padding=(0, 1), pad_edge=False)
     for index, heading in enumerate(headings):
         table.add_column(heading, justify="right" if index else "left", no_wrap=True)
     for line in lines:

@@ -20,28 +20,18 @@ from reconstruction.settings import Warp
 _DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)
 _WARPS: tuple[Warp, ...] = ("quadratic", "cubic")  # affine shows nothing more
 
+_Error = Callable[[Bench, float], Bench]  # returns the bench with a wrong setting
+
 
 def _lattice(bench: Bench) -> Lattice:
     return bench.design_lattice(bench.camera_model.rows, bench.camera_model.columns)
 
 
-def _outermost_px(bench: Bench) -> float:
-    """Distance of the outermost lenslet of the longer axis from the middle."""
-    return (max(bench.sensor.lenslet_rows, bench.sensor.lenslet_columns) - 1) / 2 * _lattice(bench).pitch_px
-
-
-def _shifted(bench: Bench, error_px: float) -> Bench:
-    return replace(bench, lattice=replace(_lattice(bench), center_x_px=_lattice(bench).center_x_px + error_px))
-
-
-def _stretched(bench: Bench, error_px: float) -> Bench:
-    lattice = _lattice(bench)
-    return replace(bench, lattice=replace(lattice, pitch_px=lattice.pitch_px * (1 + error_px / _outermost_px(bench))))
-
-
-def _rotated(bench: Bench, error_px: float) -> Bench:
-    lattice = _lattice(bench)
-    return replace(bench, lattice=replace(lattice, rotation_rad=lattice.rotation_rad + error_px / _outermost_px(bench)))
+def _with_lattice(bench: Bench, name: str, change: Callable[[float, float], float]) -> Bench:
+    """Change one number of the lattice; `change` gets it and the distance of the outermost lenslet, px."""
+    lattice, lenslets = _lattice(bench), max(bench.sensor.lenslet_rows, bench.sensor.lenslet_columns)
+    changed = change(getattr(lattice, name), (lenslets - 1) / 2 * lattice.pitch_px)
+    return replace(bench, lattice=replace(lattice, **{name: changed}))
 
 
 def _other_lenslets(bench: Bench, error: float) -> Bench:
@@ -55,7 +45,7 @@ def _other_collimator(bench: Bench, error: float) -> Bench:
 
 
 def _over(
-    values: tuple[float, ...], errors: dict[str, Callable[[Bench, float], Bench]]
+    values: tuple[float, ...], errors: dict[str, _Error]
 ) -> Callable[[Bench, int, Progress], Iterator[CaseResult]]:
     """Reconstruct frames of the right bench with the settings of a wrong one, for each kind and size of error."""
 
@@ -95,11 +85,16 @@ def _frames(bench: Bench, seeds: int) -> list[NoiseFreeFrame]:
     return [NoiseFreeFrames(screen).frame(bench.simulation.source.mask) for screen in seeded(bench, seeds)]
 
 
+_LATTICE_ERRORS: dict[str, _Error] = {  # by the shift of the outermost lenslets
+    "centre": lambda bench, px: _with_lattice(bench, "center_x_px", lambda center_px, _: center_px + px),
+    "pitch": lambda bench, px: _with_lattice(bench, "pitch_px", lambda pitch_px, far_px: pitch_px * (1 + px / far_px)),
+    "rotation": lambda bench, px: _with_lattice(bench, "rotation_rad", lambda angle, far_px: angle + px / far_px),
+}
 LATTICE = Sweep(
     name="lattice",
     title="Lattice wrong in centre, pitch or rotation",
     axis="error at the outermost lenslets (px)",
-    measure=_over((0.0, 0.5, 1.0, 2.0, 3.0), {"centre": _shifted, "pitch": _stretched, "rotation": _rotated}),
+    measure=_over((0.0, 0.5, 1.0, 2.0, 3.0), _LATTICE_ERRORS),
 )
 FOCAL_LENGTH = Sweep(
     name="focal_length",

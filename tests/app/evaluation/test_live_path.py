@@ -30,11 +30,9 @@ from app.commands.acquisition_benchmark import benchmark_acquisition
 from app.errors import InputError, Interrupted, RunError
 from app.evaluation.benchmark.live_path import course
 from app.evaluation.benchmark.live_path.course import Course, Span
-from app.evaluation.benchmark.live_path.figures import LiveFigures
-from app.evaluation.benchmark.live_path.memory import resident_mb
-from app.evaluation.benchmark.live_path.output import live_json, missed, print_live
+from app.evaluation.benchmark.live_path.figures import LiveFigures, print_figures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
-from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally
+from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
 from app.measurement.measurement import PASSED_OVER, Counts
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
@@ -116,7 +114,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
     return Seen(figures, frames, reports=reports, **kept)
 
 
-def test_frames_are_those_that_the_camera_gave(seen: Seen) -> None:
+def test_counted_frames_match_the_camera(seen: Seen) -> None:
     for span in (seen.figures.window, seen.figures.bare):
         began_s, ended_s = span.began_s, span.began_s + span.seconds
         counts, late_s = span.frames, span.timings.summary()["to_result"].max_s + 0.3  # until a frame is a result
@@ -136,7 +134,7 @@ def lost_of(frames: list[Frame]) -> int:
     return sum(after.index - before.index - 1 for before, after in pairwise(frames))
 
 
-def test_the_recording_holds_warm_up_and_span_and_no_more_than_foretold(seen: Seen) -> None:
+def test_recording_holds_warm_up_and_span_within_the_estimated_size(seen: Seen) -> None:
     figures = seen.figures
     assert figures.recording is not None
     assert (figures.recording.frames, figures.recording.stage) == (seen.lines, "finished")
@@ -148,7 +146,7 @@ def test_the_recording_holds_warm_up_and_span_and_no_more_than_foretold(seen: Se
     assert figures.window.timings.summary()["record"].count > 0
 
 
-def test_nothing_is_drawn_or_recorded_in_the_run_without(seen: Seen) -> None:
+def test_bare_run_draws_and_records_nothing(seen: Seen) -> None:
     window, bare = seen.figures.window, seen.figures.bare
     assert 0 < window.redrawn_hz < 27
     assert window.timings.summary()["to_screen"].count > 0
@@ -157,7 +155,7 @@ def test_nothing_is_drawn_or_recorded_in_the_run_without(seen: Seen) -> None:
     assert seen.figures.rate_ratio == window.rate_hz / bare.rate_hz
 
 
-def test_progress_goes_on(seen: Seen) -> None:
+def test_progress_increases(seen: Seen) -> None:
     texts = [text for text, _ in seen.reports]
     stages = ["unseen window: warming up", "unseen window: measuring", "unseen window: removing the recording"]
     told = [text for text in dict.fromkeys(texts) if text in stages]
@@ -168,8 +166,8 @@ def test_progress_goes_on(seen: Seen) -> None:
     assert 0.9 < fractions[-1] <= 1
 
 
-def test_what_is_written_and_printed(seen: Seen, capsys: pytest.CaptureFixture[str]) -> None:
-    written = json.loads(json.dumps(live_json(seen.figures), allow_nan=False))
+def test_figures_are_written_and_printed(seen: Seen, capsys: pytest.CaptureFixture[str]) -> None:
+    written = json.loads(json.dumps(seen.figures.tree(), allow_nan=False))
     assert set(written) == {"live", "machine", "versions"}
     live = written["live"]
     assert live["window"]["frames"]["lost"] == seen.figures.window.frames.lost
@@ -182,17 +180,17 @@ def test_what_is_written_and_printed(seen: Seen, capsys: pytest.CaptureFixture[s
     }
     assert live["recording"] == {"frames": seen.lines, "problem": ""}
     assert live["window_is_seen"] is False
-    print_live(seen.figures)
+    print_figures(seen.figures)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines[3:])) <= 80
     assert "\N{HORIZONTAL ELLIPSIS}" not in "".join(lines), lines
-    assert "the window was drawn unseen" in lines[2]
+    assert "the window was drawn offscreen" in lines[2]
     words = [line.split()[-1] for line in lines if line.rstrip().endswith(("met", "missed"))]
     assert words.count("missed") == sum(not each["is_met"] for each in live["limits"].values())
     assert len(words) == len(live["limits"])
 
 
-def test_every_frame_is_counted_as_what_became_of_it() -> None:
+def test_tally_counts_frames_by_outcome() -> None:
     tally = Tally()
     made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
     tally.take(replace(made, wavefront=None, problem="too dark", counts=Counts(1, 0, 0)))
@@ -224,9 +222,9 @@ def figures_of(window: Span, bare: Span | None = None, problem: str = "") -> Liv
     return LiveFigures(plan=planned, is_seen=True, window=window, recording=state, bare=bare or span_of())
 
 
-def test_what_is_as_asked_misses_nothing() -> None:
+def test_good_run_misses_no_limit() -> None:
     figures = figures_of(span_of())
-    assert missed(figures) == []
+    assert figures.missed() == []
     assert len(figures.verdicts()) == 9
     assert figures.memory_growth == pytest.approx(0.01)
 
@@ -243,35 +241,35 @@ def test_what_is_as_asked_misses_nothing() -> None:
         ("memory_growth", span_of(memory_mb=(800.0, 816.0))),
     ],
 )
-def test_each_limit_is_missed_by_itself(name: str, window: Span) -> None:
-    assert [line.split()[0] for line in missed(figures_of(window))] == [name]
+def test_each_limit_is_missed_alone(name: str, window: Span) -> None:
+    assert [line.split()[0] for line in figures_of(window).missed()] == [name]
 
 
 @pytest.mark.parametrize(("stage", "name"), [("record", "record_p99_s"), ("to_result", "to_result_p99_s")])
-def test_two_late_frames_of_a_hundred_are_too_many(stage: Stage, name: str) -> None:
+def test_two_percent_late_frames_miss_the_limit(stage: Stage, name: str) -> None:
     window = span_of()
     for _ in range(20):
         window.timings.note(stage, 0.035)
-    assert [line.split()[0] for line in missed(figures_of(window))] == [name]
+    assert [line.split()[0] for line in figures_of(window).missed()] == [name]
 
 
-def test_a_recording_that_ended_early_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_early_end_of_recording_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
     figures = figures_of(span_of(), problem="the disk is full")
-    assert [line.split()[0] for line in missed(figures)] == ["recording_problems"]
-    print_live(figures)
-    assert "The recording has ended early: the disk is full" in capsys.readouterr().out
+    assert [line.split()[0] for line in figures.missed()] == ["recording_problems"]
+    print_figures(figures)
+    assert "The recording ended early: the disk is full" in capsys.readouterr().out
 
 
-def test_a_run_without_a_frame_meets_nothing_and_is_valid_json() -> None:
+def test_empty_run_misses_limits_and_is_valid_json() -> None:
     empty = span_of(frames=FrameCounts(), timings=Timings(), memory_mb=(None, None))
     figures = replace(figures_of(empty, empty), recording=None)
-    assert {line.split()[0] for line in missed(figures)} == {"share", "to_result_p99_s", "redrawn_hz", "rate_ratio"}
-    assert json.loads(json.dumps(live_json(figures), allow_nan=False))["live"]["memory"]["growth"] is None
-    print_live(figures)
+    assert {line.split()[0] for line in figures.missed()} == {"share", "to_result_p99_s", "redrawn_hz", "rate_ratio"}
+    assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["memory"]["growth"] is None
+    print_figures(figures)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="others do not tell it")
-def test_memory_is_that_which_is_held() -> None:
+def test_resident_memory_matches_the_system() -> None:
     before_mb = resident_mb()
     held = np.ones(64 << 17)  # 64 MB
     after_mb = resident_mb()
@@ -284,17 +282,17 @@ def test_memory_is_that_which_is_held() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.0, -5.0, 0.9, 3601.0, math.nan, math.inf])
-def test_a_time_that_cannot_be_is_refused(seconds: float) -> None:
+def test_impossible_duration_is_rejected(seconds: float) -> None:
     with pytest.raises(InputError, match=r"--live .*: must be 1 \.\.\. 3600 seconds"):
         LivePlan(bench=BENCH, seconds=seconds, record_in=None)
 
 
-def test_a_bench_that_is_not_simulated_is_refused() -> None:
+def test_real_bench_is_rejected() -> None:
     with pytest.raises(InputError, match="simulated camera; this bench has recording"):
         LivePlan(bench=replace(BENCH, camera=RecordingSettings(folder="r")), seconds=10, record_in=None)
 
 
-def test_a_recording_needs_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_needs_room_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     planned = LivePlan(bench=load_bench("live_demo", ("camera.exposure_s=0.014286",)), seconds=600, record_in=tmp_path)
     assert 1 < planned.recording_bytes / (612 * 70 * 512 * 512 * 2) < 1.3
     usage = shutil.disk_usage(tmp_path)
@@ -312,9 +310,7 @@ def test_a_recording_needs_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         assert folder is None
 
 
-def test_a_second_interrupt_does_not_keep_the_recording_from_being_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_second_interrupt_still_removes_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     planned = LivePlan(bench=BENCH, seconds=1, record_in=tmp_path)
     remove = shutil.rmtree
 
@@ -354,7 +350,7 @@ def when_recorded(folder: Path, act: Callable[[], None]) -> QTimer:
     return timer
 
 
-def test_an_interrupt_turns_the_light_off_and_removes_the_recording(camera: FakeCamera, tmp_path: Path) -> None:
+def test_interrupt_turns_light_off_and_removes_recording(camera: FakeCamera, tmp_path: Path) -> None:
     acted = when_recorded(tmp_path, lambda: os.kill(os.getpid(), signal.SIGINT))
     with pytest.raises(Interrupted):
         benchmark_acquisition(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
@@ -364,7 +360,7 @@ def test_an_interrupt_turns_the_light_off_and_removes_the_recording(camera: Fake
     assert not list(tmp_path.iterdir())
 
 
-def test_a_camera_that_fails_ends_it_with_its_sentence(camera: FakeCamera, tmp_path: Path) -> None:
+def test_camera_failure_ends_the_run_with_its_message(camera: FakeCamera, tmp_path: Path) -> None:
     acted = when_recorded(tmp_path, lambda: setattr(camera, "fault", Disconnected("the camera is gone")))
     with pytest.raises(RunError, match="the camera is gone"):
         benchmark_acquisition(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
@@ -372,27 +368,27 @@ def test_a_camera_that_fails_ends_it_with_its_sentence(camera: FakeCamera, tmp_p
     assert not list(tmp_path.iterdir())
 
 
-def test_without_a_window_it_ends_so_too(camera: FakeCamera) -> None:
+def test_camera_failure_ends_the_bare_run(camera: FakeCamera) -> None:
     watched = Course(BENCH, no_report, warm_up_s=0.1, seconds=60)
     with pytest.raises(RunError, match="before all was measured"):
         _ = watched.span
     watched.acquisition.start()
     watched.begin()
     with pytest.raises(RunError, match="the camera is gone"):  # noqa: PT012 - it goes on until then
-        while not watched.look():
+        while not watched.poll():
             if watched.acquisition.counts.reconstructed:
                 camera.fault = Disconnected("the camera is gone")
             time.sleep(0.02)
     watched.acquisition.close()
 
 
-def test_a_folder_that_holds_a_recording_is_refused(camera: FakeCamera, tmp_path: Path) -> None:
+def test_folder_with_a_recording_is_rejected(camera: FakeCamera, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
     watched = Course(BENCH, no_report, warm_up_s=60, seconds=60, record_into=tmp_path)
     watched.acquisition.start()
     watched.begin()
     with pytest.raises(InputError, match="holds a recording already"):  # noqa: PT012 - it goes on until then
-        while not watched.look():
+        while not watched.poll():
             time.sleep(0.02)
     watched.acquisition.close()
     assert camera.is_closed
@@ -407,7 +403,7 @@ def test_a_folder_that_holds_a_recording_is_refused(camera: FakeCamera, tmp_path
         (["--set", "camera.exposure_s=0.02"], "--live SECONDS"),
     ],
 )
-def test_the_command_refuses_what_cannot_be(
+def test_command_rejects_impossible_options(
     options: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
@@ -419,7 +415,7 @@ def test_the_command_refuses_what_cannot_be(
 
 
 @pytest.mark.parametrize(("late_s", "status"), [(0.02, 0), (0.04, 1)])
-def test_the_command_measures_70_frames_a_second_prints_writes_and_checks(
+def test_command_measures_70_hz_prints_writes_and_checks(
     late_s: float, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plans: list[LivePlan] = []

@@ -1,20 +1,19 @@
-"""The paper's tables: what is written, and that the order of the methods is the one that the paper found."""
+"""The paper's tables: files, order of the methods, and benches that cannot run them."""
 
 from __future__ import annotations
 
 import csv
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from support.command_line import run
 from support.pictures import assert_drawn
 
 from app.bench.config import load_bench
-from app.cli import main
 from app.evaluation.paper.frames import Frames, resized
 from app.evaluation.paper.methods import METHODS
 
@@ -24,15 +23,14 @@ COARSE = ("simulation.object_samples=13", "simulation.pupil_samples=10")
 def table(monkeypatch: pytest.MonkeyPatch, out: Path, name: str, *more: str) -> dict[str, Any]:
     """Run `svwfs paper NAME` on a coarse bench and return what it wrote."""
     settings = [word for change in COARSE for word in ("--set", change)]
-    monkeypatch.setattr(sys, "argv", ["svwfs", "paper", name, "--out", str(out), *settings, *more])
-    with pytest.raises(SystemExit) as leaving:
-        main()
-    assert not leaving.value.code
+    assert run(monkeypatch, "paper", name, "--out", out, *settings, *more) == 0
     written: dict[str, Any] = json.loads((out / f"{name}.json").read_text())
     return written
 
 
-def test_table_1(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_1_orders_the_methods_like_the_paper(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     written = table(monkeypatch, tmp_path, "table1")
     ours = written["ours"]
     assert written["paper"]["stars_zonal"] == {"min_rad": 0.108, "max_rad": 0.197, "mean_rad": 0.147}
@@ -52,10 +50,10 @@ def test_table_1(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest
 
     first = {name: row["seconds"] for name, row in ours.items()}
     again = table(monkeypatch, tmp_path, "table1")["ours"]
-    assert {name: row["seconds"] for name, row in again.items()} == first  # remembered, not computed
+    assert {name: row["seconds"] for name, row in again.items()} == first  # from the cache
 
 
-def test_seeds_make_an_ensemble(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_seeds_are_averaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     one = table(monkeypatch, tmp_path / "1", "table1")["ours"]["affine_modal"]
     two = table(monkeypatch, tmp_path / "2", "table1", "--seeds", "2")["ours"]["affine_modal"]
     other = table(monkeypatch, tmp_path / "3", "table1", "--set", "simulation.seed=2")["ours"]["affine_modal"]
@@ -64,7 +62,7 @@ def test_seeds_make_an_ensemble(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
     assert two["spread_rad"] == pytest.approx(abs(one["mean_rad"] - other["mean_rad"]) / np.sqrt(2))
 
 
-def test_table_2(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_table_2_orders_the_methods_like_the_paper(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "table2")["ours"]
     assert ours["stars_zonal_against_truth"]["mean_rad"] < 0.2
     assert (
@@ -74,12 +72,12 @@ def test_table_2(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert "affine_zonal_resized" in ours
 
 
-def test_the_stars_are_looked_for_where_the_bench_has_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_stars_follow_the_spacing_of_the_bench(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "table1", "--set", "simulation.source.star_spacing_m=0.45e-3")["ours"]
     assert ours["stars_zonal"]["mean_rad"] < 0.15
 
 
-def test_a_circular_field_is_judged_by_the_views_inside_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_circular_field_counts_only_views_inside(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     written = table(monkeypatch, tmp_path, "table1", "--set", "field.shape=circle")
     assert written["problems"] == {}
     assert written["ours"]["quadratic_modal"]["mean_rad"] < 0.12
@@ -89,24 +87,21 @@ def test_a_circular_field_is_judged_by_the_views_inside_it(monkeypatch: pytest.M
     ("change", "sentence"),
     [("camera.readout_speed=3", "need another amplifier or readout_speed"), ("camera.exposure_s=9999.0", "exposure_s")],
 )
-def test_a_bench_that_cannot_do_the_experiment_is_told(
+def test_bench_unable_to_run_the_experiment_is_rejected(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, sentence: str
 ) -> None:
-    words = ["svwfs", "paper", "table2", "--out", str(tmp_path), "--set", change]
-    monkeypatch.setattr(sys, "argv", [*words, *(word for coarse in COARSE for word in ("--set", coarse))])
-    with pytest.raises(SystemExit) as leaving:
-        main()
-    assert leaving.value.code == 2
+    settings = [word for each in (change, *COARSE) for word in ("--set", each)]
+    assert run(monkeypatch, "paper", "table2", "--out", tmp_path, *settings) == 2
     assert sentence in capsys.readouterr().err
 
 
-def test_sources(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_sources_compares_all_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "sources")["ours"]
     assert len(ours) == 5 * 4
     assert ours["octagon_quadratic_modal"]["mean_rad"] < 0.3
 
 
-def test_the_papers_crop_and_resize_keeps_the_lattice_in_the_middle() -> None:
+def test_crop_and_resize_keeps_the_lattice_centred() -> None:
     bench = load_bench("paper_experiment")
     y, x = np.meshgrid(np.arange(512), np.arange(512), indexing="ij")
     cells = (np.cos((x - 255.5) * 2 * np.pi / 31.25) + np.cos((y - 255.5) * 2 * np.pi / 31.25)).astype(np.float32)
@@ -116,4 +111,4 @@ def test_the_papers_crop_and_resize_keeps_the_lattice_in_the_middle() -> None:
     assert small_bench.lattice is not None
     centers = small_bench.lattice.lenslet_centers_px(15, 15).reshape(-1, 2)
     at_centers = small["square"].frame[np.rint(centers[:, 1]).astype(int), np.rint(centers[:, 0]).astype(int)]
-    assert at_centers.min() > 1.9  # the crests of the waves: half a pixel off, as the paper's own crop is
+    assert at_centers.min() > 1.9  # crests; half a pixel off like the paper's crop

@@ -1,1 +1,1 @@
-"""What the live path reaches, with a window and a recording and without; `svwfs benchmark --live`."""
+"""Rate and latency of the live path with a window and a recording, and without; for `svwfs benchmark --live`."""

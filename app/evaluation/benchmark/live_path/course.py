@@ -1,7 +1,4 @@
-"""The course of a run: up to the first wavefront, a warm-up, and the span that is measured.
-
-It knows no window: whoever runs it, a window's timer or a plain loop, has it look some ten times a second.
-"""
+"""One run: first wavefront, warm-up, measured span. A window's timer or a loop polls it some ten times a second."""
 
 from __future__ import annotations
 
@@ -18,26 +15,25 @@ from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import InputError, RunError
-from app.evaluation.benchmark.live_path.memory import resident_mb
-from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally
+from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
 from app.measurement.measurement import Measurement
 from app.progress import Progress
 from app.timing import Timings
 
-_GIVE_UP_S = 600.0  # how long a bench may take to be rendered, and everything to be compiled
+_GIVE_UP_S = 600.0  # for rendering the bench and compiling
 _DONE = object()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Span:
-    """What was measured after the warm-up."""
+    """Measurements after the warm-up."""
 
-    first_wavefront_s: float  # since the course was made, devices opened and calibrated on the way
+    first_wavefront_s: float  # since the course was made, with opening and calibrating the devices
     began_s: float  # by time.perf_counter()
     seconds: float
     frames: FrameCounts
-    timings: Timings  # of these seconds alone
-    memory_mb: tuple[float | None, float | None]  # resident, at the begin and at the end of its last seconds
+    timings: Timings  # of the span only
+    memory_mb: tuple[float | None, float | None]  # resident, at begin and end of its last seconds
 
     @property
     def rate_hz(self) -> float:
@@ -46,12 +42,12 @@ class Span:
 
     @property
     def redrawn_hz(self) -> float:
-        """How often a window was painted with something new."""
+        """Rate at which a window showed something new."""
         return self.timings.summary()["draw"].count / self.seconds
 
 
 class Course:
-    """One run of an acquisition of its own, which whoever runs it starts and closes."""
+    """One run of its own acquisition, which the caller starts and closes."""
 
     def __init__(
         self,
@@ -64,7 +60,7 @@ class Course:
         record_into: Path | None = None,
         sinks: tuple[Callable[[Measurement], None], ...] = (),
     ) -> None:
-        """Prepare for `seconds` after a warm-up, over the last `memory_s` of which the memory is looked at."""
+        """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
         self._tally = Tally()
         self.acquisition = Acquisition(bench, open_devices, (self._tally.take, *sinks))
         self._progress, self._record_into = progress, record_into
@@ -76,19 +72,19 @@ class Course:
         self._steps = self._run()
 
     def begin(self) -> tuple[Future[Any], ...]:
-        """Have the acquisition, which has been started, calibrate itself and watch the sample."""
+        """Calibrate the started acquisition and turn to the sample."""
         self._expected = start_up(self.acquisition)
         return self._expected
 
-    def look(self) -> bool:
-        """Go on with what is due, and say whether all is measured; `RunError` or `InputError` when it cannot be."""
+    def poll(self) -> bool:
+        """Do what is due; return True once all is measured. Raises `RunError` or `InputError` if that is impossible."""
         return next(self._steps, _DONE) is _DONE
 
     @property
     def span(self) -> Span:
-        """What was measured."""
+        """The measured span."""
         if self._span is None:
-            raise RunError("the run has ended before all was measured")
+            raise RunError("the run ended before all was measured")
         return self._span
 
     def _run(self) -> Iterator[None]:
@@ -130,7 +126,7 @@ class Course:
             yield
 
     def _check(self) -> None:
-        """Raise why the run cannot go on, if it cannot."""
+        """Raise the error that stopped the acquisition, if any."""
         failed = (step.exception() for step in self._expected if step.done())
         error = self.acquisition.error or next(filter(None, failed), None)
         if error is None:

@@ -1,4 +1,4 @@
-"""The figures of both runs, what is asked of them, and all of it as JSON."""
+"""Figures of both runs with their limits, as JSON and as a table on the terminal."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import Any
 from app.bench.config import write_bench
 from app.evaluation.benchmark.live_path.course import Span
 from app.evaluation.benchmark.live_path.plan import LivePlan
+from app.evaluation.study_tables import print_line, print_table
 from app.recording.recorder import RecordingState
-from app.run_facts import timing_facts
+from app.run_facts import machine_facts, timing_facts, versions
+from app.timing import Summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,27 +27,27 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveFigures:
-    """What was measured with a window and, if there was to be one, a recording, and then without either."""
+    """Figures of the run with a window and an optional recording, and of the run without."""
 
     plan: LivePlan
-    is_seen: bool  # whether the window was on a display
+    is_seen: bool  # the window was on a display
     window: Span
-    recording: RecordingState | None  # as it had ended
+    recording: RecordingState | None  # at its end
     bare: Span  # without window and recording
 
     @property
     def rate_ratio(self) -> float:
-        """The rate of the run with a window over that of the one without; NaN when that yielded nothing."""
+        """Rate with the window over the rate without; NaN without any wavefront."""
         return self.window.rate_hz / self.bare.rate_hz if self.bare.rate_hz else math.nan
 
     @property
     def memory_growth(self) -> float | None:
-        """The share by which the memory has grown; None where the system does not tell it."""
+        """Relative growth of the memory; None if the system does not report it."""
         begin_mb, end_mb = self.window.memory_mb
         return None if begin_mb is None or end_mb is None else end_mb / begin_mb - 1
 
     def verdicts(self) -> dict[str, Verdict]:
-        """Hold what was measured against what is asked, by names for JSON; what is not known meets nothing."""
+        """Compare the figures with their limits, by name in the JSON; unknown figures meet none."""
         window = self.window
         times = window.timings.summary()
         verdicts = {
@@ -63,34 +65,97 @@ class LiveFigures:
             verdicts["recording_problems"] = _at_most(bool(self.recording.problem), 0, "all frames")
         return verdicts
 
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+    def missed(self) -> list[str]:
+        """Return a sentence for every figure that misses its limit."""
+        missed = {name: each for name, each in self.verdicts().items() if not each.is_met}
+        return [f"{name} is {each.value:.3g}, asked {each.asked}" for name, each in missed.items()]
+
+    def tree(self) -> dict[str, Any]:
+        """Return everything for JSON, with computer and libraries."""
         plan, recording = self.plan, self.recording
         begin_mb, end_mb = self.window.memory_mb
-        return {
+        memory = {"seconds": plan.memory_s, "begin_mb": begin_mb, "end_mb": end_mb, "growth": self.memory_growth}
+        live = {
             "seconds": plan.seconds,
             "warm_up_s": plan.warm_up_s,
             "window_is_seen": self.is_seen,
             "bench": write_bench(plan.bench),
             "first_wavefront_s": self.window.first_wavefront_s,
-            "window": _as_dict(self.window),
-            "without_window": _as_dict(self.bare),
+            "window": _span_tree(self.window),
+            "without_window": _span_tree(self.bare),
             "rate_ratio": _known(self.rate_ratio),
-            "memory": {
-                "seconds": plan.memory_s,
-                "begin_mb": begin_mb,
-                "end_mb": end_mb,
-                "growth": self.memory_growth,
-            },
+            "memory": memory,
             "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},
             "limits": {
                 name: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}
                 for name, each in self.verdicts().items()
             },
         }
+        return {"live": live, "machine": machine_facts(), "versions": versions()}
 
 
-def _as_dict(span: Span) -> dict[str, Any]:
+def print_figures(figures: LiveFigures) -> None:
+    """Print every figure beside its limit."""
+    machine, recording, span = machine_facts(), figures.recording, figures.window
+    camera, sensor = figures.plan.bench.camera_model, figures.plan.bench.sensor
+    print_line(f"{machine['processor'] or machine['system']}, {machine['cores']} cores")
+    print_line(
+        f"{camera.rows} x {camera.columns} pixels, {sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets,"
+        f" {1 / camera.exposure_s:.1f} frames/s, {'recorded' if recording else 'not recorded'},"
+        f" {span.seconds:.0f} s after a warm-up"
+    )
+    print_line("the window was on a display" if figures.is_seen else "no display: the window was drawn offscreen")
+    verdicts = figures.verdicts()
+    lines = []
+    for name, measured, limit in _lines(figures):
+        verdict = verdicts.get(limit)
+        colour = "[green]met[/]" if verdict and verdict.is_met else "[red]missed[/]"
+        lines.append([name, measured, *((verdict.asked, colour) if verdict else ("", ""))])
+    print_table(None, ("live", "measured", "asked", ""), lines, width=80)
+    print_line("Times are median / 99 % / longest.")
+    if recording is not None and recording.problem:
+        print_line(f"The recording ended early: {recording.problem}")
+
+
+def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
+    """Name, measured value and name of the limit of each line of the table."""
+    window, bare, recording = figures.window, figures.bare, figures.recording
+    frames, times = window.frames, window.timings.summary()
+    recorded = []
+    if recording is not None:
+        recorded.append(("frame written to the disk", _milliseconds(times["record"]), "record_p99_s"))
+        recorded.append(("recorded, with warm-up", f"{recording.frames}", "recording_problems"))
+    return [
+        ("frames acquired", f"{frames.acquired}", ""),
+        ("reconstructed", f"{frames.reconstructed}: {100 * frames.share:.2f} %", "share"),
+        ("lost by the camera", f"{frames.lost}", "lost"),
+        ("skipped for a newer one", f"{frames.passed_over}", ""),
+        ("without a wavefront", f"{frames.failed}", ""),
+        ("camera to result", _milliseconds(times["to_result"]), "to_result_p99_s"),
+        ("camera to screen", _milliseconds(times["to_screen"]), ""),
+        ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),
+        *recorded,
+        (f"memory, last {figures.plan.memory_s:.0f} s", _memory(figures), "memory_growth"),
+        (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", ""),
+        ("rate with it", f"{window.rate_hz:.2f} /s: {100 * figures.rate_ratio:.1f} %", "rate_ratio"),
+        ("first wavefront after", f"{window.first_wavefront_s:.1f} s", "first_wavefront_s"),
+    ]
+
+
+def _milliseconds(times: Summary) -> str:
+    if not times.count:
+        return "none"
+    return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
+
+
+def _memory(figures: LiveFigures) -> str:
+    begin_mb, end_mb = figures.window.memory_mb
+    if figures.memory_growth is None:
+        return "unknown on this system"
+    return f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * figures.memory_growth:+.2f} %"
+
+
+def _span_tree(span: Span) -> dict[str, Any]:
     return {
         "seconds": span.seconds,
         "frames": asdict(span.frames),

@@ -1,4 +1,4 @@
-"""What is measured for how long, and the folder of the recording: on a disk with room for it, and gone afterwards."""
+"""Durations of the live-path benchmark, and the temporary folder of its recording."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ LEAST_S, MOST_S = 1.0, 3600.0
 _WITHOUT_WINDOW_S = 20.0  # at most
 _MEMORY_S = 50.0  # at the end of the run, at most
 _MOST_FIELD_MODES = 10
-_BLOCKS_BYTES = 4 * 4096  # that a frame's folder, files and line may take beyond what they hold
-_MORE_FRAMES = 50  # as many as dark, reference and what else is written once take
+_BLOCKS_BYTES = 4 * 4096  # overhead of a frame's folder, files and line
+_MORE_FRAMES = 50  # equivalent of dark, reference and files written once
 _MARGIN = 1.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LivePlan:
-    """What is measured: a simulated bench, for so many seconds after the warm-up."""
+    """A simulated bench, measured for some seconds after the warm-up."""
 
     bench: Bench
     seconds: float
-    record_in: Path | None  # where the recording lies as long as it is needed; None for none
-    warm_up_s: float = RECENT_S + 2.0  # until the frames that are kept in memory are as many as they will be
+    record_in: Path | None  # folder of the temporary recording; None for none
+    warm_up_s: float = RECENT_S + 2.0  # until the memory is full of recent frames
 
     def __post_init__(self) -> None:
         if not LEAST_S <= self.seconds <= MOST_S:
@@ -41,17 +41,17 @@ class LivePlan:
 
     @property
     def without_window_s(self) -> float:
-        """How long it is measured without window and recording."""
+        """Duration of the run without window and recording."""
         return min(_WITHOUT_WINDOW_S, self.seconds / 3)
 
     @property
     def memory_s(self) -> float:
-        """Over how long, at the end, memory must be flat."""
+        """Duration at the end over which the memory must not grow."""
         return min(_MEMORY_S, self.seconds * 5 / 6)
 
     @property
     def recording_bytes(self) -> float:
-        """What the recording takes at most, as far as can be said before."""
+        """Estimated maximum size of the recording."""
         camera, sensor = self.bench.camera_model, self.bench.sensor
         pixels = camera.rows * camera.columns * 2
         displacements = sensor.lenslet_rows * sensor.lenslet_columns * _MOST_FIELD_MODES * 2 * 8
@@ -61,9 +61,12 @@ class LivePlan:
 
 @contextmanager
 def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None]:
-    """Give a folder for the recording, which is removed at the end however that comes; None when there is to be none.
+    """Give a new folder for the recording and remove it at the end; None without a recording.
 
-    `InputError` when there is no such folder to make it in, or no room.
+    Raises
+    ------
+    InputError
+        If the plan's folder is missing, not writable or too small.
     """
     where = plan.record_in
     if where is None:
@@ -80,10 +83,10 @@ def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None
     try:
         folder = Path(tempfile.mkdtemp(prefix="svwfs-benchmark-", dir=where))
     except OSError as error:
-        raise InputError(f"{where}: nothing may be written there: {error.strerror or error}") from error
+        raise InputError(f"{where}: not writable: {error.strerror or error}") from error
     try:
         yield folder / "recording"
     finally:
-        with ended_by(lambda *_: None):  # a second Ctrl-C must not leave half of it
+        with ended_by(lambda *_: None):  # a second Ctrl-C must not interrupt the removal
             progress("removing the recording", 1.0)
             shutil.rmtree(folder)

@@ -1,44 +1,48 @@
-"""What became of every frame of an acquisition, counted from the measurements themselves."""
+"""Counts of the frames of an acquisition by what became of them, and the memory of the process."""
 
 from __future__ import annotations
 
 import math
+import os
 import time
 from dataclasses import astuple, dataclass
+from pathlib import Path
 
 from app.measurement.measurement import PASSED_OVER, Measurement
+
+_STATM = Path("/proc/self/statm")
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCounts:
-    """How many frames."""
+    """Numbers of frames."""
 
     acquired: int = 0
     reconstructed: int = 0
-    passed_over: int = 0  # read, but left for a newer one
-    failed: int = 0  # no wavefront could be made of them
+    passed_over: int = 0  # read, but skipped for a newer one
+    failed: int = 0  # without a wavefront
     lost: int = 0  # overwritten in the camera before they were read
 
     @property
     def share(self) -> float:
-        """The reconstructed ones among all that the camera took, the lost ones included."""
+        """Share of reconstructed frames among all frames of the camera, lost ones included."""
         taken = self.acquired + self.lost
         return self.reconstructed / taken if taken else math.nan
 
     def since(self, before: FrameCounts) -> FrameCounts:
-        """Those that have come since."""
+        """Return the difference from earlier counts."""
         return FrameCounts(*(now - then for now, then in zip(astuple(self), astuple(before), strict=True)))
 
 
 class Tally:
-    """A sink of an acquisition, which counts."""
+    """Counting sink of an acquisition."""
 
     def __init__(self) -> None:
-        self.counts = FrameCounts()  # replaced by the worker with each frame, read by anybody
-        self.first_wavefront_s: float | None = None  # when, by time.perf_counter()
+        self.counts = FrameCounts()  # replaced by the worker with each frame, safe to read in any thread
+        self.first_wavefront_s: float | None = None  # by time.perf_counter()
 
     def take(self, measurement: Measurement) -> None:
-        """Count one more."""
+        """Count one more frame."""
         is_reconstructed, is_passed_over = measurement.wavefront is not None, measurement.problem == PASSED_OVER
         if is_reconstructed and self.first_wavefront_s is None:
             self.first_wavefront_s = time.perf_counter()
@@ -50,3 +54,12 @@ class Tally:
             failed=before.failed + (not is_reconstructed and not is_passed_over),
             lost=measurement.counts.lost,
         )
+
+
+def resident_mb() -> float | None:
+    """Return the resident memory of this process, MB of 2**20 bytes; None if the system does not report it."""
+    try:
+        pages = int(_STATM.read_text().split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
