@@ -1,1 +1,1 @@
-"""The application: what chooses, schedules, stores and shows."""
+"""The application: configuration, acquisition, recording, command line and window."""

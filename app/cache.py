@@ -40,7 +40,7 @@ def cache_folder() -> Path:
     return Path(temporary)
 
 
-def remembered(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays:
+def cached(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays:
     """Return the cached result of `compute`, computing it if necessary; the last 400 of each kind are kept.
 
     `fingerprint` is a file name that stands for everything the result depends on.

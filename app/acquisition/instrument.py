@@ -18,7 +18,7 @@ from app.measurement.routines.averages import Average, take_dark, take_reference
 from app.measurement.routines.background import BackgroundCheck, check_background
 from app.measurement.routines.device_state import Circumstances
 from app.measurement.routines.frames import FrameProgress, RoutineError, ShouldStop
-from app.measurement.sensor_region import SensorArea, moved, moved_lattice, set_area
+from app.measurement.sensor_region import SensorArea, moved_bench, moved_lattice, set_area
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
@@ -28,7 +28,7 @@ from reconstruction.lattice.search import Survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.wavefront import Wavefront
 
-Standing = Literal["missing", "doubtful", "good"]  # of a dark or a reference
+Validity = Literal["missing", "doubtful", "good"]  # of a dark or a reference
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class Status:
     masks: tuple[str, ...]
     mask: str
     is_sample_in: bool
-    dark: Standing
-    reference: Standing
+    dark: Validity
+    reference: Validity
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
 
@@ -131,8 +131,8 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
-            dark=_standing(self.dark, of_dark),
-            reference=_standing(self.reference, problem or of_reference),
+            dark=_validity(self.dark, of_dark),
+            reference=_validity(self.reference, problem or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference,
         )
@@ -190,7 +190,7 @@ class Instrument:
         with camera.paused():
             taken = set_area(camera, area)
             try:
-                bench = moved(self.bench, before, taken, whole)
+                bench = moved_bench(self.bench, before, taken, whole)
                 lattice = None if self._lattice is None else moved_lattice(self._lattice, before, taken)
             except BadValue:
                 set_area(camera, before)
@@ -289,7 +289,7 @@ def _doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit
     return f"the {what} was taken {changed}: take it again" if changed else ""
 
 
-def _standing(average: Average | None, doubt: str) -> Standing:
+def _validity(average: Average | None, doubt: str) -> Validity:
     if average is None:
         return "missing"
     return "doubtful" if doubt else "good"

@@ -14,11 +14,11 @@ FRAMES = 20  # averaged into the dark, and into the reference
 def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
     """Turn the light on, take a dark and a reference, move the sample in and start the camera.
 
-    The steps run in order; cancelling one skips only that one. On a bench worked by hand the position of the sample is
+    The steps run in order; cancelling one skips only that one. With a manual stage the position of the sample is
     unknown: the camera starts after the dark, and the user requests the reference. With `auto_expose` the exposure is
     found first.
     """
-    if acquisition.bench.is_worked_by_hand:
+    if acquisition.bench.has_manual_stage:
         return (
             acquisition.submit(_turn_light_on),
             *([acquisition.auto_expose()] if auto_expose else []),
@@ -40,7 +40,7 @@ def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bo
 
 
 def watch_sample(acquisition: Acquisition) -> Future[None]:
-    """Move the sample in (on a bench worked by hand it already is) and start the camera."""
+    """Move the sample in (a manual stage has done so) and start the camera."""
 
     def watch(instrument: Instrument) -> None:
         instrument.devices.stage.note_sample(True)

@@ -60,10 +60,10 @@ class Bench:
 
     def __post_init__(self) -> None:
         has_real_light = not isinstance(self.light, SimulatedLightSettings)
-        if has_real_light and not self.is_worked_by_hand:
+        if has_real_light and not self.has_manual_stage:
             kind = "simulated camera" if self.is_simulated else "recording"
             raise ValueError(f'light.driver = "{self.light.driver}" cannot be used: a {kind} sees no real light')
-        if self.is_worked_by_hand and not has_real_light:
+        if self.has_manual_stage and not has_real_light:
             known = ", ".join(f'"{driver}"' for driver in drivers_of(LightSettings) if driver != "simulated")
             raise ValueError(f'light.driver is missing: camera.driver = "{self.camera.driver}" needs one of {known}')
         designed_px = self.sensor.lenslet_pitch_px
@@ -79,7 +79,7 @@ class Bench:
         return isinstance(self.camera, SimulatedCameraSettings)
 
     @property
-    def is_worked_by_hand(self) -> bool:
+    def has_manual_stage(self) -> bool:
         """Whether the user moves the sample, because the devices are real and there is no motor."""
         return not isinstance(self.camera, SimulatedCameraSettings | RecordingSettings)
 

@@ -76,16 +76,16 @@ def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: P
 
     An unusable reference is reported before the sample is moved.
     """
-    if bench.is_worked_by_hand:
+    if bench.has_manual_stage:
         ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
     _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, progress)
     while problem := acquisition.submit(_problem).result():
         sentence = f"the reference is unusable: {problem}"
-        if not bench.is_worked_by_hand:
+        if not bench.has_manual_stage:
             raise RunError(sentence)
         ask(f"{sentence}; check light, mask and focus, the sample out of the beam")
         _wait([acquisition.take_reference(average)], acquisition, progress)
-    if bench.is_worked_by_hand:
+    if bench.has_manual_stage:
         ask("put the sample into the beam")
 
 

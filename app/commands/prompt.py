@@ -10,7 +10,7 @@ from app.errors import InputError
 def ask(request: str) -> None:
     """Print a request and wait for Enter; `InputError` if no terminal is attached."""
     if not sys.stdin.isatty():
-        raise InputError(f"nobody is there to {request}: this bench is worked by hand, so run it in a terminal")
+        raise InputError(f"this bench has no motors: run the command in a terminal, to be asked to {request}")
     sys.stderr.write(f"{request}, then press Enter\n")
     if not sys.stdin.readline():
         raise InputError(f"the terminal was closed before this was done: {request}")

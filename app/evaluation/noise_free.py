@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from app.bench.config import Bench
-from app.cache import Arrays, remembered
+from app.cache import Arrays, cached
 from app.errors import InputError
 from reconstruction.arrays import Floats, Image
 from simulated_devices.bench import PHOTONS_PER_S_M2_A
@@ -46,12 +46,12 @@ class NoiseFreeFrames:
         """Mean photons per pixel and second without the sample, (row, column)."""
         # The reference does not depend on the screen.
         empty = replace(self._scene, simulation=replace(self._scene.simulation, seed=0, screen=Screen()))
-        rendered = self._remembered(empty, f"{mask}-reference", lambda: {"photons": self.renderer.reference(mask)})
+        rendered = self._cached(empty, f"{mask}-reference", lambda: {"photons": self.renderer.reference(mask)})
         return rendered["photons"]
 
     def frame(self, mask: str, state: int = 0) -> NoiseFreeFrame:
         """Return the frame with the sample in a state."""
-        kept = self._remembered(
+        kept = self._cached(
             self._scene,
             f"{mask}-{state}",
             lambda: {
@@ -69,14 +69,14 @@ class NoiseFreeFrames:
         except ValueError as error:
             raise InputError(f"simulation: {error}") from error
 
-    def _remembered(self, scene: Scene, name: str, render: Callable[[], Arrays]) -> Arrays:
+    def _cached(self, scene: Scene, name: str, render: Callable[[], Arrays]) -> Arrays:
         def lit() -> Arrays:
             images = dict(render())
             images["photons"] = images["photons"] * self._light
             return images
 
         try:
-            return remembered("noise_free", f"{scene.fingerprint()}-{self._light:.6g}-{name}", lit)
+            return cached("noise_free", f"{scene.fingerprint()}-{self._light:.6g}-{name}", lit)
         except ValueError as error:  # incompatible settings, or the file of the screen
             raise InputError(f"simulation: {error}") from error
 

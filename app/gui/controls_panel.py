@@ -8,7 +8,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
 
-from app.acquisition.instrument import Standing, Status
+from app.acquisition.instrument import Status, Validity
 from app.bench.config import AUTOMATIC
 from app.gui import theme
 from app.gui.number_field import NumberField
@@ -19,7 +19,7 @@ from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis
 
 _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
 _PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest stands for automatic
-_LAMPS: dict[Standing, QColor] = {"missing": theme.LINE, "doubtful": theme.AMBER, "good": theme.GREEN}
+_LAMPS: dict[Validity, QColor] = {"missing": theme.LINE, "doubtful": theme.AMBER, "good": theme.GREEN}
 
 
 class ControlsPanel(QFrame):

@@ -13,7 +13,7 @@ import numpy as np
 
 import reconstruction
 from app.bench.config import Bench, write_bench
-from app.cache import Arrays, remembered
+from app.cache import Arrays, cached
 from app.evaluation.paper.frames import Frames
 from app.evaluation.paper.methods import Method
 from reconstruction.arrays import Floats
@@ -38,7 +38,7 @@ def reconstructed(bench: Bench, frames: Mapping[str, Frames], method: Method) ->
         star_spacing_m=stars.star_spacing_m,
     )
     bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
-    kept = remembered("paper", _fingerprint(bench, pair), lambda: _reconstruct(bench, pair))
+    kept = cached("paper", _fingerprint(bench, pair), lambda: _reconstruct(bench, pair))
     return Reconstructed(kept["views"], int(kept["lost"]), float(kept["seconds"]))
 
 

@@ -18,7 +18,7 @@ from support.pictures import assert_drawn
 
 import app.cache
 from app.bench.config import Bench, load_bench
-from app.cache import cache_folder, remembered
+from app.cache import cache_folder, cached
 from app.evaluation.cases import CaseResult, collect, rows
 from app.evaluation.noise_free import NoiseFreeFrames
 from app.evaluation.study import catalogue
@@ -135,12 +135,12 @@ def test_cache_recomputes_damaged_and_drops_old_results(monkeypatch: pytest.Monk
         return {"value": np.array(len(calls))}
 
     folder = cache_folder() / "test-kind"
-    assert [int(remembered("test-kind", "a", compute)["value"]) for _ in range(2)] == [1, 1]
+    assert [int(cached("test-kind", "a", compute)["value"]) for _ in range(2)] == [1, 1]
     (folder / "a.npz").write_bytes(b"PK nonsense")
-    assert int(remembered("test-kind", "a", compute)["value"]) == 2
+    assert int(cached("test-kind", "a", compute)["value"]) == 2
     monkeypatch.setattr(app.cache, "_KEPT", 1)
     os.utime(folder / "a.npz", (0, 0))
-    remembered("test-kind", "b", compute)
+    cached("test-kind", "b", compute)
     assert [path.name for path in folder.glob("*")] == ["b.npz"]
 
 

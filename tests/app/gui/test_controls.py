@@ -13,7 +13,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import press
 
-from app.acquisition.instrument import Standing
+from app.acquisition.instrument import Validity
 from app.gui import theme
 from app.gui.main_window import MainWindow
 from app.measurement.routines.averages import AVERAGED_FRAMES
@@ -137,8 +137,8 @@ def test_lamps_show_standing_of_dark_and_reference(live: tuple[MainWindow, FakeC
     assert window._status is not None
     status = window._status
 
-    def lamps(dark_standing: Standing, reference_standing: Standing) -> tuple[str, str]:
-        shown = replace(status, dark=dark_standing, reference=reference_standing)
+    def lamps(dark_validity: Validity, reference_validity: Validity) -> tuple[str, str]:
+        shown = replace(status, dark=dark_validity, reference=reference_validity)
         window.controls.show_status(shown, is_settled=True)
         images = [
             button.icon().pixmap(32, 32).toImage() for button in (window.controls.dark, window.controls.reference)

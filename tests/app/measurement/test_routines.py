@@ -41,7 +41,7 @@ RIGHT_CURRENT_A = 0.35
 
 
 @dataclass(frozen=True)
-class Standing:
+class State:
     """State of the devices."""
 
     is_light_on: bool
@@ -51,7 +51,7 @@ class Standing:
     current_a: float = RIGHT_CURRENT_A
 
     @classmethod
-    def of(cls, devices: Devices) -> Standing:
+    def of(cls, devices: Devices) -> State:
         camera, light, stage = devices.camera, devices.light, devices.stage
         return cls(light.is_on, stage.is_sample_in, camera.is_running, camera.exposure_s, light.current_a)
 
@@ -66,7 +66,7 @@ class Standing:
             camera.start()
 
 
-LIVE, AT_REST = Standing(True, True, True), Standing(False, False, False)
+LIVE, AT_REST = State(True, True, True), State(False, False, False)
 
 
 class Counter:
@@ -158,25 +158,25 @@ def never() -> bool:
     return False
 
 
-def calls_of(routine: Routine, devices: Devices, standing: Standing) -> int:
-    standing.set(devices)
+def calls_of(routine: Routine, devices: Devices, state: State) -> int:
+    state.set(devices)
     counter = Counter()
     routine(counted(devices, counter), never)
     return counter.calls
 
 
-@pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
+@pytest.mark.parametrize("state", [LIVE, AT_REST], ids=["live", "at rest"])
 @pytest.mark.parametrize("name", ROUTINES)
-def test_routine_restores_devices(devices: Devices, name: str, standing: Standing) -> None:
-    standing.set(devices)
+def test_routine_restores_devices(devices: Devices, name: str, state: State) -> None:
+    state.set(devices)
     ROUTINES[name](devices, never)
-    left = Standing.of(devices)
+    left = State.of(devices)
     assert (left.is_light_on, left.is_sample_in, left.is_running) == (
-        standing.is_light_on,
-        standing.is_sample_in,
-        standing.is_running,
+        state.is_light_on,
+        state.is_sample_in,
+        state.is_running,
     )
-    assert name == "exposure" or left == standing
+    assert name == "exposure" or left == state
 
 
 def test_light_and_sample_states_during_averages(devices: Devices) -> None:
@@ -192,36 +192,36 @@ def test_light_and_sample_states_during_averages(devices: Devices) -> None:
         assert seen == {(is_light_on, not is_light_on)}  # a dark does not move the sample
 
 
-@pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
+@pytest.mark.parametrize("state", [LIVE, AT_REST], ids=["live", "at rest"])
 @pytest.mark.parametrize("name", ROUTINES)
-def test_cancelling_at_any_call_restores_devices(devices: Devices, name: str, standing: Standing) -> None:
-    calls = calls_of(ROUTINES[name], devices, standing)
+def test_cancelling_at_any_call_restores_devices(devices: Devices, name: str, state: State) -> None:
+    calls = calls_of(ROUTINES[name], devices, state)
     assert calls > 15
     cancelled = 0
     for at in range(calls + 1):
-        standing.set(devices)
+        state.set(devices)
         counter = Counter(at)
         try:
             ROUTINES[name](counted(devices, counter), counter.is_past)
         except Cancelled:
             cancelled += 1
-            assert Standing.of(devices) == standing
+            assert State.of(devices) == state
     assert cancelled > calls / 3  # the others came after the last frame
 
 
-@pytest.mark.parametrize("standing", [LIVE, AT_REST], ids=["live", "at rest"])
+@pytest.mark.parametrize("state", [LIVE, AT_REST], ids=["live", "at rest"])
 @pytest.mark.parametrize("fault", [Disconnected, DeviceTimeout])
 @pytest.mark.parametrize("name", ROUTINES)
 def test_device_fault_at_any_call_turns_light_off(
-    devices: Devices, name: str, fault: type[DeviceError], standing: Standing
+    devices: Devices, name: str, fault: type[DeviceError], state: State
 ) -> None:
-    calls, survived = calls_of(ROUTINES[name], devices, standing), 0
+    calls, survived = calls_of(ROUTINES[name], devices, state), 0
 
     def fail() -> None:
         raise fault("pulled")
 
     for at in range(1, calls + 1):
-        standing.set(devices)
+        state.set(devices)
         try:
             ROUTINES[name](counted(devices, Counter(at, fail)), never)
         except fault:
@@ -245,7 +245,7 @@ def test_refusal_at_any_call_restores_devices_or_darkens(
         LIVE.set(devices)
         with pytest.raises(refusal):
             ROUTINES[name](counted(devices, Counter(at, refuse)), never)
-        restored += (left := Standing.of(devices)) == LIVE
+        restored += (left := State.of(devices)) == LIVE
         assert left == LIVE or not left.is_light_on
     assert restored > calls / 4  # a refusal during the restoration leaves them dark
 
@@ -264,16 +264,16 @@ def test_failing_progress_callback_restores_devices(devices: Devices, name: str)
     }
     with pytest.raises(KeyError):
         with_progress[name]()
-    assert Standing.of(devices) == LIVE
+    assert State.of(devices) == LIVE
 
 
 @pytest.mark.parametrize("frames", [0, -1])
 def test_average_needs_at_least_one_frame(devices: Devices, frames: int) -> None:
     LIVE.set(devices)
     for take in (take_dark, take_reference):
-        with pytest.raises(BadValue, match="at least 1"):
+        with pytest.raises(BadValue, match=r"cannot be averaged"):
             take(devices, frames, progress=quiet, should_stop=never)
-    assert Standing.of(devices) == LIVE
+    assert State.of(devices) == LIVE
 
 
 class Played:

@@ -25,7 +25,7 @@ from app.measurement.sensor_region import (
     SensorArea,
     in_steps,
     lenslets_outside,
-    moved,
+    moved_bench,
     moved_lattice,
     region_around,
     set_area,
@@ -114,20 +114,20 @@ def test_region_around_lattice_contains_every_lenslet(binning: int) -> None:
 def test_saved_bench_restores_area() -> None:
     bench = replace(load_bench("live_demo"), lattice=LATTICE, sensor=LENSLETS)
     before, after = SensorArea(SENSOR, 1), SensorArea(Region(16, 32, 160, 192), 1)
-    small = moved(bench, before, after, SENSOR)
+    small = moved_bench(bench, before, after, SENSOR)
     assert (small.camera.rows, small.camera.columns) == (160, 192)  # type: ignore[union-attr] # simulated
     assert small.lattice == replace(LATTICE, center_x_px=121.3 - 32, center_y_px=84.6 - 16)
     assert parse_bench(write_bench(small), "saved") == small
     real = replace(small, camera=DcamSettings(), light=CoolLEDSettings(port="COM1"))
-    binned = moved(real, before, SensorArea(Region(16, 32, 160, 192), 2), SENSOR)
+    binned = moved_bench(real, before, SensorArea(Region(16, 32, 160, 192), 2), SENSOR)
     assert isinstance(binned.camera, DcamSettings)
     assert (binned.camera.binning, binned.camera.region) == (2, Region(16, 32, 160, 192))
     assert binned.sensor.pixel_pitch_m == 32e-6
-    assert moved(binned, SensorArea(Region(16, 32, 160, 192), 2), before, SENSOR).camera == replace(
+    assert moved_bench(binned, SensorArea(Region(16, 32, 160, 192), 2), before, SENSOR).camera == replace(
         binned.camera, binning=1, region=None
     )
     with pytest.raises(BadValue, match="at least 8"):
-        moved(real, before, SensorArea(SENSOR, 4), SENSOR)
+        moved_bench(real, before, SensorArea(SENSOR, 4), SENSOR)
 
 
 class Binning(FakeCamera):
@@ -292,7 +292,7 @@ def test_camera_area_is_restored_if_bench_rejects_it(
         raise BadValue("too few pixels are left")
 
     acquisition, measurements = live_small
-    monkeypatch.setattr("app.acquisition.instrument.moved", refuse)
+    monkeypatch.setattr("app.acquisition.instrument.moved_bench", refuse)
     with pytest.raises(BadValue, match="too few"):
         acquisition.set_area(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
     seen = len(measurements)
