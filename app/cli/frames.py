@@ -115,7 +115,7 @@ def reconstruct(
     )
     write_results(out, dataset, bench=loaded, inputs=inputs)
     if plot is not None:
-        plot_views(reconstructed.wavefront, loaded.sensor, plot)
+        plot_views(reconstructed.wavefront, plot)
     print_views(reconstructed.wavefront)
     if refine:
         print_refinement(reconstructed.changes_rad)

@@ -132,4 +132,4 @@ def report(
         )
     if residual is not None:
         print_residual(residual)
-    typer.echo(f"the report of {summary.frames_looked_at} is in {out}")
+    typer.echo(f"the report of {summary.sampled_frames} is in {out}")

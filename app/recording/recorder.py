@@ -211,23 +211,10 @@ class Recorder:
     def start(
         self, folder: Path, facts: Mapping[str, Any], *, frames: int | None = None, may_rename: bool = False
     ) -> None:
-        """Record from the next measurement on.
+        """Record from the next measurement on, until `stop` or for some `frames`.
 
-        Parameters
-        ----------
-        folder
-            Where to record.
-        facts
-            Contents of `run.json` about bench and devices.
-        frames
-            Number of frames after which the recording ends; without it, `stop` ends it.
-        may_rename
-            Append a number to a name that is taken; `state` has the folder.
-
-        Raises
-        ------
-        InputError
-            If the folder holds a recording, or a recording is on.
+        `facts` of bench and devices go into `run.json`. With `may_rename` a number is appended to a name that is taken;
+        `state` has the folder. `InputError` if the folder holds a recording, or a recording is on.
         """
         if not may_rename:
             check_free(folder)

@@ -56,19 +56,7 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
     """Finish a recording: set the length of its arrays and mark it complete.
 
     Damaged frames in the middle stay, so that all others keep their index; lines of damaged frames at the end of an
-    unfinished recording are moved to `frames.damaged.jsonl`.
-
-    Parameters
-    ----------
-    folder
-        Folder of the recording.
-    progress
-        Called with the fraction done, 0 ... 1.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no recording, or it is still being recorded.
+    unfinished recording are moved to `frames.damaged.jsonl`. `InputError` if it is still being recorded.
     """
     recording = Recording(folder)
     path = folder / FRAMES

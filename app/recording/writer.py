@@ -100,15 +100,7 @@ class Record:
 
 
 class RecordingWriter:
-    """Writes one recording, from one thread.
-
-    Parameters
-    ----------
-    folder
-        Folder that holds no recording yet.
-    facts
-        Contents of `run.json` about bench and devices.
-    """
+    """Writes one recording, from one thread; `facts` of bench and devices go into `run.json`."""
 
     def __init__(self, folder: Path, facts: Mapping[str, Any]) -> None:
         check_free(folder)
@@ -168,16 +160,9 @@ class RecordingWriter:
         os.fsync(self._lines.fileno())
 
     def finish(self, ended_early: str, *, acquired: int, facts: Mapping[str, Any]) -> None:
-        """Set the length of the arrays and mark the recording complete.
+        """Set the length of the arrays and mark the recording complete, with more `facts` for `run.json`.
 
-        Parameters
-        ----------
-        ended_early
-            Why the recording ended early; empty if it did not.
-        acquired
-            Number of frames acquired for it; those beyond the recorded ones could not be written.
-        facts
-            More contents of `run.json`.
+        Of the `acquired` frames, those beyond the recorded ones could not be written.
         """
         if ended_early:
             self._remove_unfinished()

@@ -1,10 +1,13 @@
-"""Results as NetCDF-4: wavefronts with their coordinates, units and origin, for xarray, MATLAB or Panoply."""
+"""Results as NetCDF-4: wavefronts with coordinates, units and origin, for xarray, MATLAB or Panoply."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+import math
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import h5netcdf
 import numpy as np
@@ -20,15 +23,22 @@ from reconstruction.quality.image_quality import psf
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
+if TYPE_CHECKING:  # opening a file needs no reconstruction
+    from app.recording.reprocess import Reprocessed
+
+_PIECE = 32  # frames in memory at once
 _FRAME = "frame"
 _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
+_RANGE = "displacement of the field's edge over what the cell allows; above 1 it has left the cell"
+_CHI_SQUARE = "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"
 
 
 def result_dataset(wavefront: Wavefront, *, with_psf: bool = False) -> xr.Dataset:
-    """All that one wavefront says, with names and units as the README lists them; `with_psf` makes it much larger."""
-    displacement = wavefront.displacement
-    vectors = (*_LENSLET, "field_mode", "xy")
+    """Return all results of a wavefront, named as in docs/results.md; point-spread functions make them much larger."""
+    displacement, solution = wavefront.displacement, wavefront.solution
+    vectors, modes = (*_LENSLET, "field_mode", "xy"), ("pupil_mode", "field_mode")
+    misfit = "RMS misfit of the registered subimage over the contrast of the brightest one"
     variables: dict[str, Variable] = {
         **_wavefront_variables(wavefront.views, wavefront.sensor),
         "wavefront_sigma": ((*_VIEW, *_LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
@@ -36,49 +46,68 @@ def result_dataset(wavefront: Wavefront, *, with_psf: bool = False) -> xr.Datase
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), about("px", "standard deviation")),
         "valid": (_LENSLET, displacement.valid, about("1", "whether the lenslet yields a slope")),
         "outcome": (_LENSLET, displacement.outcome, about("1", "0 converged, else why the lenslet was lost")),
-        "residual_rms": (
-            _LENSLET,
-            displacement.residual_rms,
-            about("1", "RMS misfit of the registered subimage over the contrast of the brightest one"),
-        ),
-        "range_used": (
-            _LENSLET,
-            displacement.range_used,
-            about("1", "displacement of the field's edge over what the cell allows; above 1 it has left the cell"),
-        ),
-        "chi_square": (
-            _LENSLET,
-            displacement.chi_square,
-            about("1", "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"),
-        ),
+        "residual_rms": (_LENSLET, displacement.residual_rms, about("1", misfit)),
+        "range_used": (_LENSLET, displacement.range_used, about("1", _RANGE)),
+        "chi_square": (_LENSLET, displacement.chi_square, about("1", _CHI_SQUARE)),
     }
-    if isinstance(wavefront.solution, ModalSolution):
-        modes = ("pupil_mode", "field_mode")
-        solution = wavefront.solution
-        variables["coefficients"] = (modes, solution.coefficients, about("rad", "e_pq"))
-        variables["coefficients_sigma"] = (
-            modes,
-            solution.coefficients_sigma,
-            about("rad", "standard deviation of e_pq"),
-        )
-        chi_square = about("1", "reduced chi-square of the slopes against the fit")
-        variables["slope_chi_square"] = ((), np.array(solution.chi_square), chi_square)
+    if isinstance(solution, ModalSolution):
+        sigma, chi_square = solution.coefficients_sigma, np.array(solution.chi_square)
+        variables |= {
+            "coefficients": (modes, solution.coefficients, about("rad", "e_pq")),
+            "coefficients_sigma": (modes, sigma, about("rad", "standard deviation of e_pq")),
+            "slope_chi_square": ((), chi_square, about("1", "reduced chi-square of the slopes against the fit")),
+        }
     coordinates = _coordinates(wavefront.sensor, wavefront.field)
-    read_outs = [transfer(wavefront), structure(wavefront)]
-    for more, along in [*read_outs, point_spread(wavefront)] if with_psf else read_outs:
+    for qualities in (transfer, structure, point_spread)[: 3 if with_psf else 2]:
+        more, along = qualities(wavefront)
         variables |= more
         coordinates |= along
     return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=coordinates)
 
 
 def truth_dataset(views: Floats, bench: Bench) -> xr.Dataset:
-    """The true wavefront of every view (view_row, view_column, lenslet_row, lenslet_column), rad, as results are."""
+    """Return a true wavefront (view_row, view_column, lenslet_row, lenslet_column), rad, in the form of results."""
     return xr.Dataset(_wavefront_variables(views, bench.sensor), coords=_coordinates(bench.sensor, bench.field))
 
 
-def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapping[str, str]) -> None:
-    """Write a dataset with the bench, the software's version and the names of the inputs as attributes."""
-    write_pieces(path, [dataset], bench=bench, inputs=inputs)
+def results_in_pieces(frames: Iterable[tuple[Reprocessed, Mapping[str, Variable]]]) -> Iterator[xr.Dataset]:
+    """Stack the results of frames, with additional variables for each, along `frame`, in pieces that fit in memory.
+
+    Frames without a wavefront are left out; the coordinate `recording_index` has the index in the recording.
+    """
+    with_wavefront = ((frame, more) for frame, more in frames if frame.wavefront is not None)
+    while piece := list(islice(with_wavefront, _PIECE)):
+        datasets = [
+            result_dataset(frame.wavefront).assign(more) for frame, more in piece if frame.wavefront is not None
+        ]
+        lines = [frame.line for frame, _ in piece]
+        stacked = stack_frames(
+            datasets,
+            [line.camera_index for line in lines],
+            [line.camera_time_s for line in lines],
+            [_bias_age_s(frame) for frame, _ in piece],
+        )
+        index = about("1", "the frame's index in the recording")
+        yield stacked.assign_coords(recording_index=(_FRAME, [line.index for line in lines], index))
+
+
+def _bias_age_s(frame: Reprocessed) -> float:
+    age_s = frame.line.bias_age_s
+    return math.nan if age_s is None or not frame.is_refined else age_s
+
+
+def stack_frames(
+    datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
+) -> xr.Dataset:
+    """Stack the results of several frames along a new first dimension `frame`; `InputError` if shapes differ."""
+    for dataset in datasets:
+        _require_alike(datasets[0].sizes, dataset.sizes)
+    stacked = xr.concat(datasets, _FRAME, join="exact", combine_attrs="override", coords="minimal", compat="override")
+    return stacked.assign_coords(
+        frame_index=(_FRAME, list(frame_index), about("1", "the camera's count since start")),
+        time=(_FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
+        bias_age=(_FRAME, list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
+    )
 
 
 def open_results(path: Path | str) -> xr.Dataset:
@@ -93,10 +122,15 @@ def open_results(path: Path | str) -> xr.Dataset:
     return dataset
 
 
-def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inputs: Mapping[str, str]) -> None:
-    """Write results of many frames, as `write_results` does, piece by piece along `frame`: one is in memory at a time.
+def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapping[str, str]) -> None:
+    """Write a dataset with bench, software version and names of the inputs as attributes (atomic)."""
+    write_pieces(path, [dataset], bench=bench, inputs=inputs)
 
-    `InputError` when a piece has another shape than the first: the settings have changed between them.
+
+def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inputs: Mapping[str, str]) -> None:
+    """Write results of many frames as `write_results` does, one piece in memory at a time.
+
+    `InputError` if a piece has another shape than the first, because the settings changed between them.
     """
     with atomic_write(path) as temporary:
         for piece in pieces:
@@ -112,7 +146,6 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
 
 def _append(path: Path, piece: xr.Dataset) -> None:
-    """Put more frames behind those that are in a file."""
     with h5netcdf.File(path, "r+") as file:
         first = file.dimensions[_FRAME].size
         sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != _FRAME}
@@ -122,23 +155,6 @@ def _append(path: Path, piece: xr.Dataset) -> None:
             if _FRAME in variable.dims:
                 stored = file.variables[name]
                 stored[first:] = variable.values.astype(stored.dtype)
-
-
-def stack_frames(
-    datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
-) -> xr.Dataset:
-    """Put the results of several frames after one another, along a new first dimension `frame`.
-
-    `InputError` when they have different shapes.
-    """
-    for dataset in datasets:
-        _require_alike(datasets[0].sizes, dataset.sizes)
-    stacked = xr.concat(datasets, _FRAME, join="exact", combine_attrs="override", coords="minimal", compat="override")
-    return stacked.assign_coords(
-        frame_index=(_FRAME, list(frame_index), about("1", "the camera's count since start")),
-        time=(_FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
-        bias_age=(_FRAME, list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),
-    )
 
 
 def _require_alike(sizes: Mapping[Hashable, int], others: Mapping[Hashable, int]) -> None:

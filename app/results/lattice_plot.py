@@ -1,4 +1,4 @@
-"""A picture of the lattice over the frame it was found in: which cells are lit, dark, beside the sensor's, or cut."""
+"""Figure of a lattice over its reference: lit and dark cells, cells outside the sensor, cells cut by the edge."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from reconstruction.geometry import Lattice, centered_steps
 from reconstruction.lattice.cells import cell_index
 from reconstruction.lattice.search import Survey
 
-_SHOWN_PERCENT = (0.5, 99.8)  # of the pixels lie within the grey scale
+_SHOWN_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
 _OUTLINE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 _LIT, _DARK, _BESIDE, _CUT = "#35d0ba", "#ff5a5f", "#ffd166", "#9aa5b1"
 _CENTER = "#d1495b"
@@ -31,7 +31,7 @@ def plot_lattice(reference: NDArray[Any], found: Survey, path: Path) -> None:
 
 
 def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
-    """The figure of `plot_lattice`: the frame with its cells, the typical lenslet, and which lie beside the lattice."""
+    """Return the figure: the frame with its cells, the typical lenslet, and each lenslet's displacement."""
     lattice, lit = found.lattice, found.illuminated
     figure = Figure(figsize=(13.6, 10.2), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.35, 1])
@@ -107,7 +107,7 @@ def _draw_displacement(axes: Axes, found: Survey) -> None:
 
 
 def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """Cells beside those `own` rows and columns, in pitches: whole on a frame of that shape, and cut by its edge."""
+    """Cells outside the `own` rows and columns, in pitches: whole ones, and those cut by the edge of the frame."""
     half = np.mod(np.array(own[::-1]) - 1, 2) / 2  # the middle of an even number of lenslets lies between two
     center_x_px, center_y_px = lattice.to_camera_px(half * lattice.pitch_px)
     on_a_lenslet = replace(lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px))
@@ -118,7 +118,7 @@ def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> t
 
 
 def _round_number(value: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not above `value`."""
+    """Round down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in (1, 2, 5) if step * power <= value * 1.000001) * power)
 

@@ -15,7 +15,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.replay.results import results_in_pieces
+from app.results.dataset import results_in_pieces
 
 
 class OpenedRecording:

@@ -1,4 +1,4 @@
-"""A picture of a result: every view's wavefront and point-spread function, and how far one wavefront serves."""
+"""Figure of a result: wavefront and point-spread function of every view, transfer and isoplanatism."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure, SubFigure
 from app.errors import InputError
 from app.files import atomic_write
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Field
 from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
@@ -23,21 +23,21 @@ _CURVES_HEIGHT = 2.6  # inches
 
 
 def check_plot_path(path: Path) -> None:
-    """Raise `InputError`, before any work is done, if no picture can be written under that name."""
+    """Raise `InputError` if the suffix is not a picture format."""
     formats = sorted(Figure().canvas.get_supported_filetypes())
     if path.suffix.lstrip(".").lower() not in formats:
         raise InputError(f"{path}: give a picture's name that ends in one of {', '.join(formats)}")
 
 
-def plot_views(wavefront: Wavefront, sensor: Sensor, path: Path) -> None:
-    """Draw the views as they lie in the field, +x to the right and +y down as on the camera, into an image file."""
+def plot_views(wavefront: Wavefront, path: Path) -> None:
+    """Draw the views into an image file, +x to the right and +y down as on the camera."""
     with atomic_write(path) as temporary:
-        views_figure(wavefront, sensor).savefig(temporary, dpi=150)
+        views_figure(wavefront).savefig(temporary, dpi=150)
 
 
-def views_figure(wavefront: Wavefront, sensor: Sensor) -> Figure:
-    """The figure of `plot_views`: wavefronts, point-spread functions; below them transfer and isoplanatism."""
-    views, field = wavefront.views, wavefront.field
+def views_figure(wavefront: Wavefront) -> Figure:
+    """Return the figure of `plot_views`."""
+    views, field, sensor = wavefront.views, wavefront.field, wavefront.sensor
     height = 2.5 * field.view_rows + 0.4
     figure = Figure(figsize=(4.4 * field.view_columns + 2.8, height + _CURVES_HEIGHT), layout="constrained")
     (maps,), (curves,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[height, _CURVES_HEIGHT])
@@ -45,7 +45,7 @@ def views_figure(wavefront: Wavefront, sensor: Sensor) -> Figure:
     limit = float(np.nanmax(np.abs(views), initial=0)) or 1.0
     captions = [[f"RMS {rms(view):.3f}  PV {peak_to_valley(view):.2f} rad" for view in row] for row in views]
     draw_maps(left, views, _with_places(field, captions), ("RdBu_r", Normalize(-limit, limit), "wavefront (rad)"))
-    _draw_psf(right, wavefront, sensor)
+    _draw_psf(right, wavefront)
     middle = field.view_rows // 2, field.view_columns // 2
     axes = curves.subplots(1, 2)
     draw_transfer(axes[0], mtf(views[middle], sensor), place(field, *middle))
@@ -61,7 +61,7 @@ def draw_maps(
     *,
     fontsize: float = 8,
 ) -> None:
-    """Draw a map (row, column) of every view, with its caption, on one colour scale; what is NaN is grey.
+    """Draw a map (row, column) of every view with its caption; NaN is grey.
 
     `colours` are the name of a colour map, its scale and its title.
     """
@@ -76,8 +76,9 @@ def draw_maps(
     figure.colorbar(ScalarMappable(scale, name), ax=axes, label=title, shrink=0.8)
 
 
-def _draw_psf(figure: SubFigure, wavefront: Wavefront, sensor: Sensor) -> None:
-    """Draw the point-spread function of every view, as far as there is light."""
+def _draw_psf(figure: SubFigure, wavefront: Wavefront) -> None:
+    """Draw the point-spread function of every view out to where there is light."""
+    sensor = wavefront.sensor
     reach_rad = psf_reach_rad(wavefront.views, sensor)
     angle_rad = psf_angles_rad(sensor, reach_rad if math.isfinite(reach_rad) else 1e-3)
     maps = psf(wavefront.views, sensor, angle_rad=angle_rad)
@@ -89,7 +90,7 @@ def _draw_psf(figure: SubFigure, wavefront: Wavefront, sensor: Sensor) -> None:
 
 
 def draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
-    """Draw the modulation transfer along x and y at the position that is called `where`."""
+    """Draw the modulation transfer along x and y at a position named `where`."""
     for name, frequency_per_rad, values, limit in (
         ("x", transfer.frequency_x_per_rad, transfer.along_x, transfer.limit_x),
         ("y", transfer.frequency_y_per_rad, transfer.along_y, transfer.limit_y),
@@ -101,7 +102,7 @@ def draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
 
 
 def draw_structure(axis: Axes, found: Isoplanatism) -> None:
-    """Draw how wavefronts differ with their separation in the field, with tilt and without."""
+    """Draw the difference of wavefronts over their separation in the field, with and without tilt."""
     for name, curve in (("all", found.curve), ("without tilt", found.curve_without_tilt)):
         separation_mm = np.append(0.0, curve.separation_m * 1e3)
         rms_rad, least_rad, most_rad = (
@@ -117,7 +118,7 @@ def draw_structure(axis: Axes, found: Isoplanatism) -> None:
 
 
 def place(field: Field, row: int, column: int) -> str:
-    """Where in the field a view lies."""
+    """Return the position of a view in words."""
     return f"({field.view_x_m[column] * 1e3:+.2f}, {field.view_y_m[row] * 1e3:+.2f}) mm"
 
 

@@ -1,4 +1,4 @@
-"""The results of a recording: `results.nc` beside it, made piece by piece, so that memory does not grow with them."""
+"""Results in a recording's folder: `results.nc`, dark and reference."""
 
 from __future__ import annotations
 
@@ -13,23 +13,22 @@ from app.files import write_image
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
-from app.results.dataset import write_pieces
-from app.results.replay.results import results_in_pieces
+from app.results.dataset import results_in_pieces, write_pieces
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import rms
 
 
 @dataclass(slots=True)
 class Measured:
-    """What there is to say of all frames together."""
+    """Statistics of all frames of a measurement."""
 
     bench: Bench
-    mean_rms_rad: Floats  # of each view, over the frames, (view_row, view_column)
-    square_rms_rad: Floats  # likewise the mean of the squares, rad^2
+    mean_rms_rad: Floats  # mean over the frames, (view_row, view_column)
+    square_rms_rad: Floats  # mean of the squares, rad^2, (view_row, view_column)
     recorded: int = 0
     reconstructed: int = 0
     lost: int = 0  # by the camera
-    problem: str = ""  # of the first frame that could not be reconstructed; empty when all could
+    problem: str = ""  # of the first frame that could not be reconstructed
 
     @property
     def scatter_rms_rad(self) -> Floats:
@@ -37,7 +36,7 @@ class Measured:
         return np.sqrt(np.maximum(self.square_rms_rad - self.mean_rms_rad**2, 0))
 
     def take(self, made: Reprocessed) -> None:
-        """Take one more frame into account."""
+        """Add one frame."""
         self.recorded, self.lost = self.recorded + 1, self.lost + made.line.lost
         if made.wavefront is None:
             self.problem = self.problem or made.problem
@@ -49,9 +48,9 @@ class Measured:
 
 
 def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Measured:
-    """Write `results.nc`, `dark.tif` and `reference.tif` into a recording's folder, and say what came out.
+    """Write `results.nc`, `dark.tif` and `reference.tif` into a recording's folder.
 
-    Every frame is reconstructed, also those that were passed over live. Without any there is no `results.nc`.
+    Every frame is reconstructed, also those that were skipped live; without any wavefront there is no `results.nc`.
     """
     shape = bench.field.view_rows, bench.field.view_columns
     measured = Measured(bench, np.zeros(shape), np.zeros(shape))
@@ -74,7 +73,7 @@ def _write_calibration(recording: Recording) -> None:
 
 
 def _counted(recording: Recording, measured: Measured, progress: Progress) -> Iterator[Reprocessed]:
-    """Every frame, counted as it comes."""
+    """Reconstruct and count every frame."""
     for made in reprocess(recording):
         measured.take(made)
         progress("writing the results", (made.line.index + 1) / len(recording))

@@ -1,1 +1,1 @@
-"""Recordings in the formats of other programs."""
+"""Export of recordings to the formats of other programs."""

@@ -1,8 +1,10 @@
-"""Recordings in the formats of other programs: what `svwfs export` does."""
+"""`svwfs export`: a recording in the formats of other programs."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -10,30 +12,27 @@ import numpy as np
 
 from app.bench.config import write_bench
 from app.errors import InputError, RunError
+from app.files import atomic_write
 from app.progress import Progress
 from app.recording.reader import Recording
-from app.recording.reprocess import reprocess
-from app.results.dataset import write_pieces
-from app.results.export.imagej import write_stack
-from app.results.export.psf_grid import psf_grid, psf_reach, write_psf_grid
-from app.results.export.table import write_table
-from app.results.replay.results import results_in_pieces
+from app.recording.reprocess import Reprocessed, reprocess
+from app.results.dataset import results_in_pieces, write_pieces
+from app.results.export.images import psf_grid, psf_reach, write_psf_grid, write_stack
 from app.results.replay.run import first_bench
 from reconstruction.arrays import Floats
 from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.solve.modal import ModalSolution
+from reconstruction.wavefront import Wavefront, rms
 
 T = TypeVar("T")
 
 Format = Literal["tiff", "csv", "netcdf", "psf"]
 
-_LOOKED_AT = 50  # frames, spread evenly, that tell how far the light of all of them reaches
+_REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the point-spread functions
 
 
 def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, progress: Progress) -> int:
-    """Write frames of a recording, or what its own bench makes of them, to a file; return how many were meant.
-
-    A file that is there is left as it is unless it may be overwritten.
-    """
+    """Write the frames FIRST:END of a recording, or their results, to a file; return their number."""
     if out.exists() and not overwrite:
         raise InputError(f"{out}: is there already; --overwrite replaces it")
     recording = Recording(folder)
@@ -49,7 +48,7 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progre
     bench = first_bench(recording, chosen)
     write_stack(
         out,
-        _reported((recording.pixels(index) for index in chosen), len(chosen), progress, "writing frames"),
+        _counted((recording.pixels(index) for index in chosen), len(chosen), progress, "writing frames"),
         labels=[
             f"frame {line.index}: t = {line.camera_time_s:.6f} s, exposure {line.exposure_s * 1e3:g} ms,"
             f" em gain {line.em_gain:g}"
@@ -62,19 +61,56 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progre
 
 
 def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    write_table(out, _reported(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames"))
+    """Write one row of numbers for each frame, NaN without a wavefront; the header names each column with its unit.
+
+    `rms_R_C_rad` is the RMS at view row R, view column C; `e_P_Q_rad` the coefficient of pupil mode P and field mode
+    Q, and `e_P_Q_sigma_rad` its standard deviation (modal method only).
+    """
+    remaining = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
+    before: list[Reprocessed] = []  # up to the first with a wavefront, which decides the columns
+    for frame in remaining:
+        before.append(frame)
+        if frame.wavefront is not None:
+            break
+    else:
+        raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
+    names = list(_values(frame.wavefront))
+    with atomic_write(out) as temporary, temporary.open("w", newline="", encoding="ascii") as file:
+        writer = csv.writer(file)
+        writer.writerow(["frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets", *names])
+        writer.writerows(_row(each, names) for each in chain(before, remaining))
+
+
+def _row(frame: Reprocessed, names: list[str]) -> list[float]:
+    line, values = frame.line, dict.fromkeys(names, np.nan)
+    if frame.wavefront is not None:
+        values = _values(frame.wavefront)
+        if list(values) != names:
+            raise InputError("the settings changed between the frames: choose some that go together")
+    valid = 0 if frame.registered is None else int(frame.registered.valid.sum())
+    return [line.index, line.camera_index, line.camera_time_s, line.exposure_s, line.em_gain, valid, *values.values()]
+
+
+def _values(wavefront: Wavefront) -> dict[str, float]:
+    """Columns of a wavefront."""
+    values = {f"rms_{row}_{column}_rad": float(value) for (row, column), value in np.ndenumerate(rms(wavefront.views))}
+    if isinstance(wavefront.solution, ModalSolution):
+        for name, modes in (("", wavefront.solution.coefficients), ("_sigma", wavefront.solution.coefficients_sigma)):
+            for (pupil_mode, field_mode), value in np.ndenumerate(modes):
+                values[f"e_{pupil_mode}_{field_mode}{name}_rad"] = float(value)
+    return values
 
 
 def _write_netcdf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
-    frames = _reported(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
+    frames = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
     bench, inputs = first_bench(recording, chosen), {"recording": recording.folder.name}
     write_pieces(out, results_in_pieces((frame, {}) for frame in frames), bench=bench, inputs=inputs)
 
 
 def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     bench = first_bench(recording, chosen)
-    some = chosen[:: max(1, len(chosen) // _LOOKED_AT)]
-    reach_rad = psf_reach(_views(recording, some, progress, "looking how far the light reaches"), bench.sensor)
+    some = chosen[:: max(1, len(chosen) // _REACH_FRAMES)]
+    reach_rad = psf_reach(_views(recording, some, progress, "finding the angular range"), bench.sensor)
     if np.isnan(reach_rad):
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
     grid = psf_grid(_views(recording, chosen, progress, "adding point-spread functions"), bench.sensor, reach_rad)
@@ -83,14 +119,13 @@ def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progres
 
 
 def _views(recording: Recording, chosen: range, progress: Progress, text: str) -> Iterator[Floats]:
-    """The wavefronts of those frames that have one."""
-    for frame in _reported(reprocess(recording, chosen), len(chosen), progress, text):
+    """Wavefronts of the frames that have one."""
+    for frame in _counted(reprocess(recording, chosen), len(chosen), progress, text):
         if frame.wavefront is not None:
             yield frame.wavefront.views
 
 
-def _reported(items: Iterable[T], count: int, progress: Progress, text: str) -> Iterator[T]:
-    """Tell how many have passed."""
+def _counted(items: Iterable[T], count: int, progress: Progress, text: str) -> Iterator[T]:
     for done, item in enumerate(items, 1):
         yield item
         progress(text, done / count)

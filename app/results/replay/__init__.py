@@ -1,1 +1,1 @@
-"""Recordings once more through the pipeline: the same to the last bit, or with another bench for comparison."""
+"""Replay of recordings: verified bit by bit, compared with another bench, or shown live."""

@@ -1,20 +1,94 @@
-"""What another bench makes of recorded frames, beside what was made of them."""
+"""New results of recorded frames beside the recorded ones."""
 
 from __future__ import annotations
 
-import numpy as np
+from importlib.metadata import version
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from app.measurement.measurement import PASSED_OVER
+from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed
 from app.results.view_quality import Variable, about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
+from reconstruction.refinement import mean_rms
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 _VIEW = ("view_row", "view_column")
 
 
+class Verification:
+    """Compares frames with what was recorded, to the last bit, and remembers the first that differs."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._first = ""
+        self.frames = 0  # frames that were reconstructed, or refused, live
+        self.different = 0
+
+    def take(self, frame: Reprocessed) -> None:
+        """Compare one frame, unless it was skipped live."""
+        if frame.line.calibration is None or frame.line.problem == PASSED_OVER:
+            return
+        self.frames += 1
+        differences = _differences(self._recording, frame)
+        if differences:
+            self.different += 1
+            self._first = self._first or f"frame {frame.line.index}: {differences}"
+
+    @property
+    def passes(self) -> bool:
+        """Whether there was something to compare, and nothing differs."""
+        return self.frames > 0 and not self.different
+
+    @property
+    def sentence(self) -> str:
+        """The result in words."""
+        if not self.frames:
+            return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
+        if not self.different:
+            return f"{self.frames} frames, each bit-identical to what was recorded"
+        then, now = self._recording.run.get("versions", {}).get("svwfs", "an unknown version"), version("svwfs")
+        software = f"recorded by svwfs {then}, replayed by {now}" if then != now else f"both by svwfs {now}"
+        return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"
+
+
+def _differences(recording: Recording, frame: Reprocessed) -> str:
+    """What differs, and by how much; empty if nothing does."""
+    line, wavefront = frame.line, frame.wavefront
+    if line.problem != frame.problem:
+        return f'the problem was "{line.problem}" and is "{frame.problem}"'
+    if wavefront is None or frame.registered is None:
+        return ""
+    solution = wavefront.solution
+    differences = [
+        _difference(recording.displacement(line.index), frame.registered.coefficients, "displacements", "px"),
+        _difference(np.array(line.rms_rad, np.float64), np.array(mean_rms(wavefront.views)), "the RMS", "rad"),
+    ]
+    if isinstance(solution, ModalSolution):
+        recorded = recording.coefficients(line.index)
+        differences.append(_difference(recorded, solution.coefficients, "coefficients", "rad"))
+    return ", ".join(part for part in differences if part)
+
+
+def _difference(then: NDArray[Any] | None, now: NDArray[Any], what: str, unit: str) -> str:
+    if then is None:
+        return f"{what} were not recorded"
+    if then.shape != now.shape:
+        return f"{what} have another shape"
+    if np.array_equal(then, now, equal_nan=True):
+        return ""
+    if not np.array_equal(np.isnan(then), np.isnan(now)):
+        return f"{what} of other lenslets are known"
+    return f"{what} by up to {np.nanmax(np.abs(then - now)):.2g} {unit}"
+
+
 class Comparison:
-    """Hears of every frame made both ways; all numbers are means over the frames for which there are both."""
+    """Means over the frames that have a wavefront with both benches."""
 
     def __init__(self) -> None:
         self.frames = 0
@@ -22,7 +96,7 @@ class Comparison:
         self._sums: list[Floats] = []
 
     def take(self, then: Reprocessed, now: Reprocessed) -> dict[str, Variable]:
-        """Compare one frame; return what there is to say of it, for its results."""
+        """Add a frame; return additional variables for its results."""
         if then.wavefront is None or now.wavefront is None or not are_alike(then.wavefront, now.wavefront):
             return {}
         values = [rms(then.wavefront.views), rms(now.wavefront.views), rms(now.wavefront.views - then.wavefront.views)]
@@ -45,14 +119,14 @@ class Comparison:
 
     @property
     def difference_rms_rad(self) -> Floats:
-        """RMS of the difference, where both wavefronts are known, without piston: (view_row, view_column)."""
+        """RMS of the difference where both wavefronts are known, without piston, (view_row, view_column)."""
         return self._sums[2] / self.frames
 
 
-def are_alike(then: Wavefront, now: Wavefront) -> bool:
-    """Whether views and lenslets are the same, so that wavefronts can be subtracted."""
+def are_alike(one: Wavefront, other: Wavefront) -> bool:
+    """Whether views and lenslets are the same, so that the wavefronts can be subtracted."""
     return (
-        then.views.shape == now.views.shape
-        and np.array_equal(then.field.view_x_m, now.field.view_x_m)
-        and np.array_equal(then.field.view_y_m, now.field.view_y_m)
+        one.views.shape == other.views.shape
+        and np.array_equal(one.field.view_x_m, other.field.view_x_m)
+        and np.array_equal(one.field.view_y_m, other.field.view_y_m)
     )

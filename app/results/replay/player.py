@@ -1,4 +1,4 @@
-"""A recording played into the live view, by the calibrations that its frames had."""
+"""Replay of a recording in the live view, each frame with its own calibration."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from app.measurement.measurement import Measurement
 from app.recording.camera import RecordedCamera
 from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
-from app.results.replay.change import change_of
+from app.results.replay.run import change_of
 from drivers.interface import Devices
 
 
 class Player:
-    """Serves one acquisition after another: devices that play a recording, and the calibration of each frame."""
+    """Opens devices that play a recording, and sets the calibration of each frame."""
 
     def __init__(
         self, folder: Path, *, bench: str | None = None, settings: tuple[str, ...] = (), frames: str | None = None
     ) -> None:
-        """With another `bench`, or `settings` of its own changed, the frames are shown as these make them."""
+        """Use another `bench`, or changed `settings` of the recorded one, if given."""
         self._recording = Recording(folder)
         self._frames = self._recording.select(frames)
         self._change = change_of(bench, settings)
@@ -39,21 +39,21 @@ class Player:
         self.bench = self._calibration(first).bench
 
     def open_devices(self, _bench: Bench, _progress: Callable[[float], None]) -> Devices:
-        """Open what plays the recording, from its first frame."""
+        """Open the devices, at the first frame."""
         devices = recorded_devices(self._recording, self._frames)
         self._camera = devices.camera if isinstance(devices.camera, RecordedCamera) else None
         return devices
 
     def begin(self, acquisition: Acquisition) -> tuple[Future[None], ...]:
-        """Have the recorded calibration used and the camera started, in place of taking dark and reference."""
+        """Set the recorded calibration and start the camera, instead of taking dark and reference."""
         self._acquisition, self._asked = acquisition, self._first
         used = self._use(acquisition, self._first)
         return (used, acquisition.submit(_show))
 
     def take(self, _: Measurement) -> None:
-        """Look, between two frames, whether the next one has another calibration, and have it used.
+        """Between two frames, set the calibration of the next if it is another.
 
-        That frame waits until it is: else a computer that is behind would take it before.
+        The camera holds that frame back until then, because a slow computer might read it before.
         """
         if self._camera is None or self._acquisition is None:
             return
@@ -76,7 +76,7 @@ class Player:
 
 
 def _show(instrument: Instrument) -> None:
-    """Let the camera see the recorded frames."""
+    """Bring the recorded frames into view."""
     instrument.devices.light.set_on(True)
     instrument.devices.stage.set_sample_in(True)
     instrument.devices.camera.start()

@@ -1,4 +1,4 @@
-"""A recording once more through the pipeline: what `svwfs replay` does."""
+"""`svwfs replay`: reconstruct a recording again, to verify it or to compare another bench with its own."""
 
 from __future__ import annotations
 
@@ -6,29 +6,28 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.bench.config import Bench
+from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
+from app.measurement.calibration import Calibration
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
-from app.results.dataset import write_pieces
-from app.results.replay.change import change_of
-from app.results.replay.comparison import Comparison
-from app.results.replay.results import results_in_pieces
-from app.results.replay.verification import Verification
+from app.results.dataset import results_in_pieces, write_pieces
+from app.results.replay.comparison import Comparison, Verification
 from app.results.view_quality import Variable
+from reconstruction.errors import ReconstructionError
 from reconstruction.runtime.threads import one_blas_thread
 
 
 @dataclass(slots=True)
 class Replay:
-    """What has come of a replay: a verification with the recorded bench, a comparison with another."""
+    """Outcome of a replay: a verification with the recorded bench, a comparison with another."""
 
     verification: Verification | None
     comparison: Comparison | None
     frames: int = 0
     reconstructed: int = 0
-    unrefined: int = 0  # frames that were refined when they were recorded, and are not by this bench
+    unrefined: int = 0  # frames that were refined live, and are not with this bench
     problem: str = ""  # of the first frame that could not be reconstructed
 
     def take(self, frame: Reprocessed) -> None:
@@ -49,10 +48,10 @@ def replay(
     verify: bool,
     progress: Progress,
 ) -> Replay:
-    """Reconstruct recorded frames once more and write the results to `out`, if it is given.
+    """Reconstruct the recorded frames FIRST:END again and write the results to `out`, if given.
 
-    With another `bench`, or `settings` of the recorded one changed, both are made and compared. To `verify` is to raise
-    a `RunError` when anything differs from what was recorded.
+    With another `bench`, or changed `settings` of the recorded one, both are made and compared. With `verify`, raise
+    `RunError` if a result differs from the recorded one in any bit.
     """
     recording = Recording(folder)
     chosen = recording.select(frames)
@@ -63,12 +62,8 @@ def replay(
     with one_blas_thread():
         stream = _frames(recording, chosen, change, made, progress)
         if out is not None:
-            write_pieces(
-                out,
-                results_in_pieces(stream),
-                bench=first_bench(recording, chosen, change),
-                inputs={"recording": recording.folder.name},
-            )
+            used, inputs = first_bench(recording, chosen, change), {"recording": recording.folder.name}
+            write_pieces(out, results_in_pieces(stream), bench=used, inputs=inputs)
         for _ in stream:
             pass
     if verify and made.verification is not None and not made.verification.passes:
@@ -79,7 +74,7 @@ def replay(
 def _frames(
     recording: Recording, chosen: range, change: Change | None, made: Replay, progress: Progress
 ) -> Iterator[tuple[Reprocessed, Mapping[str, Variable]]]:
-    """Make frame after frame, as recorded or both ways, and pass on what is to be written of each."""
+    """Reconstruct each frame, with both benches if there are two; yield it with additional variables."""
     originals = reprocess(recording, chosen)
     others = originals if change is None else reprocess(recording, chosen, change)
     for done, frame in enumerate(others, 1):
@@ -93,8 +88,26 @@ def _frames(
         yield frame, more
 
 
+def change_of(bench: str | None, settings: tuple[str, ...]) -> Change | None:
+    """Return the change of a recorded calibration to another bench, or to other settings; None if there is none."""
+    if bench is None and not settings:
+        return None
+
+    def change(calibration: Calibration) -> Calibration:
+        if bench is None:
+            other = parse_bench(write_bench(calibration.bench), "the recorded bench", settings)
+        else:
+            other = load_bench(bench, settings)
+        try:
+            return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
+        except ReconstructionError as error:
+            raise InputError(f"the recorded reference does not go with this bench: {error}") from error
+
+    return change
+
+
 def first_bench(recording: Recording, chosen: range, change: Change | None = None) -> Bench:
-    """The bench of the first of these frames that has one, as changed."""
+    """Return the bench of the first chosen frame that has one, after the change."""
     for index in chosen:
         number = recording.line(index).calibration
         if number is not None:

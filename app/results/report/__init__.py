@@ -1,1 +1,1 @@
-"""The report of a recording: what was measured, when, with what, and what came out, on pages to read and to print."""
+"""PDF report of a recording: conditions, wavefronts and their uncertainty."""

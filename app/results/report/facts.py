@@ -1,4 +1,4 @@
-"""What a recording says of itself: one line for each thing that a reader wants to know."""
+"""Facts of a recording for the first page of its report, a line each."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from app.measurement.routines.averages import Average
 from app.recording.frame_lines import FrameLine
 from app.results.report.summary import Summary
 
-Fact = tuple[str, str]  # what it is about, and what there is to say
+Fact = tuple[str, str]  # label and text
 
 
 def facts(summary: Summary) -> list[Fact]:
-    """The facts of a recording, as they stand in its report; what the recording does not say is left out."""
+    """Return the facts of a recording, without those that it does not contain."""
     run, lines, bench = summary.recording.run, summary.lines, summary.bench
     devices: dict[str, Any] = run.get("devices", {})
     said = [
@@ -54,11 +54,11 @@ def _counts(summary: Summary) -> str:
     lines, whole = summary.lines, len(summary.recording)
     acquired = summary.recording.run.get("frames", {}).get("acquired")
     some = "" if len(lines) == whole else f"{lines[0].index} ... {lines[-1].index} of "
-    found = 0 if summary.found is None else len(summary.found.frames)
+    with_wavefront = 0 if summary.statistics is None else len(summary.statistics.frames)
     return (
         f"{some}{whole} recorded{'' if acquired is None else f' of {acquired} acquired'};"
         f" {sum(line.lost for line in lines)} lost by the camera;"
-        f" {found} of {summary.looked_at} made again have a wavefront"
+        f" {with_wavefront} of {summary.sampled} reconstructed again have a wavefront"
     )
 
 
@@ -127,8 +127,8 @@ def _method(bench: Bench, summary: Summary) -> str:
     if reconstruction.method == "modal":
         modes = reconstruction.pupil_modes
         parts.append(f"{reconstruction.basis}, {'as many' if modes is None else modes} pupil modes")
-    if summary.found is not None and summary.found.refined:
-        parts.append(f"refined {summary.found.refined} of {len(summary.found.frames)}")
+    if summary.statistics is not None and summary.statistics.refined:
+        parts.append(f"refined {summary.statistics.refined} of {len(summary.statistics.frames)}")
     return ", ".join(parts)
 
 
@@ -151,7 +151,7 @@ def _software(run: dict[str, Any]) -> str:
 
 
 def _range(values: Iterable[float], factor: float = 1.0) -> str:
-    """The one value, or the least and the most; empty without any."""
+    """The value, or the smallest and the largest; empty without any."""
     known = [value * factor for value in values]
     if not known:
         return ""

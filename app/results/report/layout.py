@@ -1,4 +1,4 @@
-"""What all pages of a report share: the paper, a title, parts below one another."""
+"""Page size, title and vertical parts of the report's pages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from matplotlib.figure import Figure, FigureBase, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-Page = Callable[[FigureBase], None]  # draws itself into a figure, or into a part of one
+Page = Callable[[FigureBase], None]  # draws a page into a figure or a part of one
 
 PAGE_INCHES = (8.27, 11.69)  # A4
 TITLE_INCHES = 0.85
@@ -20,14 +20,14 @@ _LONGEST_TITLE = 55  # characters
 
 
 def one_page(page: Page) -> Figure:
-    """A figure of one page."""
+    """Return a figure with one page."""
     figure = Figure(figsize=PAGE_INCHES, layout=_spaced())
     page(figure)
     return figure
 
 
 def all_pages(pages: Sequence[Page]) -> Figure:
-    """A figure of all pages, below one another."""
+    """Return a figure with all pages, one below the other."""
     width, height = PAGE_INCHES
     figure = Figure(figsize=(width, height * len(pages)), layout=_spaced())
     for page, part in zip(pages, figure.subfigures(len(pages), 1, squeeze=False)[:, 0], strict=True):
@@ -36,13 +36,13 @@ def all_pages(pages: Sequence[Page]) -> Figure:
 
 
 def parts(figure: FigureBase, heights: Sequence[float]) -> list[SubFigure]:
-    """Parts of these heights below one another; the margin below them stays empty."""
+    """Divide a page into parts of these heights, one below the other, above an empty margin."""
     ratios = [*heights, _FOOT_INCHES]
     return list(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:-1, 0])
 
 
 def write_title(figure: SubFigure, height: float, title: str, below: str) -> None:
-    """Write a title and a sentence below it at the top of a part that is `height` inches high."""
+    """Write a title and a sentence at the top of a part of this height, inches."""
     left = MARGIN_INCHES / PAGE_INCHES[0]
     shown = textwrap.shorten(title, _LONGEST_TITLE, placeholder=" ...") or title[:_LONGEST_TITLE]
     figure.text(left, 1 - 0.3 / height, shown, fontsize=17, weight="bold", color=_ACCENT, va="top", parse_math=False)

@@ -1,4 +1,4 @@
-"""A recording on pages: what `svwfs report` does."""
+"""`svwfs report`: a recording as PDF or PNG."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from app.errors import InputError
 from app.files import atomic_write
 from app.progress import Progress
 from app.recording.reader import Recording
-from app.results.replay.change import change_of
+from app.results.replay.run import change_of
 from app.results.report.certainty import draw_certainty
-from app.results.report.comparison import draw_comparison
+from app.results.report.comparison import Residual, draw_comparison, residual_of
 from app.results.report.layout import Page, all_pages, one_page
 from app.results.report.overview import draw_overview
-from app.results.report.residual import Residual, residual_of
 from app.results.report.summary import Summary, summarise
 
 _PNG_DPI = 110
@@ -32,10 +31,10 @@ def report_pages(
     overwrite: bool,
     progress: Progress,
 ) -> tuple[Summary, Residual | None]:
-    """Write the report of a recording as PDF, page after page, or as one PNG; with its facts return what is left.
+    """Write the report of a recording as PDF, or as one PNG.
 
-    With `beside`, another recording of the same sample, its wavefronts are subtracted. `frames` and changed
-    `settings` are those of the first.
+    The mean wavefronts of another recording `beside` are subtracted, if it is given; `frames` FIRST:END and changed
+    `settings` are those of the first recording.
     """
     if out.suffix.lower() not in {".pdf", ".png"}:
         raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
@@ -49,7 +48,7 @@ def report_pages(
 
 
 def write_pages(out: Path, pages: list[Page]) -> None:
-    """Write pages as PDF, or below one another as PNG; the file appears whole."""
+    """Write pages as PDF, or one below the other as PNG (atomic)."""
     with atomic_write(out) as temporary:
         if out.suffix.lower() == ".png":
             all_pages(pages).savefig(temporary, dpi=_PNG_DPI)
@@ -61,8 +60,8 @@ def write_pages(out: Path, pages: list[Page]) -> None:
 
 def _pages(summary: Summary, residual: Residual | None) -> list[Page]:
     pages: list[Page] = [partial(draw_overview, summary=summary)]
-    if summary.found is not None:
-        pages.append(partial(draw_certainty, summary=summary, found=summary.found))
+    if summary.statistics is not None:
+        pages.append(partial(draw_certainty, summary=summary, stats=summary.statistics))
     if residual is not None:
         pages.append(partial(draw_comparison, residual=residual))
     return pages

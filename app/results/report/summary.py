@@ -1,4 +1,4 @@
-"""A recording in a few numbers and maps, made again from its frames."""
+"""Statistics of a recording, from its lines and from frames that are reconstructed again."""
 
 from __future__ import annotations
 
@@ -21,85 +21,82 @@ from reconstruction.displacement import Outcome
 from reconstruction.refinement import mean_rms
 from reconstruction.wavefront import Wavefront
 
-_LOOKED_AT = 200  # frames, spread evenly, that are reconstructed again
+_SAMPLED_FRAMES = 200  # evenly spaced frames that are reconstructed again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What the frames that were reconstructed again say together, lenslet by lenslet and one by one."""
+class Statistics:
+    """Statistics of the frames that have a wavefront."""
 
     frames: NDArray[np.int64]  # their indices in the recording, (frame,)
-    mean: Floats  # wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where never known
+    mean: Floats  # wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown
     sigma: Floats  # of one frame, rad, root mean square over views and frames, (lenslet_row, lenslet_column)
-    lost: Floats  # part of the frames in which the lenslet yields no slope, (lenslet_row, lenslet_column)
-    reason: NDArray[np.int8]  # the most frequent `Outcome` of those, CONVERGED where there are none; likewise
+    lost: Floats  # share of the frames without a slope, (lenslet_row, lenslet_column)
+    reason: NDArray[np.int8]  # most frequent `Outcome` of those, else CONVERGED, (lenslet_row, lenslet_column)
     rms_rad: Floats  # mean over the views, (frame,)
-    rms_sigma_rad: Floats  # RMS of the wavefront's standard deviation: that of the RMS is at most so much, (frame,)
-    wavefront: Wavefront  # of the one in the middle
-    refined: int  # of them
+    rms_sigma_rad: Floats  # RMS of the wavefront's standard deviation, an upper bound for that of `rms_rad`, (frame,)
+    wavefront: Wavefront  # of the middle frame
+    refined: int  # number of refined frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """A recording, or a part of it."""
+    """A recording, or some of its frames."""
 
     recording: Recording
-    lines: list[FrameLine]  # of the frames that are meant
-    problems: Counter[str]  # why frames were not reconstructed live, or cannot be again; how many
-    looked_at: int  # frames that were made again
-    calibration: Calibration | None  # of the first frame that has one, as changed
-    calibrations: int  # how many of them were in force
-    found: Found | None  # None when no frame has a wavefront
+    lines: list[FrameLine]  # of the selected frames
+    problems: Counter[str]  # why frames were not reconstructed live, or cannot be now, with their number
+    sampled: int  # frames that were reconstructed again
+    calibration: Calibration | None  # of the first frame that has one, after the change
+    calibrations: int  # number of calibrations in the selected frames
+    statistics: Statistics | None  # None if no frame has a wavefront
 
     @property
     def name(self) -> str:
-        """What the recording is called."""
+        """Name of the recording's folder."""
         return self.recording.folder.resolve().name
 
     @property
     def bench(self) -> Bench:
-        """The bench that the frames were reconstructed with."""
+        """Bench of the reconstruction."""
         return self.recording.bench if self.calibration is None else self.calibration.bench
 
     @property
-    def frames_looked_at(self) -> str:
-        """How many frames were made again, in words."""
+    def sampled_frames(self) -> str:
+        """Number of frames in the statistics, in words."""
         whole = f"{len(self.lines)} frame" + "s" * (len(self.lines) != 1)
-        count = 0 if self.found is None else len(self.found.frames)
+        count = 0 if self.statistics is None else len(self.statistics.frames)
         return whole if count == len(self.lines) else f"{count} of {whole}"
 
 
 def summarise(recording: Recording, frames: str | None, progress: Progress, *, change: Change | None = None) -> Summary:
-    """Look through some frames of a recording, all without `frames`; of more than 200, so many are made again.
-
-    With a `change` of their calibrations, something else is made of them.
-    """
+    """Summarise a recording from its lines and from at most 200 of the frames FIRST:END, reconstructed again."""
     chosen = recording.select(frames)
     lines = [recording.line(index) for index in chosen]
     numbers = [line.calibration for line in lines if line.calibration is not None]
-    some = chosen[:: -(-len(chosen) // _LOOKED_AT)]
+    some = chosen[:: -(-len(chosen) // _SAMPLED_FRAMES)]
     again: Counter[str] = Counter()
     sums = _Sums()
     for done, frame in enumerate(reprocess(recording, some, change), 1):
         if frame.problem and not frame.line.problem:
             again[frame.problem] += 1
         sums.take(frame, is_early=2 * done <= len(some) + 1)
-        progress(f"looking at {recording.folder.name}", done / len(some))
+        progress(f"reconstructing {recording.folder.name}", done / len(some))
     problems = Counter(line.problem for line in lines if line.problem)
     first = recording.calibration(numbers[0]) if numbers else None
     return Summary(
         recording=recording,
         lines=lines,
         problems=problems + again,
-        looked_at=len(some),
+        sampled=len(some),
         calibration=first if first is None or change is None else change(first),
         calibrations=len(set(numbers)),
-        found=sums.found(),
+        statistics=sums.statistics(),
     )
 
 
 class _Sums:
-    """Hears of one frame after the other; only sums are kept."""
+    """Sums over frames."""
 
     def __init__(self) -> None:
         self._frames: list[int] = []
@@ -107,11 +104,11 @@ class _Sums:
         self._rms_sigma_rad: list[float] = []
         self._wavefront: Wavefront | None = None
         self._views = self._known = self._variance = self._variances = np.zeros(())
-        self._outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # how often each, (outcome, ...)
+        self._outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # number of frames, (outcome, ...)
         self._refined = 0
 
     def take(self, frame: Reprocessed, *, is_early: bool) -> None:
-        """Add a frame; the last early one that has a wavefront is kept whole, or else the first of all."""
+        """Add a frame; keep the last early wavefront, or the first if none is early."""
         wavefront = frame.wavefront
         if wavefront is None:
             return
@@ -129,14 +126,14 @@ class _Sums:
         self._rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
         self._refined += frame.is_refined
 
-    def found(self) -> Found | None:
-        """What they say together."""
+    def statistics(self) -> Statistics | None:
+        """Statistics of all frames; None if none has a wavefront."""
         if self._wavefront is None:
             return None
         lost = self._outcomes.copy()
         lost[Outcome.CONVERGED] = 0
-        with np.errstate(invalid="ignore"):  # where nothing was ever known
-            return Found(
+        with np.errstate(invalid="ignore"):  # unknown in all frames
+            return Statistics(
                 frames=np.array(self._frames),
                 mean=self._views / self._known,
                 sigma=np.sqrt(self._variance / self._variances),

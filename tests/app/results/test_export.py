@@ -22,10 +22,9 @@ from support.recordings import record, replace_pixels
 from app.bench.config import parse_bench
 from app.errors import InputError, Interrupted, RunError
 from app.recording.reader import Recording
-from app.results.export.imagej import write_stack
-from app.results.export.psf_grid import psf_grid, psf_reach, write_psf_grid
+from app.results import dataset
+from app.results.export.images import psf_grid, psf_reach, write_psf_grid, write_stack
 from app.results.export.run import Format, export
-from app.results.replay import results
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.solve.modal import ModalSolution
@@ -158,13 +157,13 @@ def test_a_frame_without_a_wavefront_has_no_numbers_but_a_row(tmp_path: Path, sm
 
 
 def test_netcdf_is_what_was_recorded(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "_PIECE", 2)
-    with xr.open_dataset(exported(recording, "netcdf", tmp_path / "run.nc", frames=":5")) as dataset:
+    monkeypatch.setattr(dataset, "_PIECE", 2)
+    with xr.open_dataset(exported(recording, "netcdf", tmp_path / "run.nc", frames=":5")) as results:
         for index in range(5):
-            np.testing.assert_array_equal(dataset["coefficients"][index], recording.coefficients(index))
-            np.testing.assert_array_equal(dataset["displacement"][index], recording.displacement(index))
-        assert dataset["valid"].dtype == np.bool_
-        assert dataset.attrs["recording"] == "run"
+            np.testing.assert_array_equal(results["coefficients"][index], recording.coefficients(index))
+            np.testing.assert_array_equal(results["displacement"][index], recording.displacement(index))
+        assert results["valid"].dtype == np.bool_
+        assert results.attrs["recording"] == "run"
 
 
 def test_the_psf_of_a_flat_pupil_is_known_in_closed_form() -> None:

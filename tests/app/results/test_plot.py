@@ -1,4 +1,4 @@
-"""The picture of a result draws what is known, and says so where nothing is."""
+"""The figure of a result shows its wavefronts, and NaN where they are unknown."""
 
 from __future__ import annotations
 
@@ -6,32 +6,54 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.gui_bench import FIELD, SENSOR
+from matplotlib.figure import Figure
+from support.gui_bench import FIELD
 from support.wavefronts import bowl
 
 from app.results.plot import views_figure
+from reconstruction.arrays import Floats
+from reconstruction.wavefront import rms
+
+
+def maps_and_titles(figure: Figure) -> tuple[list[Floats], list[str]]:
+    """The images in a figure, NaN where they are masked, and the titles of all axes."""
+    images = [axis.images[0].get_array() for axis in figure.axes if axis.images]
+    return [np.ma.filled(each, np.nan) for each in images if each is not None], [
+        each.get_title() for each in figure.axes
+    ]
 
 
 def test_figure_holds_wavefronts_point_spread_functions_and_curves() -> None:
     wavefront = bowl()
     wavefront.views[0, 0] = np.nan
     wavefront.views[1, 1] = 0.0
-    figure = views_figure(wavefront, SENSOR)
-    images = [axis.images[0].get_array() for axis in figure.axes if axis.images]
-    maps = [np.ma.filled(image, np.nan) for image in images if image is not None]
+    figure = views_figure(wavefront)
+    maps, titles = maps_and_titles(figure)
     np.testing.assert_array_equal(np.stack(maps[:9]), wavefront.views.reshape(9, *wavefront.views.shape[2:]))
     assert np.isnan(maps[9]).all()
     flat = maps[9 + 4]
     assert flat[flat.shape[0] // 2, flat.shape[1] // 2] == flat.max() == pytest.approx(1)
-    captions = [axis.get_title() for axis in figure.axes if "Strehl" in axis.get_title()]
+    captions = [title for title in titles if "Strehl" in title]
     assert captions[4] == "(+0.00, +0.00) mm\nStrehl 1.000  peak 1.000"
-    titles = [axis.get_title() for axis in figure.axes]
     assert any(title.startswith("one wavefront for the whole field is off by") for title in titles)
 
 
-def test_nothing_known_and_a_single_view_make_a_picture_too() -> None:
-    single = replace(FIELD, view_rows=1, view_columns=1)
+def test_single_view_is_drawn_with_its_numbers() -> None:
     wavefront = bowl()
-    for views in (wavefront.views * np.nan, wavefront.views):
-        figure = views_figure(replace(wavefront, field=single, views=views[:1, :1]), SENSOR)
-        figure.canvas.draw()
+    single = replace(wavefront, field=replace(FIELD, view_rows=1, view_columns=1), views=wavefront.views[:1, :1])
+    figure = views_figure(single)
+    figure.canvas.draw()
+    (drawn, _), (title, *_) = maps_and_titles(figure)
+    np.testing.assert_array_equal(drawn, wavefront.views[0, 0])
+    assert title == f"(+0.00, +0.00) mm\nRMS {rms(drawn):.3f}  PV {np.nanmax(drawn) - np.nanmin(drawn):.2f} rad"
+
+
+def test_unknown_views_are_drawn_without_numbers() -> None:
+    wavefront = bowl()
+    figure = views_figure(replace(wavefront, views=wavefront.views * np.nan))
+    figure.canvas.draw()
+    maps, titles = maps_and_titles(figure)
+    assert len(maps) == 18
+    assert all(np.isnan(each).all() for each in maps)
+    for numbers in ("RMS nan  PV nan rad", "Strehl nan  peak nan"):
+        assert sum(numbers in title for title in titles) == 9

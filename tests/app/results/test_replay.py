@@ -21,7 +21,7 @@ from app.errors import InputError, Interrupted, RunError
 from app.measurement.measurement import PASSED_OVER, Counts, Measurement
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
-from app.results.replay import results
+from app.results import dataset
 from app.results.replay.run import Replay, replay
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
@@ -277,7 +277,7 @@ def test_a_frame_that_was_passed_over_is_reconstructed_now(eventful: Recording, 
 def test_settings_that_changed_cannot_go_into_one_file(
     eventful: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
-    monkeypatch.setattr(results, "_PIECE", at_once)
+    monkeypatch.setattr(dataset, "_PIECE", at_once)
     with pytest.raises(InputError, match="the settings changed between the frames: choose some that go together"):
         replayed(eventful.folder, out=tmp_path / "r.nc")
     assert not list(tmp_path.iterdir())
@@ -288,14 +288,14 @@ def test_settings_that_changed_cannot_go_into_one_file(
 
 def test_pieces_are_as_good_as_the_whole(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replayed(plain.folder, out=tmp_path / "one.nc", frames=":5")
-    monkeypatch.setattr(results, "_PIECE", 2)
+    monkeypatch.setattr(dataset, "_PIECE", 2)
     replayed(plain.folder, out=tmp_path / "two.nc", frames=":5")
     with xr.open_dataset(tmp_path / "one.nc") as one, xr.open_dataset(tmp_path / "two.nc") as two:
         xr.testing.assert_identical(one, two)
 
 
 def test_ctrl_c_leaves_nothing_half_written(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "_PIECE", 2)
+    monkeypatch.setattr(dataset, "_PIECE", 2)
 
     def interrupt(_text: str, fraction: float) -> None:
         if fraction > 0.7:

@@ -26,13 +26,12 @@ from support.recordings import edit_line, record, replace_pixels
 from app.errors import InputError, RunError
 from app.recording.reader import Recording
 from app.results.export.run import export
-from app.results.replay.change import change_of
+from app.results.replay.run import change_of
 from app.results.report.certainty import draw_certainty
-from app.results.report.comparison import draw_comparison
+from app.results.report.comparison import draw_comparison, residual_of
 from app.results.report.facts import facts
 from app.results.report.layout import Page, one_page
 from app.results.report.overview import draw_overview
-from app.results.report.residual import residual_of
 from app.results.report.run import report_pages
 from app.results.report.summary import Summary, summarise
 from reconstruction.arrays import Floats
@@ -75,7 +74,7 @@ def drawn(page: Page) -> Figure:
 
 
 def certainty(summary: Summary) -> Figure:
-    found = summary.found
+    found = summary.statistics
     assert found is not None
     return drawn(lambda onto: draw_certainty(onto, summary, found))
 
@@ -132,7 +131,7 @@ def beyond_limits(figure: Figure) -> list[Text]:
 
 def test_the_sums_are_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
     export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, progress=lambda *_: None)
-    found = summary.found
+    found = summary.statistics
     assert found is not None
     with xr.open_dataset(tmp_path / "r.nc") as results:
         wavefront, sigma = results["wavefront"].to_numpy(), results["wavefront_sigma"].to_numpy()
@@ -149,7 +148,7 @@ def test_the_sums_are_those_of_the_results(recording: Recording, summary: Summar
 
 def test_the_bar_covers_the_scatter_of_the_rms(small_toml: Path, tmp_path: Path) -> None:
     """It is an upper bound: the RMS scatters by no more (Cauchy and Schwarz), here of 30 frames of one sample."""
-    found = summarise(record(small_toml, tmp_path / "run", frames=30), None, lambda *_: None).found
+    found = summarise(record(small_toml, tmp_path / "run", frames=30), None, lambda *_: None).statistics
     assert found is not None
     assert 0 < found.rms_rad.std() < found.rms_sigma_rad.mean() < 0.05 * found.rms_rad.mean()
 
@@ -184,30 +183,30 @@ def test_the_facts_are_those_of_the_recording(mine: Recording) -> None:
 
 def test_the_first_page_shows_the_mean_of_every_view(summary: Summary) -> None:
     figure = drawn(lambda onto: draw_overview(onto, summary))
-    assert summary.found is not None
-    np.testing.assert_array_equal(maps_of(figure), summary.found.mean.reshape(9, 5, 7))
-    mean = summary.found.mean[2, 1]
+    assert summary.statistics is not None
+    np.testing.assert_array_equal(maps_of(figure), summary.statistics.mean.reshape(9, 5, 7))
+    mean = summary.statistics.mean[2, 1]
     assert f"(+0.00, +0.50) mm\n{np.std(mean):.3f} / {np.ptp(mean):.2f}" in said(figure)
     limits = {axis.images[0].get_clim() for axis in figure.findobj(Axes) if isinstance(axis, Axes) and axis.images}
-    assert limits == {(-np.abs(summary.found.mean).max(), np.abs(summary.found.mean).max())}
+    assert limits == {(-np.abs(summary.statistics.mean).max(), np.abs(summary.statistics.mean).max())}
 
 
 def test_the_second_page_shows_error_bars_and_what_was_lost(summary: Summary, mine: Recording) -> None:
-    assert summary.found is not None
+    assert summary.statistics is not None
     figure = certainty(summary)
     trend = axis_titled(figure, "RMS of the wavefront")
     (bars,) = (each for each in trend.containers if isinstance(each, ErrorbarContainer))
     ends = np.array(bars.lines[2][0].get_segments())[:, :, 1]
-    np.testing.assert_allclose(np.diff(ends)[:, 0], 2 * summary.found.rms_sigma_rad)
-    lost = int((summary.found.lost > 0).sum())
+    np.testing.assert_allclose(np.diff(ends)[:, 0], 2 * summary.statistics.rms_sigma_rad)
+    lost = int((summary.statistics.lost > 0).sum())
     assert axis_titled(figure, f"{lost} of 35 lenslets lost, 0 of them always").get_legend() is not None
     assert f"dark: {lost}" in said(figure)
     assert "frames lost" not in said(figure)
     edit_line(mine, 1, lost=3)
     edit_line(mine, 3, problem="passed over", rms_rad=None)
     other = summarise(Recording(mine.folder), None, lambda *_: None)
-    assert other.found is not None
-    assert len(other.found.frames) == FRAMES  # it was only passed over
+    assert other.statistics is not None
+    assert len(other.statistics.frames) == FRAMES  # it was only passed over
     words = said(certainty(other))
     assert "frames lost" in words
     assert "no live wavefront" in words
@@ -228,7 +227,7 @@ def test_every_page_is_legible(recording: Recording, settings: tuple[str, ...]) 
     problems = summary.problems.copy()
     problems["a sentence that is so long that it has to be broken: " + 20 * "words and more words, "] = 3
     summary = replace(summary, problems=problems)
-    assert summary.found is not None
+    assert summary.statistics is not None
     residual = replace(residual_of(summary, summary), name="$\\nothing$ ^_ " + 60 * "long ")
     assert_legible(drawn(lambda onto: draw_overview(onto, summary)))
     assert_legible(certainty(summary))
@@ -236,18 +235,18 @@ def test_every_page_is_legible(recording: Recording, settings: tuple[str, ...]) 
 
 
 def test_of_many_frames_some_are_made_again(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.results.report.summary._LOOKED_AT", 2)
+    monkeypatch.setattr("app.results.report.summary._SAMPLED_FRAMES", 2)
     summary = summarise(recording, None, lambda *_: None)
-    assert summary.found is not None
-    assert summary.found.frames.tolist() == [0, 3]
-    assert (len(summary.lines), summary.frames_looked_at) == (FRAMES, "2 of 5 frames")
+    assert summary.statistics is not None
+    assert summary.statistics.frames.tolist() == [0, 3]
+    assert (len(summary.lines), summary.sampled_frames) == (FRAMES, "2 of 5 frames")
 
 
 def test_nothing_reconstructed_is_said(mine: Recording, tmp_path: Path) -> None:
     for index in range(FRAMES):
         replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
     summary, _ = reported(mine.folder, tmp_path / "r.pdf")
-    assert summary.found is None
+    assert summary.statistics is None
     figure = drawn(lambda onto: draw_overview(onto, summary))
     assert "no frame has a wavefront" in said(figure)
     assert "5 of them: no lenslet of the frame could be matched" in said(figure)
@@ -311,9 +310,9 @@ def test_a_report_appears_whole_and_replaces_nothing_unasked(
 
 def test_what_is_left_is_the_difference(summary: Summary, mine: Recording) -> None:
     """A plane of slope s on 7 x 5 lenslets has the RMS s sqrt((7^2 - 1) / 12); piston does not count."""
-    assert summary.found is not None
+    assert summary.statistics is not None
     plane = 0.3 * np.arange(7.0) + 5.0
-    other = replace(summary, found=replace(summary.found, mean=summary.found.mean - plane))
+    other = replace(summary, statistics=replace(summary.statistics, mean=summary.statistics.mean - plane))
     residual = residual_of(summary, other)
     np.testing.assert_allclose(residual.rms_rad, 0.3 * np.sqrt((7**2 - 1) / 12))
     np.testing.assert_allclose(residual.views, np.broadcast_to(plane - plane.mean(), residual.views.shape), atol=1e-12)
@@ -326,7 +325,9 @@ def test_what_is_left_is_the_difference(summary: Summary, mine: Recording) -> No
     coarse = change_of(None, ("field.view_rows=1", "field.view_columns=1"))
     with pytest.raises(InputError, match="other views or lenslets"):
         residual_of(summary, summarise(mine, None, lambda *_: None, change=coarse))
-    unknown = replace(summary, found=replace(summary.found, mean=np.full_like(summary.found.mean, np.nan)))
+    unknown = replace(
+        summary, statistics=replace(summary.statistics, mean=np.full_like(summary.statistics.mean, np.nan))
+    )
     with pytest.raises(InputError, match="knows none of the lenslets"):
         residual_of(summary, unknown)
 
