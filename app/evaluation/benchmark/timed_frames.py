@@ -111,7 +111,7 @@ def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFra
     copies = -(-lenslets // sensor.lenslet_rows), -(-lenslets // sensor.lenslet_columns)
     length = lenslets * pitch_px
 
-    def reprocess(image: NDArray[Any], margin: float) -> NDArray[Any]:
+    def repeated(image: NDArray[Any], margin: float) -> NDArray[Any]:
         return np.pad(np.tile(image, copies)[:length, :length], margin_px, constant_values=margin)
 
     offset = float(frames.dark.flat[0])
@@ -120,9 +120,9 @@ def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFra
         frames,
         bench=replace(frames.bench, sensor=replace(sensor, lenslet_rows=lenslets, lenslet_columns=lenslets)),
         lattice=replace(frames.lattice, center_x_px=middle_px, center_y_px=middle_px),
-        dark=reprocess(frames.dark, offset),
-        reference=reprocess(frames.reference, offset),
-        before=reprocess(frames.before, round(offset)),
-        frame=reprocess(frames.frame, round(offset)),
+        dark=repeated(frames.dark, offset),
+        reference=repeated(frames.reference, offset),
+        before=repeated(frames.before, round(offset)),
+        frame=repeated(frames.frame, round(offset)),
         truth=None,
     )
