@@ -1,4 +1,4 @@
-"""What every method of registration finds: how each lenslet's subimage lies with respect to the reference."""
+"""Displacements of the subimages from the reference, the result of every registration method."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ Outcomes = NDArray[np.int8]  # an `Outcome` for every lenslet
 
 
 class Outcome(IntEnum):
-    """What became of a lenslet; all but CONVERGED mean that it yields no slope."""
+    """Result of the registration of a lenslet; only CONVERGED yields a slope."""
 
     CONVERGED = 0
     DARK = 1  # no light in the reference or in the frame
     SATURATED = 2
     DIVERGED = 3
-    LEFT_CELL = 4  # the subimage reaches into the neighbour's cell: beyond the dynamic range
-    OFF_CAMERA = 5  # the lenslet's cell is not wholly on the camera
+    LEFT_CELL = 4  # beyond the dynamic range: the subimage reaches into the neighbour's cell
+    OFF_CAMERA = 5  # the cell is not entirely on the camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacement:
-    """How the subimages of a frame lie with respect to the reference."""
+    """Displacements of all subimages of a frame from the reference."""
 
-    modes: FieldModes  # the T_q in which the displacements are written
+    modes: FieldModes  # T_q
     coefficients: Floats  # c_q, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where not converged
-    covariance: Floats  # px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy); NaN likewise
+    covariance: Floats  # px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy); NaN where not converged
     outcome: Outcomes  # (lenslet_row, lenslet_column)
-    residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN likewise
-    chi_square: Floats  # misfit over what the camera's noise makes, squares; NaN likewise, and where it is not known
-    range_used: Floats  # how far the field's edge is displaced over how far it may be; above 1 only where LEFT_CELL
+    residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN where not converged
+    chi_square: Floats  # reduced; NaN where not converged and where the camera's noise is unknown
+    range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
 
     @property
     def valid(self) -> Mask:
-        """Which lenslets have converged, (lenslet_row, lenslet_column)."""
+        """True for converged lenslets, (lenslet_row, lenslet_column)."""
         return np.asarray(self.outcome == Outcome.CONVERGED)
 
     @property
@@ -57,21 +57,21 @@ class Displacement:
 
 
 def diagonal_covariance(variance: Floats) -> Floats:
-    """Covariance (..., field_mode, xy, field_mode, xy) of coefficients whose errors are independent.
+    """Covariance (..., field_mode, xy, field_mode, xy) of coefficients with independent errors.
 
-    `variance` (..., field_mode, xy) of each, px^2.
+    `variance` (..., field_mode, xy), px^2.
     """
     modes, axes = variance.shape[-2:]
     return np.asarray(variance[..., None, None] * np.eye(modes * axes).reshape(modes, axes, modes, axes))
 
 
 class RegistrationMethod(Protocol):
-    """A method of registration, prepared for one reference."""
+    """A registration method, prepared for one reference."""
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
-        """Compare a frame (row, column), counts above the dark, with the reference.
+        """Register a frame, counts above the dark, (row, column), against the reference.
 
-        `saturated` (row, column) marks the pixels at full scale. `start`, the displacement of a frame not long before,
-        may save time; it does not change the result.
+        `saturated` (row, column) marks pixels at full scale. `start`, from an earlier frame, may save time but does not
+        change the result.
         """
         ...

@@ -1,9 +1,8 @@
-"""Where things are: the sensor, the lattice of its lenslets on the camera, and the field of view.
+"""Geometry of the sensor, of its lenslet lattice on the camera, and of the field of view.
 
-The lattice frame is the frame of the whole instrument: pupil positions (u, v) and field positions (x, y) are
-measured along the lattice's columns and rows, from its middle, in metres. `Lattice` alone says how that frame
-lies on the camera. Every vector has (x, y) as its last axis; every image is [row, column] with pixel centres at
-integers.
+The lattice frame is the frame of the whole instrument: pupil positions (u, v) and field positions (x, y) are measured
+along the lattice's columns and rows, from its middle, in metres. Only `Lattice` knows how that frame lies on the
+camera. Every vector has (x, y) as its last axis; every image is [row, column] with pixel centres at integers.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from reconstruction.arrays import Floats
 
 
 def require(conditions: Mapping[str, bool]) -> None:
-    """Raise `ValueError` with the first sentence whose condition does not hold."""
+    """Raise `ValueError` with the first sentence whose condition is false."""
     for sentence, holds in conditions.items():
         if not holds:
             raise ValueError(sentence)
@@ -57,33 +56,33 @@ class Sensor:
 
     @property
     def lenslet_pitch_px(self) -> float:
-        """The lenslet pitch in camera pixels, as designed; `Lattice.pitch_px` is the measured one."""
+        """Designed lenslet pitch in camera pixels; `Lattice.pitch_px` is the measured one."""
         return self.lenslet_pitch_m / self.pixel_pitch_m
 
     @property
     def slope_per_px(self) -> float:
-        """Wavefront slope (rad/m) that moves the light by one pixel: displacement = (f/k) dphi/du."""
+        """Wavefront slope (rad/m) that displaces the light by one pixel: displacement = (f/k) dphi/du."""
         return self.pixel_pitch_m * self.wavenumber_rad_per_m / self.lenslet_focal_length_m
 
     @property
     def pupil_half_width_m(self) -> tuple[float, float]:
-        """Half the width of the whole lattice along x and along y: where the normalised pupil reaches 1."""
+        """Half the width of the lattice along x and y, where the normalised pupil position is 1."""
         return self.lenslet_columns * self.lenslet_pitch_m / 2, self.lenslet_rows * self.lenslet_pitch_m / 2
 
     @property
     def pupil_x_m(self) -> Floats:
-        """Pupil position of the lenslet columns' centres, (lenslet_column,)."""
+        """Pupil position of the centres of the lenslet columns, (lenslet_column,)."""
         return centered_steps(self.lenslet_columns) * self.lenslet_pitch_m
 
     @property
     def pupil_y_m(self) -> Floats:
-        """Pupil position of the lenslet rows' centres, (lenslet_row,)."""
+        """Pupil position of the centres of the lenslet rows, (lenslet_row,)."""
         return centered_steps(self.lenslet_rows) * self.lenslet_pitch_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lattice:
-    """Where the lenslets lie on the camera; a positive rotation turns +x towards +y."""
+    """Position of the lenslets on the camera; a positive rotation turns +x towards +y."""
 
     center_x_px: float
     center_y_px: float
@@ -101,33 +100,33 @@ class Lattice:
         )
 
     def to_camera_px(self, position_px: Floats) -> Floats:
-        """Turn positions (..., xy) in the lattice frame, in pixels from its middle, into camera positions."""
+        """Camera positions of lattice positions (..., xy), px from the lattice's middle."""
         cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         turn = np.array([[cosine, sine], [-sine, cosine]])
         return np.asarray(position_px @ turn + [self.center_x_px, self.center_y_px])
 
     def from_camera_px(self, position_px: Floats) -> Floats:
-        """Turn camera positions (..., xy) into positions in the lattice frame, in pixels from its middle."""
+        """Lattice positions, px from the lattice's middle, of camera positions (..., xy)."""
         cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
         turn_back = np.array([[cosine, -sine], [sine, cosine]])
         return np.asarray((position_px - [self.center_x_px, self.center_y_px]) @ turn_back)
 
     def lenslet_centers_px(self, lenslet_rows: int, lenslet_columns: int) -> Floats:
-        """Camera position of every lenslet's centre, (lenslet_row, lenslet_column, xy)."""
+        """Camera positions of the lenslet centres, (lenslet_row, lenslet_column, xy)."""
         y, x = np.meshgrid(centered_steps(lenslet_rows), centered_steps(lenslet_columns), indexing="ij")
         return self.to_camera_px(np.stack([x, y], axis=-1) * self.pitch_px)
 
 
 def nominal_lattice(sensor: Sensor, rows: int, columns: int) -> Lattice:
-    """The lattice as designed, in the middle of a frame of rows x columns pixels."""
+    """The designed lattice, centred on a frame of rows x columns pixels."""
     return Lattice(center_x_px=(columns - 1) / 2, center_y_px=(rows - 1) / 2, pitch_px=sensor.lenslet_pitch_px)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
-    """The field of view in the front focal plane of the collimator, and the views of it that are shown.
+    """Field of view in the front focal plane of the collimator, and its views.
 
-    A square field has Legendre, a circular one Zernike modes; `half_width_m` is half the square's side, or the radius.
+    A square field has Legendre modes, a circular one Zernike modes; `half_width_m` is half the side, or the radius.
     """
 
     collimator_focal_length_m: float
@@ -161,25 +160,25 @@ class Field:
         return centered_steps(self.view_rows) * self.view_spacing_m
 
     def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Whether normalised positions lie in the field, its edge included."""
+        """True for normalised positions inside the field, edge included."""
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         reach = np.hypot(x, y) if self.shape == "circle" else np.maximum(np.abs(x), np.abs(y))
         return np.asarray(reach <= 1 + 1e-9)
 
     @property
     def outline(self) -> Floats:
-        """Eight normalised positions around the field's edge and its middle, (9, xy)."""
+        """Eight normalised positions around the field's edge, and its middle, (9, xy)."""
         if self.shape == "square":
             return np.array([(x, y) for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)])
         angle = np.arange(8) * math.pi / 4
         return np.concatenate([np.zeros((1, 2)), np.stack([np.cos(angle), np.sin(angle)], axis=-1)])
 
     def half_width_px(self, sensor: Sensor) -> float:
-        """Half the width of the field as each lenslet images it: x_o f / f1, in pixels."""
+        """Half the width of the field in a subimage: half_width f / f1, in pixels."""
         magnification = sensor.lenslet_focal_length_m / self.collimator_focal_length_m
         return self.half_width_m * magnification / sensor.pixel_pitch_m
 
 
 def centered_steps(count: int) -> Floats:
-    """`count` whole steps about zero: -1, 0, 1 for three; -0.5, 0.5 for two."""
+    """`count` integers steps centred on zero: -1, 0, 1 for three; -0.5, 0.5 for two."""
     return np.arange(count, dtype=np.float64) - (count - 1) / 2

@@ -1,9 +1,9 @@
-"""Refinement: what the geometric picture gets wrong, found by a forward model and taken away (defect correction).
+"""Refinement: subtracts the estimator's bias, found with a forward model (defect correction).
 
-A frame is simulated from the estimated wavefront and registered against the model's own reference, in the same way as
-the camera's frame. By how much the displacements that come out differ from the mean gradients that went in is the
-bias of the estimator at this wavefront. It is taken from the measured displacements, and the wavefront estimated
-anew. Because only a difference is used, the model may be coarse; it is given, and not known here.
+The model renders a frame of the estimated wavefront, which is registered against the model's own reference. The
+displacements found, minus the true mean gradients, are the estimator's bias at this wavefront. It is subtracted from
+the measured displacements, and the wavefront is estimated again. Only a difference enters, so that the model may be
+coarse.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from reconstruction.wavefront import Wavefront, rms
 
 PointPhase: TypeAlias = Callable[[float, float], Image]
 
-_IMPROVES = 0.6  # a round that changes the wavefront by more than this part of what the one before did ends it
-_SETTLED_RAD = 1e-3  # a change that nobody sees
+_IMPROVES = 0.6  # stop if a round changes the wavefront by more than this fraction of the previous change
+_SETTLED_RAD = 1e-3  # stop below this change
 
 
 class ImagingModel(Protocol):
-    """A forward model of the bench: the images that its camera would take."""
+    """Forward model of the bench, supplied by the caller."""
 
-    sample_x_m: Floats  # pupil positions at which a phase is asked for: all combinations of these ...
+    sample_x_m: Floats  # pupil positions of the phase samples: all combinations of these ...
     sample_y_m: Floats  # ... and these
 
     def image(self, phase: PointPhase | None) -> Image:
-        """Image (row, column) of the source behind `phase`, or the reference.
+        """Image (row, column) of the source behind `phase`; the reference if it is None.
 
-        phase(x_m, y_m) is that of the object point (x, y) at the pupil samples, (sample_y, sample_x), rad.
+        phase(x_m, y_m) is the phase that the object point (x, y) sees at the pupil samples, (sample_y, sample_x), rad.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bias:
-    """What the estimator gets wrong at one wavefront."""
+    """Systematic error of the estimator at one wavefront."""
 
     displacement: Floats  # measured minus true, px, (lenslet_row, lenslet_column, field_mode, xy)
-    views: Floats  # that wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column)
+    views: Floats  # the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,26 +56,26 @@ class Round:
 
     wavefront: Wavefront
     bias: Bias
-    change_rad: float  # mean over the views of the RMS by which the round changed the wavefront
+    change_rad: float  # mean over the views of the RMS change
 
 
 class Refinement:
-    """Refines the wavefronts of one reconstructor with the model of its bench, whose reference is prepared once."""
+    """Refines one reconstructor's wavefronts; the model's reference is rendered and prepared once."""
 
     def __init__(self, reconstructor: Reconstructor, model: ImagingModel) -> None:
         self._reconstructor, self._model = reconstructor, model
         reference = model.image(None)
-        self._register = reconstructor.against(reference)
+        self._register = reconstructor.registration_for(reference)
         self._unsaturated = np.zeros(reference.shape, np.bool_)
         modes = pupil_modes(reconstructor.sensor, "legendre", None)
         self._gradients = modes.gradients  # (pupil_mode, lenslet_row, lenslet_column, xy), 1/m
         self._fit = ModalSolver(
             modes, reconstructor.whitening, is_smooth=True
-        )  # the model wants phases between the lenslets, zonal or modal
+        )  # the model needs phases between the lenslets
         self._phase_at = PupilGrid(modes, reconstructor.sensor, model.sample_x_m, model.sample_y_m)
 
     def bias(self, wavefront: Wavefront) -> Bias:
-        """Find the bias at a wavefront: one image of the model and its registration."""
+        """Find the bias at a wavefront: one rendered image and its registration."""
         displacement, per_px = wavefront.displacement, self._reconstructor.sensor.slope_per_px
         coefficients = self._fit(
             displacement.coefficients * per_px,
@@ -86,11 +86,11 @@ class Refinement:
         image = self._model.image(self._phase(coefficients, displacement.modes))
         found = self._register(image, saturated=self._unsaturated)
         true_px = np.einsum("prcx,pq->rcqx", self._gradients, coefficients, optimize=True) / per_px
-        # A lenslet that the model's image loses keeps what was measured.
+        # A lenslet lost in the model's image is left uncorrected.
         return Bias(np.where(found.valid[..., None, None], found.coefficients - true_px, 0.0), wavefront.views)
 
     def rounds(self, displacement: Displacement, most: int) -> Iterator[Round]:
-        """Refine displacements in at most so many rounds; fewer, when they no longer improve."""
+        """Refine displacements in at most `most` rounds; stop when they no longer improve."""
         wavefront, before_rad = self._reconstructor.solve(displacement), np.inf
         for _ in range(most):
             bias = self.bias(wavefront)
@@ -113,12 +113,12 @@ class Refinement:
 
 
 def distance_rad(one: Floats, other: Floats) -> float:
-    """Mean over the views of the RMS difference of two wavefronts (view_row, view_column, row, column), rad."""
+    """Mean over the views of the RMS difference of wavefronts (view_row, view_column, row, column), rad."""
     return mean_rms(one - other)
 
 
 def mean_rms(views: Floats) -> float:
-    """Mean over the known views of their RMS (view_row, view_column, row, column), rad; NaN when none is known."""
+    """Mean over the known views of the RMS (view_row, view_column, row, column), rad; NaN if none is known."""
     each = rms(views)
     known = np.isfinite(each)
     return float(np.mean(each[known])) if known.any() else np.nan

@@ -1,4 +1,4 @@
-"""The result: the wavefront at every position of the field, with its error bars."""
+"""The wavefront at every field position, with its error bars."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from reconstruction.solve.modal import ModalSolution
 
 
 class Solution(Protocol):
-    """What zonal and modal reconstruction leave behind: the wavefront of any combination of field modes."""
+    """Result of zonal or modal reconstruction: the wavefront of any combination of field modes."""
 
     def wavefront(self, field_modes: Floats) -> Floats:
-        """Wavefront, rad, without piston, where the field modes T_q have the values `field_modes` (..., field_mode).
+        """Wavefront, rad, without piston, (..., lenslet_row, lenslet_column); NaN where unknown.
 
-        Shape (..., lenslet_row, lenslet_column); NaN where nothing is known.
+        `field_modes` (..., field_mode): values of the field modes T_q at the field positions.
         """
         ...
 
@@ -33,13 +33,13 @@ class Solution(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wavefront:
-    """What one frame says about the wavefront at every position of the field."""
+    """Wavefront of one frame at every field position."""
 
     sensor: Sensor
     field: Field
     displacement: Displacement
     solution: Solution
-    views: Floats  # of each view, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN outside the field
+    views: Floats  # rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown or outside the field
 
     @classmethod
     def of(cls, sensor: Sensor, field: Field, displacement: Displacement, solution: Solution) -> Self:
@@ -52,11 +52,22 @@ class Wavefront:
         return self.solution.coefficients if isinstance(self.solution, ModalSolution) else None
 
     def sigma(self) -> Floats:
-        """Standard deviation of each view's wavefront, rad, the shape of `views`; takes some milliseconds."""
+        """Standard deviation of `views`, rad, the same shape; takes some milliseconds."""
         return _at_views(self.field, self.displacement, self.solution.sigma)
 
     def at(self, x_m: float, y_m: float) -> Floats:
-        """Wavefront at the field position (x, y) in m, at the lenslet centres: (lenslet_row, lenslet_column), rad."""
+        """Wavefront at one field position, rad, (lenslet_row, lenslet_column), without piston; NaN where unknown.
+
+        Parameters
+        ----------
+        x_m, y_m : float
+            Field position.
+
+        Raises
+        ------
+        ValueError
+            If it lies outside the field.
+        """
         x, y = x_m / self.field.half_width_m, y_m / self.field.half_width_m
         if not self.field.contains(x, y):
             raise ValueError(f"({x_m:g}, {y_m:g}) m lies outside the field of +-{self.field.half_width_m:g} m")
@@ -64,31 +75,30 @@ class Wavefront:
 
 
 def without_piston(phase: Floats) -> Floats:
-    """The wavefronts (..., lenslet_row, lenslet_column) minus the mean of each, NaN left out."""
+    """Subtract the mean of each wavefront (..., lenslet_row, lenslet_column), ignoring NaN."""
     return phase - _mean(phase)[..., None, None]
 
 
 def rms(phase: Floats) -> Floats:
-    """Root mean square about the mean of each wavefront (..., lenslet_row, lenslet_column), NaN left out: (...)."""
+    """RMS about the mean of each wavefront (..., lenslet_row, lenslet_column), ignoring NaN: (...)."""
     return np.sqrt(_mean(without_piston(phase) ** 2))
 
 
 def peak_to_valley(phase: Floats) -> Floats:
-    """Highest minus lowest value of each wavefront (..., lenslet_row, lenslet_column), NaN left out: (...)."""
+    """Peak to valley of each wavefront (..., lenslet_row, lenslet_column), ignoring NaN: (...)."""
     highest = np.max(phase, axis=(-2, -1), initial=-np.inf, where=~np.isnan(phase))
     lowest = np.min(phase, axis=(-2, -1), initial=np.inf, where=~np.isnan(phase))
     return np.where(highest >= lowest, highest - lowest, np.nan)
 
 
 def _mean(values: Floats) -> Floats:
-    """Mean over the lenslets, NaN left out; NaN when nothing is left."""
     known = ~np.isnan(values)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sum(values, axis=(-2, -1), where=known) / np.count_nonzero(known, axis=(-2, -1)))
 
 
 def _at_views(field: Field, displacement: Displacement, evaluate: Callable[[Floats], Floats]) -> Floats:
-    """Evaluate a function of the field modes at the views, NaN outside the field."""
+    """Evaluate a function of the field modes at the views; NaN outside the field."""
     field_modes, is_inside = _modes_at_views(field, displacement.modes)
     values = evaluate(field_modes)
     values[~is_inside] = np.nan
@@ -97,6 +107,6 @@ def _at_views(field: Field, displacement: Displacement, evaluate: Callable[[Floa
 
 @lru_cache(maxsize=16)
 def _modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Mask]:
-    """The field modes at the views (view_row, view_column, field_mode), and which views lie in the field."""
+    """Field modes at the views (view_row, view_column, field_mode), and the views inside the field."""
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])

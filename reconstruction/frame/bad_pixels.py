@@ -26,19 +26,9 @@ _FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16
 
 
 def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None) -> Mask:
-    """Find dead and hot pixels.
+    """Find dead and hot pixels in a reference and optionally its dark (row, column), counts: bool (row, column).
 
     Conservative: a pixel is bad only if neither a diffraction-limited image nor noise can explain it.
-
-    Parameters
-    ----------
-    reference : (row, column)
-        Frame without the sample, counts.
-    dark : (row, column), optional
-
-    Returns
-    -------
-    bad : bool (row, column)
     """
     light = np.asarray(reference, np.float64) - (0 if dark is None else np.asarray(dark, np.float64))
     background, peak = np.percentile(light, (_BACKGROUND_PERCENT, _PEAK_PERCENT))
@@ -67,10 +57,7 @@ def _stands_out(image: Floats) -> Mask:
 
 
 def repaired(light: NDArray[Any], bad: Mask) -> Image:
-    """Copy of an image (row, column) with bad pixels replaced by the mean of their good neighbours.
-
-    Otherwise the spline would spread a bad value over many pixels.
-    """
+    """Copy of an image (row, column), its bad pixels replaced by good neighbours, lest a spline spread them."""
     row, column = np.nonzero(bad)
     if not row.size:
         return light

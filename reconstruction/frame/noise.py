@@ -18,21 +18,11 @@ _BINS = 40  # of light, with equally many pixels
 
 @dataclass(frozen=True, slots=True)
 class CameraNoise:
-    """Shot noise, amplified by the electron-multiplying register if there is one, and read noise.
+    """Shot noise, amplified by the electron-multiplying register if there is one, and read noise."""
 
-    Parameters
-    ----------
-    counts_per_electron : float
-        Counts per photoelectron, including the register's gain.
-    read_noise_counts : float
-        Standard deviation of a dark pixel.
-    excess_noise : float
-        Factor F^2 by which the register raises the shot-noise variance: 2 at high gain, 1 without gain.
-    """
-
-    counts_per_electron: float
-    read_noise_counts: float
-    excess_noise: float = 1.0
+    counts_per_electron: float  # per photoelectron, including the register's gain
+    read_noise_counts: float  # standard deviation of a dark pixel
+    excess_noise: float = 1.0  # F^2, factor of the register on the shot-noise variance: 2 at high gain
 
     def __post_init__(self) -> None:
         require(
@@ -63,16 +53,14 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
     Parameters
     ----------
     mean, variance : (row, column)
-        Of each pixel over the frames: counts above the dark, and counts^2.
-    frames : int
-        Number of frames averaged.
+        Of each pixel over the `frames`, counts above the dark and counts^2.
     dark_variance : (row, column)
-        The same variance without light, counts^2.
+        The same without light, counts^2.
 
     Returns
     -------
     CameraNoise or None
-        With an excess noise of 1, which the slope includes. None if there are too few frames or too little light.
+        None if there are too few frames or too little light.
     """
     if frames < _FEWEST_FRAMES:
         return None

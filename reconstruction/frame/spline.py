@@ -29,10 +29,7 @@ _STRIP = 64  # rows; fixed, so that the result does not depend on the number of 
 
 
 def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) -> Image:
-    """B-spline coefficients of an image (row, column), mirrored at its borders.
-
-    The result does not depend on `threads`, which only large images use.
-    """
+    """B-spline coefficients of an image (row, column), mirrored at its borders; the same for any number of threads."""
     light = np.require(image, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     coefficients = np.empty(light.shape, np.float32)
     threads = 1 if light.size < _SHARED_FROM_PX else threads
@@ -46,20 +43,7 @@ def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) 
 
 
 def sample(coefficients: Image, position_px: Floats) -> tuple[Floats, Floats]:
-    """Interpolate an image given by its spline coefficients.
-
-    Parameters
-    ----------
-    coefficients : (row, column)
-    position_px : (..., xy)
-        Inside the image.
-
-    Returns
-    -------
-    values : (...)
-    gradients : (..., xy)
-        Per pixel.
-    """
+    """Interpolate at positions (..., xy) inside the image: values (...) and gradients (..., xy) per pixel."""
     values, gradients = np.empty(position_px.shape[:-1]), np.empty(position_px.shape)
     flat, flat_values, flat_gradients = position_px.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2)
     for first in range(0, len(flat), _CHUNK):
@@ -112,7 +96,7 @@ def _noise_power_table() -> tuple[Floats, Floats]:
 
 
 def _weights(t: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
-    """B-spline weights of the four neighbours at the fraction t of a pixel, and their derivatives."""
+    """B-spline weights of four neighbours at the pixel fraction t, and their derivatives."""
     s = 1.0 - t
     weights = (s**3 / 6, 2 / 3 - t**2 + t**3 / 2, 2 / 3 - s**2 + s**3 / 2, t**3 / 6)
     slopes = (-(s**2) / 2, -2 * t + 1.5 * t**2, 2 * s - 1.5 * s**2, t**2 / 2)
@@ -120,7 +104,6 @@ def _weights(t: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
 
 
 def _mirrored(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """Reflect indices about the first and last pixel, as the prefilter does."""
     index = np.abs(index)
     return (count - 1) - np.abs((count - 1) - index)
 
@@ -172,7 +155,6 @@ def _convolve(line: Image, row: Image) -> None:
 
 @compiled
 def _mirrored_index(index: int, count: int) -> int:
-    """Reflect an index about the first and the last of `count`, repeatedly if necessary."""
     if count == 1:
         return 0
     index = abs(index) % (2 * count - 2)

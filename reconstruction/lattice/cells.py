@@ -1,9 +1,9 @@
-"""The cells of a lattice cut out of a frame, and how the light of each compares with that of all."""
+"""Cells of a lattice: cutting them out of a frame, comparing them, and subtracting the light between them."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,36 +13,39 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.geometry import Lattice, centered_steps
 
 _FEWEST_SAMPLES = 16  # across a cell
-_BEYOND_PX = 1.0  # how far a cell that counts as whole may reach beyond the frame, or one beside it onto the frame
-_SIGNIFICANT = 4.0  # standard deviations of its brightness by which a lit cell stands out of the noise
+_BEYOND_PX = 1.0  # tolerance: a complete cell may reach so far beyond the frame
+_SIGNIFICANT = 4.0  # standard deviations of its brightness by which a lit cell exceeds the noise
+_DARKEST_PERCENT = 10.0  # percentile of a cell's pixels taken as background
+_PASSES = 3
+_DAMPING = 1e-3  # prefers the images' own light to a background where both fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """The N cells of a lattice that lie whole on a frame, each at a whole number of pitches from the centre."""
+    """The N cells of a lattice that lie entirely on a frame, a whole number of pitches from the centre each."""
 
-    index: NDArray[np.intp]  # so many, (N, xy)
+    index: NDArray[np.intp]  # position in pitches, (N, xy)
     light: Image  # S x S samples over each cell, (N, S, S)
 
     @property
     def steps(self) -> Floats:
-        """Where a cell's samples lie, in pitches from its middle, (S,)."""
+        """Sample positions in a cell, in pitches from its middle, (S,)."""
         samples = self.light.shape[-1]
         return np.asarray(centered_steps(samples) / samples)
 
     def harmonics(self) -> NDArray[np.complex128]:
-        """First Fourier harmonic of the light of each cell along x and y, (N, xy).
+        """First Fourier harmonic of each cell's light along x and y, (N, xy).
 
-        Its phase over 2 pi is how far, in pitches, the light lies from the cell's middle.
+        Its phase over 2 pi is the offset of the light from the cell's middle, in pitches.
         """
         wave = np.exp(2j * np.pi * self.steps)
         return np.stack([self.light.sum(axis=1) @ wave, self.light.sum(axis=2) @ wave], axis=-1)
 
 
 def cell_index(lattice: Lattice, shape: tuple[int, int], *, partial: bool = False) -> NDArray[np.intp]:
-    """Which cells, in whole pitches from the centre, lie whole on a frame of that shape (row, column): (N, xy).
+    """Cells, in whole pitches from the centre, that lie entirely on a frame of that shape (row, column): (N, xy).
 
-    Or, with `partial`, those that lie on it only in part.
+    With `partial`, those that lie on it only in part.
     """
     last = np.array(shape[::-1]) - 1
     outline_px = np.array([[0, 0], [last[0], 0], [0, last[1]], last], np.float64)
@@ -58,7 +61,7 @@ def cell_index(lattice: Lattice, shape: tuple[int, int], *, partial: bool = Fals
 
 
 def cut(coefficients: Image, lattice: Lattice) -> Cells:
-    """Cut all whole cells out of a frame given by its spline coefficients (row, column)."""
+    """Cut all complete cells out of a frame given by its spline coefficients (row, column)."""
     index = cell_index(lattice, coefficients.shape)
     samples = max(_FEWEST_SAMPLES, 2 * math.ceil(lattice.pitch_px / 2))
     if not len(index):
@@ -82,24 +85,24 @@ def cut(coefficients: Image, lattice: Lattice) -> Cells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellMatch:
-    """How each of N cells compares with the typical one."""
+    """Comparison of N cells with the typical cell."""
 
     typical: Floats  # light of a lit cell, its mean 0, (S, S)
     brightness: Floats  # of each cell over the typical one's, (N,)
     is_lit: Mask  # (N,)
     likeness: Floats  # correlation with the typical cell, (N,)
-    displacement: Floats  # of a cell's light from where the typical cell has its own, in pitches, (N, xy)
+    displacement: Floats  # from the light of the typical cell, in pitches, (N, xy)
 
 
 def match_cells(cells: Cells, *, lit_fraction: float, brightest: int) -> CellMatch:
-    """Compare every cell with the typical one: the median of the lit ones, all made equally bright.
+    """Compare every cell with the typical one, the median of the lit cells scaled to equal brightness.
 
-    A cell is lit when it has `lit_fraction` of the light of the `brightest`-th cell, and more than noise may show.
+    A cell is lit if it has `lit_fraction` of the light of the `brightest`-th cell, and significantly more than noise.
     """
     light = cells.light - cells.light.mean(axis=(1, 2), keepdims=True, dtype=np.float32)
     flat = light.reshape(len(light), -1)
     typical = flat.mean(axis=0)
-    for combine in (np.mean, np.median):  # the mean is enough to tell which cells are lit
+    for combine in (np.mean, np.median):  # the mean suffices to decide which cells are lit
         brightness, is_lit, _ = _matched(flat, typical, lit_fraction, brightest)
         if not is_lit.any():
             break
@@ -116,7 +119,7 @@ def match_cells(cells: Cells, *, lit_fraction: float, brightest: int) -> CellMat
 
 
 def _matched(flat: Image, typical: Image, lit_fraction: float, brightest: int) -> tuple[Floats, Mask, Floats]:
-    """Brightness of cells (N, S S) over the typical one's, which are lit, and their correlation with it."""
+    """Brightness of cells (N, S S) over the typical one, which are lit, and their correlation with it."""
     power = max(float(typical @ typical), float(np.finfo(np.float32).tiny))
     brightness = np.asarray(flat @ typical / power, np.float64)
     whole = np.einsum("ns,ns->n", flat, flat, dtype=np.float64)
@@ -125,3 +128,57 @@ def _matched(flat: Image, typical: Image, lit_fraction: float, brightest: int) -
     is_lit = (brightness > enough) & (brightness > _SIGNIFICANT * unlike)
     likeness = brightness * np.sqrt(power / np.where(whole > 0, whole, np.inf), dtype=np.float64)
     return brightness, np.asarray(is_lit), np.asarray(likeness)
+
+
+def rough_background(light: Image, pitch_px: int) -> Image:
+    """Quadratic surface (row, column) through the darkest pixels of every square of one pitch."""
+    rows, columns = (length // pitch_px for length in light.shape)
+    squares = light[: rows * pitch_px, : columns * pitch_px].reshape(rows, pitch_px, columns, pitch_px)
+    darkest = np.percentile(squares, _DARKEST_PERCENT, axis=(1, 3))
+    y, x = (((np.arange(count) + 0.5) * pitch_px - 0.5) for count in (rows, columns))
+    y, x = (2 * where / length - 1 for where, length in zip((y, x), light.shape, strict=True))
+    terms = _quadratic(*np.meshgrid(x, y))
+    surface, *_ = np.linalg.lstsq(terms.reshape(-1, 6), darkest.ravel(), rcond=None)
+    constant, along_x, along_y, xx, xy, yy = surface
+    y, x = (2 * np.arange(length) / length - 1 for length in light.shape)
+    by_row, by_column = constant + along_y * y + yy * y**2, along_x * x + xx * x**2
+    return np.asarray(by_row[:, None] + by_column + xy * np.outer(y, x), np.float32)
+
+
+def without_background(cells: Cells, brightness: Floats) -> Cells:
+    """Subtract a smooth background from cells whose images have about that relative `brightness`, (N,).
+
+    Where images almost touch, part of the darkest light in a cell is their own; it grows with their brightness and
+    stays.
+    """
+    size = max(float(np.abs(cells.index).max()), 1.0)
+    x, y = cells.index.T / size
+    brightness = _image_brightness(cells, brightness)
+    terms = np.concatenate([brightness[:, None], _quadratic(x, y)], axis=1)
+    damping = np.diag(np.sqrt(_DAMPING * len(terms)) * np.array([0, 0, 1, 1, 1, 1, 1]))
+    solution = np.linalg.pinv(np.concatenate([terms, damping]))[:, : len(terms)]
+    steps = cells.steps / size
+    x, y = x[:, None] + steps, y[:, None] + steps  # (N, S)
+    for _ in range(_PASSES):  # with a sloping background, the darkest pixels are not those between the images
+        darkest = np.percentile(cells.light, _DARKEST_PERCENT, axis=(1, 2))
+        constant, along_x, along_y, xx, xy, yy = (solution @ darkest)[1:]
+        by_row, by_column = constant + along_y * y + yy * y**2, along_x * x + xx * x**2
+        background = by_row[:, :, None] + by_column[:, None] + xy * y[:, :, None] * x[:, None]
+        cells = replace(cells, light=np.asarray(cells.light - background, np.float32))
+    return cells
+
+
+def _image_brightness(cells: Cells, brightness: Floats) -> Floats:
+    """Relative brightness of the cells, (N,), unaffected by light that is constant or linear over a cell."""
+    steps = cells.steps
+    linear = np.stack([np.ones((len(steps),) * 2), *np.meshgrid(steps, steps)]).reshape(3, -1).astype(np.float32)
+    light = cells.light.reshape(len(cells.light), -1)
+    light = np.asarray(light - (light @ np.linalg.pinv(linear)) @ linear)
+    typical = brightness @ light
+    power = max(float(typical @ typical), float(np.finfo(np.float32).tiny))
+    return np.asarray(light @ typical * (brightness @ brightness) / power)
+
+
+def _quadratic(x: Floats, y: Floats) -> Floats:
+    """Powers of x and y (...) up to the second, (..., 6)."""
+    return np.stack([np.ones_like(x), x, y, x**2, x * y, y**2], axis=-1)

@@ -1,7 +1,8 @@
-"""The lattice that the light of the cells lies on: pitch, rotation and centre, to a small part of a pixel."""
+"""Fit of pitch, rotation and centre to the light of the cells, and tests of whether the lattice is real."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,41 +11,49 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Lattice
-from reconstruction.lattice.background import rough_background, without_background
-from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells
-from reconstruction.lattice.spectrum import REACH
+from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells, rough_background, without_background
+from reconstruction.lattice.spectrum import REACH, Peak
 
 LIT_FRACTION = 0.1  # of the light of a bright cell
 _TO_PITCHES = 1 / (2 * np.pi)
 _ROUGH_ROUNDS, _FINE_ROUNDS = 3, 2
 _REWEIGHTINGS = 5
-_OUTLYING = 4.685  # standard deviations at which a cell no longer counts (Tukey's biweight, 95 % efficient)
+_OUTLYING = 4.685  # standard deviations beyond which a cell has no weight (Tukey's biweight, 95 % efficient)
 _FINEST = 1e-6  # pitches; a smaller scatter is rounding
 _TYPICAL = 1.4826  # standard deviation of normal noise over its median magnitude
 _FEWEST = 2  # lit cells
 _NOTHING = 1e-30
-SMALLEST_PITCH_PX = 8.0  # that `Lattice` allows
-_STRIP = 1 / 32  # of a pitch: strips so wide tell a cell's edge from its middle
+SMALLEST_PITCH_PX = 8.0  # limit of `Lattice`
+_STRIP = 1 / 32  # of a pitch, width of the strips at the edge and in the middle of a cell
+_CONTRAST = 5e-3  # of the typical cell over the frame's range of light; smooth frames have only rounding errors
+_RANGE_PERCENT = (0.5, 99.5)  # percentiles of that range
+_OUTSTANDING = 4.0  # height of a spectral peak over the median
+_ONE_SIDED = 8.0  # ratio of the two peaks
+_AGREEMENT = 0.5  # of the phases of the cells' harmonics; noise has about 1 / sqrt(cells)
+_ALIKE = 0.5  # correlation of the mean cells of two halves of the frame; noise has about 0
+_REPEATED = 0.98  # share of the power of the typical cell in every second (third, fifth) harmonic if it repeats itself
+_SCATTER = 0.1  # RMS distance of the cells' light from the lattice, in pitches
+_FEWEST_LIT = 3  # lit lenslets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A lattice whose centre is a lenslet's, and its cells."""
+    """A lattice centred on a lenslet, and its cells."""
 
     lattice: Lattice
     cells: Cells
     match: CellMatch
-    agreement: Floats  # of the harmonics of all cells, 1 where they have one phase; along x and y
-    off_lattice: Floats  # where each cell's light lies beside the lattice, in pitches, (N, xy)
+    agreement: Floats  # of the phases of the cells' harmonics, 1 if equal, (xy,)
+    off_lattice: Floats  # distance of each cell's light from the lattice, in pitches, (N, xy)
 
 
 def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
-    """Fit the lattice to the light of a frame (row, column), from a pitch and a rotation that are roughly right.
+    """Fit the lattice to the light of a frame (row, column), starting from a rough pitch and rotation.
 
-    A lenslet's centre is where the first harmonic of the light of all cells, along x and along y, has phase 0: the
-    middle of a symmetric image. The phase is 180 degrees instead where that puts less light on the edges of the cells,
-    as with a ring. At least `brightest` lenslets should be lit. None where the frame holds no 2 x 2 cells or no two of
-    them are lit, or where the fit leaves the pitch it started from.
+    A lenslet's centre is where the first harmonic of the light of all cells has phase 0 along x and y: the middle of a
+    symmetric image. The phase is 180 degrees instead if that puts less light on the edges of the cells, as with a ring.
+    At least `brightest` lenslets should be lit. None if there are no 2 x 2 cells, fewer than two are lit, or the fit
+    leaves the start's pitch.
     """
     coefficients = spline_coefficients(light - rough_background(light, round(start.pitch_px)))
     lattice, sign = start, np.ones(2)
@@ -53,7 +62,9 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
         if not _fills_both_axes(cells):
             return None
         harmonics = sign * _evened(cells.harmonics(), brightest)
-        growth = _growth(cells.index, harmonics) if rough_round else (0.0, 0.0)  # the cells must hold whole images
+        growth = (
+            _growth(cells.index, harmonics) if rough_round else (0.0, 0.0)
+        )  # the cells must hold complete images first
         lattice = _moved(lattice, np.angle(harmonics.sum(axis=0)) * _TO_PITCHES, *growth)
         if not rough_round:
             sign = _sign(cut(coefficients, lattice))
@@ -85,17 +96,14 @@ def _fills_both_axes(cells: Cells) -> bool:
 
 
 def _evened(harmonics: NDArray[np.complex128], brightest: int) -> NDArray[np.complex128]:
-    """Let no cell's harmonics (N, xy) count more than those of the `brightest`-th do: one may be a reflection."""
+    """Limit the harmonics of cells (N, xy) to those of the `brightest`-th, because one may be a reflection."""
     size = np.abs(harmonics)
     most = np.sort(size, axis=0)[-min(brightest, len(size))]
     return np.asarray(harmonics * np.minimum(1, most / np.maximum(size, _NOTHING)))
 
 
 def _growth(index: NDArray[np.intp], harmonics: NDArray[np.complex128]) -> tuple[float, float]:
-    """How the phase of the harmonics (N, xy) grows from cell to cell: the lattice's relative stretch, and its turn.
-
-    Neighbours are compared, so that the lattice may be wrong by almost half a pitch from each cell to the next.
-    """
+    """Relative stretch and turn of the lattice, from the phase differences of the harmonics (N, xy) of neighbours."""
     first = index.min(axis=0)
     columns, rows = index.max(axis=0) - first + 1
     grid = np.zeros((rows, columns, 2), np.complex128)
@@ -107,7 +115,7 @@ def _growth(index: NDArray[np.intp], harmonics: NDArray[np.complex128]) -> tuple
 
 
 def _sign(cells: Cells) -> Floats:
-    """Return -1 along x or y where the light of all cells is less in the middle of a cell than on its edges, else 1."""
+    """-1 along x or y if the cells have less light in the middle than on the edges, else 1."""
     light = cells.light.mean(axis=0, dtype=np.float64)
     distance = np.abs(cells.steps)
     edge, middle = distance > distance.max() - _STRIP, distance < distance.min() + _STRIP
@@ -116,10 +124,7 @@ def _sign(cells: Cells) -> Floats:
 
 
 def _similarity(index: NDArray[np.intp], displacement: Floats, weight: Floats) -> tuple[Floats, float, float, Floats]:
-    """Fit a move, a stretch and a turn to displacements (N, xy), in pitches; those far from the others do not count.
-
-    Returns them and what is left, (N, xy).
-    """
+    """Robust fit of a move, a stretch and a turn to displacements (N, xy), in pitches; also the residuals."""
     counts = weight
     for _ in range(_REWEIGHTINGS):
         counts = counts / counts.sum()
@@ -138,7 +143,7 @@ def _similarity(index: NDArray[np.intp], displacement: Floats, weight: Floats) -
 
 
 def _moved(lattice: Lattice, move: Floats, stretch: float = 0.0, turn: float = 0.0) -> Lattice:
-    """Move the lattice by `move` (xy), in pitches along its own axes, stretch it and turn it."""
+    """Move the lattice by `move` (xy), in pitches along its axes, then stretch and turn it."""
     x_px, y_px = lattice.to_camera_px(move * lattice.pitch_px)
     return Lattice(
         center_x_px=float(x_px),
@@ -146,3 +151,63 @@ def _moved(lattice: Lattice, move: Floats, stretch: float = 0.0, turn: float = 0
         pitch_px=max(lattice.pitch_px * (1 + stretch), SMALLEST_PITCH_PX),
         rotation_rad=float(np.remainder(lattice.rotation_rad + turn + np.pi / 4, np.pi / 2) - np.pi / 4),
     )
+
+
+def why_no_lattice(fit: Fit | None, peak: Peak, light: Image, brightest: int) -> str:
+    """Reason to reject the lattice fitted to the light of a frame (row, column); empty if it is real.
+
+    At least `brightest` lenslets must be lit.
+    """
+    is_lit = np.zeros(1, np.bool_) if fit is None else fit.match.is_lit
+    lit = int(np.count_nonzero(is_lit))
+    if fit is None or fit.agreement.min() < _AGREEMENT or _halves_alike(fit.cells) < _ALIKE:
+        return _why_irregular(peak, lit)
+    if not fit.match.typical.std() > _CONTRAST * float(np.ptp(np.percentile(light, _RANGE_PERCENT))):
+        return "was the light on?"
+    if lit < max(brightest, _FEWEST_LIT) or np.any(np.ptp(fit.cells.index[is_lit], axis=0) < 1):
+        return f"light in {lit} of its lenslets is too little"
+    if (scatter := float(np.sqrt(np.mean(np.sum(fit.off_lattice[is_lit] ** 2, axis=-1))))) > _SCATTER:
+        return f"the images lie {100 * scatter:.0f} % of the pitch beside a square lattice"
+    if _repeats_inside(fit.match.typical):
+        return "its cells hold the same image more than once; check sensor.lenslet_pitch_m and pixel_pitch_m"
+    return ""
+
+
+def is_outstanding(peak: Peak) -> bool:
+    """True if the spectrum has a peak above the noise."""
+    return max(peak.strength) >= _OUTSTANDING
+
+
+def _why_irregular(peak: Peak, lit: int) -> str:
+    """Reason why the cells of a frame, `lit` of which seem lit, differ."""
+    if not is_outstanding(peak):
+        return "was the light on?"
+    if peak.hexagonal_strength > max(_OUTSTANDING, math.sqrt(math.prod(peak.strength))):
+        return "it seems to show a hexagonal one, and only square ones are supported"
+    if max(peak.strength) > _ONE_SIDED * min(peak.strength):
+        return "its light repeats in one direction only"
+    return "was the light on?" if lit < _FEWEST_LIT else "its cells do not hold the same image"
+
+
+def _halves_alike(cells: Cells) -> float:
+    """Smallest correlation of the mean cells of two halves: every other column, row, or cell."""
+    x, y = cells.index.T
+    light = cells.light - cells.light.mean(axis=(1, 2), keepdims=True)
+    least = 1.0
+    for half in (x % 2 == 0, y % 2 == 0, (x + y) % 2 == 0):
+        if half.any() and not half.all():
+            one, other = light[half].mean(axis=0), light[~half].mean(axis=0)
+            least = min(least, _correlation(one, other))
+    return least
+
+
+def _repeats_inside(typical: Floats) -> bool:
+    """True if the typical cell (S, S) holds the same image two, three or five times along x or y."""
+    power = np.abs(np.fft.fft2(typical)) ** 2
+    order = np.abs(np.fft.fftfreq(len(typical), 1 / len(typical)))
+    lines = power.sum(axis=0), power.sum(axis=1)
+    return any(line[order % times == 0].sum() > _REPEATED * line.sum() for line in lines for times in (2, 3, 5))
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])

@@ -1,8 +1,7 @@
-"""Finding the lattice of lenslets in a reference.
+"""Search for the lenslet lattice in a reference.
 
-Every lenslet images the same thing, so the light of each cell repeats that of its neighbours. The spectrum of the frame
-says roughly with which pitch and rotation; the phases of the first harmonic of the cells' light, and then the cells
-themselves compared with the typical one, say it to a small part of a pixel.
+The light of each cell repeats that of its neighbours. The spectrum gives rough pitch and rotation; the phases of the
+cells' first harmonics, then the comparison of the cells with the typical one, refine them.
 """
 
 from __future__ import annotations
@@ -18,30 +17,29 @@ from reconstruction.arrays import Counts, Floats, Image, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from reconstruction.geometry import Lattice, Sensor
-from reconstruction.lattice.fit import SMALLEST_PITCH_PX, Fit, fit_lattice
-from reconstruction.lattice.rejection import is_outstanding, why_no_lattice
+from reconstruction.lattice.fit import SMALLEST_PITCH_PX, Fit, fit_lattice, is_outstanding, why_no_lattice
 from reconstruction.lattice.spectrum import REACH, Peak, strongest_peak, without_peaks
 
 _SATURATED_FRACTION = 0.01  # of the pixels
-_DARK_AT_MOST = 8  # times as many lenslets as are lit may there be
-_OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or a column of the array; the others may be dead
-_MANY = 2000  # cells; what is a lattice to `why_no_lattice` stands out of the spectrum by 0.5 sqrt(cells), noise by 3.5
-_OTHER_PITCHES = 0.5, 2.0  # of the designed one; that is how focal lengths and binnings are confused
-_ALIKE = 0.3  # rows and columns; blocks that differ by less have as many lit lenslets
+_DARK_AT_MOST = 8  # largest ratio of all lenslets to the lit ones
+_OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or column count fully
+_MANY = 2000  # cells, from which on a lattice's spectral peak, 0.5 sqrt(cells), is far above the noise, 3.5
+_OTHER_PITCHES = 0.5, 2.0  # over the designed one, from a wrong focal length or binning
+_ALIKE = 0.3  # rows and columns; blocks that differ by less count as equally lit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Survey:
-    """The lattice that a reference shows, and how well."""
+    """The lattice that a reference shows, and its quality."""
 
-    lattice: Lattice  # its middle is that of the sensor's block of lenslets
-    rows: int  # of lenslets that are lit and lie whole on the frame, whatever the sensor has
+    lattice: Lattice  # centred on the sensor's lenslets
+    rows: int  # of lit lenslets that lie entirely on the frame, also beyond the sensor's
     columns: int
-    illuminated: Mask  # which of the sensor's lenslets are lit, (lenslet_row, lenslet_column)
+    illuminated: Mask  # the sensor's lit lenslets, (lenslet_row, lenslet_column)
     displacement_px: Floats  # of their light from the lattice, NaN where not lit, (lenslet_row, lenslet_column, xy)
     brightness: Floats  # of each lenslet over the typical one's, (lenslet_row, lenslet_column)
     typical: Floats  # light of a lit lenslet over its cell, mean 0, (sample_row, sample_column)
-    likeness: float  # median correlation of a lit lenslet's image with the typical one, 1 when they are all the same
+    likeness: float  # median correlation of the lit lenslets' images with the typical one, 1 if all are equal
 
     @property
     def residual_px(self) -> float:
@@ -55,7 +53,7 @@ class Survey:
 
 
 def find_lattice(reference: Counts, sensor: Sensor) -> Lattice:
-    """Find where the sensor's lenslets lie on a reference (row, column); raises as `survey` does."""
+    """Find the sensor's lenslets on a reference (row, column); raises as `survey` does."""
     return survey(reference, sensor).lattice
 
 
@@ -67,20 +65,39 @@ def survey(
     full_scale: float = np.inf,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Survey:
-    """Find the sensor's lenslets on a reference (row, column), counts, and say how well the frame shows them.
+    """Find the sensor's lenslets on a reference, and measure how well it shows them.
 
-    The pitch may differ from the designed one by 15 %. The rotation is the one within +-45 degrees: a square lattice
-    looks the same after a quarter turn, so a sensor mounted on its side cannot be told from one that is upright. The
-    subimages must be symmetric about the lenslet axes on average; `reconstruction.lattice.fit` says what is taken for
-    the centre where they are not. Of the lattice's cells those are taken for the sensor's that have most lit lenslets,
-    and of blocks alike the one closest to the frame's middle. Raises `ReconstructionError`, in one sentence, when the
-    frame shows no such lattice. `progress` receives the present step and the share that is done, 0 ... 1.
+    The lattice's cells with most lit lenslets are the sensor's; of equal blocks, the one nearest to the frame's middle.
+    The subimages must be symmetric on average; otherwise see `fit_lattice` for the centre.
+
+    Parameters
+    ----------
+    reference : (row, column)
+        Counts.
+    sensor : Sensor
+        The pitch may differ by 15 % from the designed one.
+    dark : (row, column), optional
+        Counts without light.
+    full_scale : float
+        Count at which a pixel is saturated.
+    progress : callable
+        Receives the current step and the fraction done, 0 ... 1.
+
+    Returns
+    -------
+    Survey
+        Its rotation lies within +-45 degrees, because a square lattice looks the same after a quarter turn.
+
+    Raises
+    ------
+    ReconstructionError
+        If the reference shows no such lattice; the text says why.
     """
     light, pitch_px = _light(reference, sensor, dark, full_scale), sensor.lenslet_pitch_px
-    progress("looking for a lattice", 0.0)
+    progress("searching for a lattice", 0.0)
     if not _may_show(light, pitch_px):
         raise ReconstructionError(_refusal(pitch_px, "was the light on?"), image="reference")
-    progress("looking for bad pixels", 0.1)
+    progress("searching for bad pixels", 0.1)
     light = repaired(light, find_bad_pixels(reference, dark))
     progress("fitting the lattice", 0.25)
     fit, why = _fitted(light, sensor, pitch_px)
@@ -100,10 +117,7 @@ def _refusal(pitch_px: float, why: str) -> str:
 
 
 def _may_show(light: Image, pitch_px: float) -> bool:
-    """Whether a frame (row, column), bad pixels and all, may show a lattice of about that pitch, its half or double.
-
-    A look at the spectrum tells, quickly, where a frame has room for many cells; others have to be fitted to know.
-    """
+    """False if the spectrum of a frame with many cells shows no lattice of that pitch, its half or double: quick."""
     if light.size < _MANY * pitch_px**2:
         return True
     light = without_peaks(light)
@@ -111,7 +125,7 @@ def _may_show(light: Image, pitch_px: float) -> bool:
 
 
 def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, str]:
-    """Fit a lattice of about that pitch to the light of a frame (row, column); or say why there is none."""
+    """Fit a lattice of about that pitch to the light of a frame (row, column), or return the reason why not."""
     if pitch_px < SMALLEST_PITCH_PX or min(light.shape) < 2 * pitch_px:
         return None, "its pitch is too small or too large"
     brightest = max(1, sensor.lenslet_rows * sensor.lenslet_columns // _DARK_AT_MOST)
@@ -122,7 +136,6 @@ def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, 
 
 
 def _start(peak: Peak, shape: tuple[int, int]) -> Lattice:
-    """Return the lattice of the spectrum's peak about the middle of the frame."""
     return Lattice(
         center_x_px=(shape[1] - 1) / 2,
         center_y_px=(shape[0] - 1) / 2,
@@ -134,7 +147,7 @@ def _start(peak: Peak, shape: tuple[int, int]) -> Lattice:
 def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: float) -> Image:
     """Check the reference and return its light above the dark."""
     if reference.ndim != 2 or 0 in reference.shape:
-        raise ReconstructionError("the reference is no image of rows x columns", image="reference")
+        raise ReconstructionError("the reference is not an image of rows x columns", image="reference")
     rows, columns = reference.shape
     smallest_px = sensor.lenslet_pitch_px * (1 - REACH)
     if rows < sensor.lenslet_rows * smallest_px - 2 or columns < sensor.lenslet_columns * smallest_px - 2:
@@ -203,7 +216,7 @@ def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
 
 
 def _extent(lit: Mask) -> tuple[slice, slice]:
-    """Rows and columns of the largest patch of lit cells that touch one another."""
+    """Rows and columns of the largest connected patch of lit cells."""
     patches, count = ndimage.label(lit, np.ones((3, 3)))
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
     rows, columns = ndimage.find_objects(patches)[int(np.argmax(sizes))]
@@ -211,12 +224,12 @@ def _extent(lit: Mask) -> tuple[slice, slice]:
 
 
 def _is_cut(lit: slice, whole: int, wanted: int) -> bool:
-    """Whether lit rows (or columns) end at one edge of the frame, too few, while there is room beside them."""
+    """True if lit rows (or columns) end at one edge of the frame, too few, with unlit ones on the other side."""
     return bool(lit.stop - lit.start < wanted < whole and (lit.start == 0) != (lit.stop == whole))
 
 
 def _occupied(lit: Mask, axis: int, wanted: int) -> Floats:
-    """How many of the rows (or columns) are lit in each block of `wanted`; one lit by half counts fully, (block,)."""
+    """Number of lit rows (or columns) in each block of `wanted`; one that is half lit counts fully, (block,)."""
     count = lit.sum(axis=axis)
     usual = np.median(np.sort(count)[-wanted:])
     return np.convolve(np.minimum(1, count / max(_OCCUPIED * usual, 1)), np.ones(wanted), "valid")

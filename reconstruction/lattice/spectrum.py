@@ -1,7 +1,7 @@
-"""Where a lattice shows in the spectrum of a frame: its pitch and rotation, roughly.
+"""Rough pitch and rotation of a lattice from the spectrum of a frame.
 
-Light that repeats over a square lattice stands at two points of the spectrum, one for the lattice's rows and one for
-its columns. They are looked for together, so that neither noise nor stripes in one direction pass for a lattice.
+A square lattice has two spectral peaks, one for its rows and one for its columns. They are searched for together, so
+that neither noise nor stripes pass for a lattice.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from scipy import fft, ndimage
 
 from reconstruction.arrays import Image
 
-REACH = 0.16  # of the pitch, by which the designed one may be wrong
-_BINNED_PITCH_PX = 12  # as coarse as a first guess may see the lattice
-_FINENESS = 4  # steps of the search over the width of a peak
-_PADDING = 2  # the spectrum's samples are so much denser than the frame has pixels
+REACH = 0.16  # relative error of the designed pitch that is searched
+_BINNED_PITCH_PX = 12  # pitch after binning; coarser frames would lose the lattice
+_FINENESS = 4  # search steps per width of a peak
+_PADDING = 2  # zero padding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peak:
-    """The square lattice whose two harmonics are the strongest together."""
+    """The square lattice with the strongest pair of harmonics."""
 
     pitch_px: float
     rotation_rad: float  # -45 ... 45 degrees: a square lattice looks the same after a quarter turn
-    strength: tuple[float, float]  # of the harmonics along its rows and columns, over what is usual at that pitch
-    hexagonal_strength: float  # of the strongest three harmonics that lie 60 degrees apart, likewise
+    strength: tuple[float, float]  # of the harmonics along its rows and columns, over the median
+    hexagonal_strength: float  # of the strongest three harmonics 60 degrees apart, over the median
 
 
 def strongest_peak(image: Image, pitch_px: float) -> Peak:
-    """Find the square lattice of about `pitch_px` that shows most in an image (row, column) of any unit."""
+    """Find the square lattice of about `pitch_px` with the strongest spectrum in an image (row, column)."""
     binning = max(1, int(pitch_px / _BINNED_PITCH_PX))
     light, near_px = _binned(image, binning), pitch_px / binning
     amplitude = _amplitude(light, near_px)
@@ -56,9 +56,9 @@ def strongest_peak(image: Image, pitch_px: float) -> Peak:
 
 
 def without_peaks(image: Image) -> Image:
-    """Make no pixel of an image (row, column) brighter than the brightest of the four beside it: none is hot any more.
+    """Limit each pixel of an image (row, column) to the brightest of its four neighbours, which removes hot pixels.
 
-    It is quick, and good enough for a first look; `bad_pixels` knows better.
+    A quick substitute for `bad_pixels`.
     """
     edged = np.pad(image, 1, mode="edge")
     edged[0], edged[-1], edged[:, 0], edged[:, -1] = (-np.inf,) * 4
@@ -69,26 +69,22 @@ def without_peaks(image: Image) -> Image:
 
 
 def _binned(image: Image, binning: int) -> Image:
-    """Means over binning x binning pixels; what is left over at the far edges is left out."""
+    """Means over binning x binning pixels; incomplete blocks at the far edges are dropped."""
     rows, columns = (length // binning for length in image.shape)
     blocks = image[: rows * binning, : columns * binning].reshape(rows, binning, columns, binning)
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), np.float32)
 
 
 def _padded(shape: tuple[int, ...]) -> list[int]:
-    """How long the axes of the spectrum of an image of that shape are."""
     return [fft.next_fast_len(_PADDING * length) for length in shape]
 
 
 def _amplitude(light: Image, pitch_px: float) -> Image:
-    """Amplitude spectrum of what repeats, zero frequency first: less the mean over a pitch, and fading to the edges.
-
-    All frequencies along the rows, (row, column), but only those columns of it that are looked at.
-    """
+    """Amplitude spectrum (row, column), zero frequency first, without the background; only the needed columns."""
     repeating = light - ndimage.uniform_filter(light, max(2, round(pitch_px)), mode="mirror")
     for axis, length in enumerate(light.shape):
         fade = np.hanning(length + 2)[1:-1].astype(np.float32)
         repeating *= fade if axis else fade[:, None]
     rows, columns = _padded(light.shape)
-    looked_at = int(columns / (pitch_px * (1 - REACH))) + 2
-    return np.asarray(np.abs(fft.fft(fft.rfft(repeating, columns, axis=1)[:, :looked_at], rows, axis=0)))
+    kept = int(columns / (pitch_px * (1 - REACH))) + 2
+    return np.asarray(np.abs(fft.fft(fft.rfft(repeating, columns, axis=1)[:, :kept], rows, axis=0)))

@@ -1,4 +1,4 @@
-"""Functions of the field position in which a lenslet's displacement is written: d(x, y) = sum_q c_q T_q(x, y).
+"""Field modes T_q, in which the displacement of a lenslet is written: d(x, y) = sum_q c_q T_q(x, y).
 
 Positions are normalised: x, y in [-1, 1] over the half width of the field.
 """
@@ -22,11 +22,11 @@ class FieldModes(Protocol):
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of modes."""
         ...
 
     def __hash__(self) -> int:
-        """Field modes are what is computed of them kept by."""
+        """Needed because results are cached by field modes."""
         ...
 
     def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -35,7 +35,7 @@ class FieldModes(Protocol):
 
 
 class PolynomialModes(FieldModes, Protocol):
-    """Field modes with gradients, of which a warp can be made."""
+    """Field modes with gradients, as a warp needs them."""
 
     def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
@@ -59,7 +59,7 @@ class LegendreModes:
 
 @dataclass(frozen=True, slots=True)
 class ZernikeModes:
-    """The first `count` Zernike polynomials in Noll's order, for a circular field."""
+    """The first `count` Zernike polynomials, for a circular field."""
 
     count: int
 
@@ -97,11 +97,7 @@ def gradient_basis(modes: PolynomialModes) -> Floats:
 
 
 class SampledModes:
-    """Displacements known at the nodes of a grid, with the polynomial through them in between.
-
-    T_q is the product of the Lagrange polynomials that are 1 at node q and 0 at all others, nodes row by row; so c_q is
-    the displacement at node q itself.
-    """
+    """Displacements at the nodes of a grid, row by row, interpolated by Lagrange polynomials: c_q is that at node q."""
 
     def __init__(self, x: Floats, y: Floats) -> None:
         """Take nodes at all combinations of the normalised x (column,) and y (row,)."""
@@ -109,7 +105,7 @@ class SampledModes:
 
     @property
     def count(self) -> int:
-        """How many nodes there are."""
+        """Number of nodes."""
         return self.x.size * self.y.size
 
     @property
@@ -126,7 +122,7 @@ class SampledModes:
 
 
 def _lagrange(nodes: Floats, x: Floats) -> Floats:
-    """The Lagrange polynomials of the nodes (node,) at x: (node, *shape of x)."""
+    """Lagrange polynomials of the nodes (node,) at x: (node, *shape of x)."""
     polynomials = []
     for index, node in enumerate(nodes):
         others = np.delete(nodes, index)

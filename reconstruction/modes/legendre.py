@@ -1,7 +1,7 @@
 """Two-dimensional Legendre polynomials in the paper's order, their gradients, and exact means over lenslets.
 
-L_k(x, y) = P_m(x) P_n(y) with k = (m + n)(m + n + 1)/2 + n (Feng et al., their index rule), so that k = 0 is the
-piston, 1 = x, 2 = y, 3 = P_2(x), 4 = xy, 5 = P_2(y). P_m is the ordinary Legendre polynomial with P_m(1) = 1.
+L_k(x, y) = P_m(x) P_n(y) with k = (m + n)(m + n + 1)/2 + n (Feng et al.): k = 0 is the piston, 1 = x, 2 = y,
+3 = P_2(x), 4 = xy, 5 = P_2(y). P_m is the ordinary Legendre polynomial with P_m(1) = 1.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from reconstruction.arrays import Floats
 
 
 def legendre_orders(count: int) -> tuple[tuple[int, int], ...]:
-    """Return the orders (m, n) of the first `count` polynomials: m along x, n along y."""
+    """Orders (m, n) of the first `count` polynomials: m along x, n along y."""
     orders: list[tuple[int, int]] = []
     degree = 0
     while len(orders) < count:
@@ -24,7 +24,7 @@ def legendre_orders(count: int) -> tuple[tuple[int, int], ...]:
 
 
 def legendre(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
-    """Values of the first `count` polynomials at (x, y), normalised to [-1, 1]: (count, *broadcast shape)."""
+    """First `count` polynomials at (x, y), normalised to [-1, 1]: (count, *broadcast shape)."""
     m, n, degree = _order_arrays(count)
     x, y = np.broadcast_arrays(x, y)
     return _values(x, degree)[m] * _values(y, degree)[n]
@@ -40,11 +40,9 @@ def legendre_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
 
 
 def legendre_lenslet_gradients(count: int, lenslet_rows: int, lenslet_columns: int) -> Floats:
-    """Mean gradient of each polynomial over each lenslet, exact, per unit of the normalised pupil coordinates.
+    """Exact mean gradient of each polynomial over each lenslet, per unit of the normalised pupil coordinates.
 
-    The lenslets tile [-1, 1] x [-1, 1]. Along the direction of the derivative the mean is the difference between
-    the lenslet's edges; along the other it is the mean of a 1-D Legendre polynomial, whose integral is
-    (P_{n+1} - P_{n-1}) / (2n + 1). Shape (count, lenslet_row, lenslet_column, xy).
+    The lenslets tile [-1, 1] x [-1, 1]. Shape (count, lenslet_row, lenslet_column, xy).
     """
     m, n, degree = _order_arrays(count)
     mean_x, slope_x = _cell_means(lenslet_columns, degree)

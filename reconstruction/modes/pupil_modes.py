@@ -1,4 +1,4 @@
-"""Functions of the pupil position in which a wavefront is written: phi(u) = sum_p e_p R_p(u)."""
+"""Pupil modes R_p, in which a wavefront is written: phi(u) = sum_p e_p R_p(u)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, 
 from reconstruction.modes.zernike import noll_orders, zernike, zernike_lenslet_gradients
 from reconstruction.settings import PupilBasis
 
-_HIGHEST_DEGREE = 16  # up to it the mean gradients of both bases are exact, and the modes few enough for one frame
+_HIGHEST_DEGREE = 16  # highest for which the mean gradients of both bases are exact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,16 +21,16 @@ class PupilModes:
 
     values: Floats  # at the lenslet centres, (pupil_mode, lenslet_row, lenslet_column)
     gradients: Floats  # mean over each lenslet, 1/m, (pupil_mode, lenslet_row, lenslet_column, xy)
-    inside: Mask  # the lenslets that the pupil covers, (lenslet_row, lenslet_column)
+    inside: Mask  # lenslets inside the pupil, (lenslet_row, lenslet_column)
     degree: Floats  # of the polynomial, (pupil_mode,)
     products: Floats  # R_p as a sum of products P_m(xi) P_n(eta): (pupil_mode, n, m), xi, eta over the whole lattice
 
 
 def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
-    """The first `count` modes: Legendre over the whole lattice, or Zernike over the circle inscribed in it.
+    """Legendre modes over the whole lattice, or Zernike modes over its inscribed circle.
 
-    A lenslet belongs to the circle if its centre does; its gradients are means over the whole lenslet. Without a
-    `count` there are as many as the lattice carries: of a degree below its number of lenslets a side, and 16 at most.
+    A lenslet is inside the circle if its centre is; its gradients are means over the whole lenslet. Without a `count`,
+    all modes of a degree below the number of lenslets a side, and at most 16.
     """
     rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
     if count is None:
@@ -65,10 +65,7 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
 
 
 def _legendre_products(count: int, degree: int, half_x: float, half_y: float) -> Floats:
-    """Zernike modes as products of Legendre polynomials, (count, n, m); the lattice's half widths are in radii.
-
-    A polynomial's part along P_m P_n is its integral with them times (2m + 1)(2n + 1) / 4: Gauss's rule has it exactly.
-    """
+    """Zernike modes projected on products of Legendre polynomials, (count, n, m); half widths in radii."""
     nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
     values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)
     parts = np.polynomial.legendre.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
@@ -76,10 +73,10 @@ def _legendre_products(count: int, degree: int, half_x: float, half_y: float) ->
 
 
 class PupilGrid:
-    """Evaluates wavefronts at all combinations of some positions along x and along y, prepared once."""
+    """Evaluates wavefronts on a grid of pupil positions, prepared once."""
 
     def __init__(self, modes: PupilModes, sensor: Sensor, x_m: Floats, y_m: Floats) -> None:
-        """Prepare for the pupil positions x_m (x,) and y_m (y,)."""
+        """Prepare for all combinations of the pupil positions x_m (x,) and y_m (y,)."""
         half_x_m, half_y_m = sensor.pupil_half_width_m
         highest = modes.products.shape[1] - 1
         self._products = modes.products
@@ -87,6 +84,6 @@ class PupilGrid:
         self._along_y = np.polynomial.legendre.legvander(y_m / half_y_m, highest).astype(np.float32)
 
     def __call__(self, coefficients: Floats) -> Image:
-        """Phase (y, x), rad, of the wavefront with the `coefficients` (pupil_mode,), rad."""
+        """Phase (y, x), rad, of a wavefront with the `coefficients` (pupil_mode,), rad."""
         products = np.tensordot(coefficients, self._products, axes=1).astype(np.float32)
         return np.asarray(self._along_y @ (products @ self._along_x), np.float32)

@@ -1,8 +1,7 @@
-"""Zernike polynomials in Noll's order, with unit RMS over the unit circle, and their gradients.
+"""Zernike polynomials in Noll's order, counted from 0, with unit RMS over the unit circle, and their gradients.
 
 Z = N Q(x^2 + y^2) H(x, y), with H the real or imaginary part of (x + iy)^m and r^m Q(r^2) the radial polynomial R_n^m:
-so values and gradients are polynomials in x and y, without an angle and without a singular middle (R. J. Noll, J. Opt.
-Soc. Am. 66, 207, 1976). Noll counts from 1; here as everywhere in the program modes count from 0, piston first.
+polynomials in x and y, without an angle and without a singular centre (R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ _NODES = 8  # of the Gauss-Legendre rule across a lenslet: exact up to degree 15
 
 
 def noll_orders(count: int) -> tuple[tuple[int, int], ...]:
-    """Return radial and azimuthal order (n, m) of the first `count` modes; m < 0 stands for the sine."""
+    """Radial and azimuthal order (n, m) of the first `count` modes; m < 0 is the sine."""
     orders = []
     for n in range(count):
         index = n * (n + 1) // 2 + 1  # Noll's index of the first mode of radial order n
@@ -31,7 +30,7 @@ def noll_orders(count: int) -> tuple[tuple[int, int], ...]:
 
 
 def zernike(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
-    """Values of the first `count` modes at (x, y), in units of the circle's radius: (count, *broadcast shape)."""
+    """First `count` modes at (x, y), in units of the circle's radius: (count, *broadcast shape)."""
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     return np.stack([radial(x**2 + y**2) * _harmonic(m, x, y) for radial, m in _factors(count)])
 
@@ -51,11 +50,10 @@ def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
 
 
 def zernike_lenslet_gradients(count: int, edges_x: Floats, edges_y: Floats) -> Floats:
-    """Mean gradient of each mode over each lenslet of a lattice, per radius.
+    """Mean gradient of each mode over each lenslet, per radius: (count, lenslet_row, lenslet_column, xy).
 
-    `edges_x` (lenslet_column + 1,) and `edges_y` (lenslet_row + 1,) are where lenslets begin and end, in radii. The
-    mean is a Gauss-Legendre rule, exact for these polynomials up to radial order 16. Shape (count, lenslet_row,
-    lenslet_column, xy).
+    `edges_x` (lenslet_column + 1,) and `edges_y` (lenslet_row + 1,) are the lenslet edges in radii. The Gauss-Legendre
+    rule is exact up to radial order 16.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     x = _within(edges_x, nodes)[None, None, :, :]
@@ -71,7 +69,7 @@ def _within(edges: Floats, nodes: Floats) -> Floats:
 
 
 def _factors(count: int) -> list[tuple[Polynomial, int]]:
-    """N Q as a polynomial in the squared radius, and m, of each mode."""
+    """N Q of each mode as a polynomial in the squared radius, and m."""
     factors = []
     for n, signed_m in noll_orders(count):
         m = abs(signed_m)
@@ -92,7 +90,6 @@ def _harmonic(m: int, x: Floats, y: Floats) -> Floats:
 
 
 def _harmonic_gradient(m: int, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Derivatives of `_harmonic` along x and y."""
     if m == 0:
         return np.zeros_like(x), np.zeros_like(x)
     lower = abs(m) * (x + 1j * y) ** (abs(m) - 1)

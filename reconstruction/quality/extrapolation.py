@@ -1,4 +1,4 @@
-"""Carrying a wavefront on into lost lenslets and one lenslet beyond the lattice, for interpolation between lenslets."""
+"""Extrapolation of wavefronts into lost lenslets and one lenslet beyond the lattice."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from scipy.sparse.linalg import SuperLU, splu
 from reconstruction.arrays import Floats, Mask
 
 _THIRD = ((1.0, "xxx"), (3.0, "xxy"), (3.0, "xyy"), (1.0, "yyy"))  # weight and directions of the third differences
-_STIFFNESS = 1e-7  # of first differences: they decide where too few lenslets are known to tell a curvature
+_STIFFNESS = 1e-7  # of first differences, which decide where too few lenslets are known for a curvature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ExtrapolationMatrix:
     """Least squares of all differences for one set of known lenslets, factorised."""
 
-    factors: SuperLU  # for the unknown ones, (unknown, unknown)
-    coupling: sparse.csr_array  # of the known ones to them, (unknown, known)
+    factors: SuperLU  # of the unknown lenslets, (unknown, unknown)
+    coupling: sparse.csr_array  # (unknown, known)
 
 
 def extrapolate(phase: Floats) -> Floats:
-    """Wavefronts (..., lenslet_row, lenslet_column), rad, with a lenslet more on every side: all finite.
+    """Extrapolate wavefronts (..., lenslet_row, lenslet_column), rad, by one lenslet on every side: all finite.
 
-    What is known stays; the rest has the smallest third differences, so that polynomials up to the second degree go on
-    as themselves. A wavefront of which nothing is known becomes zero.
+    Known values stay; the others minimise third differences, so that second-degree polynomials continue exactly. A
+    wavefront without any known value becomes zero.
     """
     padded = np.pad(phase, [(0, 0)] * (phase.ndim - 2) + [(1, 1), (1, 1)], constant_values=np.nan)
     flat = padded.reshape(-1, *padded.shape[-2:])
@@ -57,7 +57,7 @@ def _equations(known_bytes: bytes, rows: int, columns: int) -> _ExtrapolationMat
 
 
 def _energy(directions: str, rows: int, columns: int) -> sparse.csr_array:
-    """The sum of the squares of all differences along `directions`, as a quadratic form: (lenslet, lenslet)."""
+    """Sum of the squares of all differences along `directions`, as a quadratic form: (lenslet, lenslet)."""
     along_y = _differences(rows, directions.count("y"))
     along_x = _differences(columns, directions.count("x"))
     differences = sparse.kron(along_y, along_x, format="csr")
@@ -65,6 +65,6 @@ def _energy(directions: str, rows: int, columns: int) -> sparse.csr_array:
 
 
 def _differences(count: int, order: int) -> sparse.csr_array:
-    """Differences of that order between `count` neighbours: (count - order, count)."""
+    """Matrix of the differences of that order between `count` neighbours: (count - order, count)."""
     identity: NDArray[np.float64] = np.eye(count)
     return sparse.csr_array(reduce(lambda matrix, _: np.diff(matrix, axis=0), range(order), identity))

@@ -1,8 +1,8 @@
-"""How far one wavefront serves: how wavefronts differ with their separation in the field.
+"""Isoplanatism: difference of wavefronts against their separation in the field.
 
-The classical isoplanatic angle is the one at which the mean square difference of two wavefronts reaches 1 rad^2 (Fried,
-J. Opt. Soc. Am. 72, 52, 1982). Here it is the separation in the field, in metres, at which its root reaches 1 rad. A
-difference in tip and tilt displaces the image without blurring it; so everything is also said without them.
+The isoplanatic patch ends where the RMS difference of two wavefronts reaches 1 rad (after Fried, J. Opt. Soc. Am. 72,
+52, 1982), here as a separation in metres. Tip and tilt displace an image without blurring it; therefore all figures
+are also given without them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _ACROSS = 7  # positions across the field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StructureCurve:
-    """RMS difference, piston removed, of the wavefronts of all pairs of positions, by their separation.
+    """RMS difference, without piston, of the wavefronts of all pairs of positions, binned by their separation.
 
-    The separations are those of the positions, whatever is known; a bin is NaN where no pair of it is.
+    A bin is NaN if none of its pairs is known.
     """
 
     separation_m: Floats  # root mean square of the pairs in the bin, (separation,), rising
@@ -33,9 +33,9 @@ class StructureCurve:
 
     @property
     def patch_m(self) -> float:
-        """Separation at which the RMS difference first reaches 1 rad, by straight lines from (0, 0) on.
+        """Separation at which the RMS difference first reaches 1 rad, linearly interpolated from (0, 0) on.
 
-        Infinite when it does not within the field, NaN when nothing is known.
+        Infinite if it does not within the field, NaN if nothing is known.
         """
         known = np.isfinite(self.rms_rad)
         if not known.any():
@@ -50,17 +50,17 @@ class StructureCurve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Isoplanatism:
-    """What one wavefront for the whole field, the mean over it, would miss; and from which separation on."""
+    """Error of one wavefront, the mean, for the whole field, and the patch over which it holds."""
 
     curve: StructureCurve
     curve_without_tilt: StructureCurve
-    error_rad: float  # RMS over the field and the pupil of what the mean wavefront misses
+    error_rad: float  # RMS over field and pupil of the difference from the mean wavefront
     error_without_tilt_rad: float
-    view_error_rad: Floats  # the same at each view, (view_row, view_column); NaN outside the field
+    view_error_rad: Floats  # at each view, (view_row, view_column); NaN outside the field
 
 
 def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
-    """Compare the wavefronts of 7 x 7 positions, each in the middle of an equal part of the field."""
+    """Compare the wavefronts at 7 x 7 positions over the field."""
     field = wavefront.field
     position_m = field_positions_m(field, _ACROSS)
     x, y = position_m.T / field.half_width_m
@@ -78,16 +78,16 @@ def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
 
 
 def field_positions_m(field: Field, across: int) -> Floats:
-    """The middles of `across` x `across` equal parts of the field's width, those within the field: (position, xy)."""
+    """Middles of `across` x `across` equal parts of the field's width that lie in the field: (position, xy)."""
     steps = centered_steps(across) * 2 / across
     position = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     return position[field.contains(*position.T)] * field.half_width_m
 
 
 def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> StructureCurve:
-    """Compare all pairs of wavefronts (position, lenslet_row, lenslet_column), rad, seen from positions (position, xy).
+    """Compare all pairs of wavefronts (position, lenslet_row, lenslet_column), rad, of positions (position, xy).
 
-    Bins are `bin_m` wide, the first around that separation itself. A pair is compared over the lenslets that both know.
+    Bins are `bin_m` wide, centred on multiples of it. A pair is compared over the lenslets known in both.
     """
     first, second = np.triu_indices(len(phase), 1)
     difference_rad = rms(phase[first] - phase[second])
@@ -104,16 +104,16 @@ def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> Struc
 
 
 def global_error_rad(phase: Floats) -> float:
-    """RMS of what the mean of the wavefronts (position, lenslet_row, lenslet_column), rad, misses of them all.
+    """RMS difference of wavefronts (position, lenslet_row, lenslet_column), rad, from their mean.
 
-    NaN when no lenslet is known in all of them.
+    NaN if no lenslet is known in all of them.
     """
     error_rad = rms(phase - np.mean(phase, axis=0))
     return _root_mean_square(error_rad)
 
 
 def without_tilt(phase: Floats) -> Floats:
-    """The wavefronts (..., lenslet_row, lenslet_column) minus the plane that fits each best, NaN left out."""
+    """Subtract the best-fitting plane from wavefronts (..., lenslet_row, lenslet_column), ignoring NaN."""
     rows, columns = phase.shape[-2:]
     v, u = np.meshgrid(centered_steps(rows), centered_steps(columns), indexing="ij")
     planes = np.stack([np.ones_like(u), u, v])

@@ -1,4 +1,4 @@
-"""How well the reconstructed wavefronts say what was measured: measured, fitted and difference, view by view."""
+"""Comparison of the reconstructed wavefronts with the measured slopes, view by view."""
 
 from __future__ import annotations
 
@@ -16,22 +16,19 @@ from reconstruction.wavefront import Wavefront, without_piston
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlopeFit:
-    """Wavefronts without piston, rad, each (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown."""
+    """Wavefronts without piston, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown."""
 
-    measured: Floats  # what the slopes of the view's lenslets say
-    fitted: Floats  # the pupil modes that say it as well as they can
-    difference: Floats  # measured minus fitted: noise, and what the pupil modes are too few for
+    measured: Floats  # from the slopes
+    fitted: Floats  # by the pupil modes
+    difference: Floats  # measured minus fitted: noise, and what the modes cannot represent
 
 
 def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeFit:
-    """Compare a wavefront's views with what their lenslets measured; `modes` are those that it was fitted with.
+    """Compare the views of a wavefront with the slopes measured; `modes` are those of the reconstruction.
 
-    The modal method has fitted its modes to the slopes. What the fit leaves of the slopes is integrated from lenslet to
-    lenslet; that is the difference, and the measured wavefront is the fit plus it. (To integrate the slopes themselves
-    would add the rounding of Southwell's equations where they bend between two lenslets, many times the difference.)
-
-    The zonal method fits nothing: its views are what was measured, and the fit is that of the modes to them by least
-    squares, inside the modes' pupil.
+    Modal: the difference is the integral of the fit's residual slopes, the measured wavefront is the fit plus it.
+    (Integrating the slopes themselves would add Southwell's discretisation error, many times the difference.) Zonal:
+    the views are the measured wavefront; the fit is the least-squares fit of the modes to them.
     """
     solution, views = wavefront.solution, wavefront.views
     if not isinstance(solution, ModalSolution):
@@ -48,16 +45,13 @@ def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeF
 
 
 def _fit(views: Floats, modes: PupilModes) -> Floats:
-    """Least-squares fit of the modes to each view, at the lenslet centres that are known and inside the pupil.
-
-    Views that know the same lenslets, all of them as a rule, share one decomposition.
-    """
+    """Least-squares fit of the modes to each view; views with the same known lenslets share a decomposition."""
     flat = views.reshape(-1, *views.shape[2:])
     known = np.isfinite(flat) & modes.inside
     fitted = np.full_like(flat, np.nan)
-    for mask in np.unique(known, axis=0):
-        alike = np.flatnonzero((known == mask).all(axis=(1, 2)))
-        values = modes.values[:, mask].T
-        row, column = np.nonzero(mask)
-        fitted[alike[:, None], row, column] = (values @ np.linalg.lstsq(values, flat[alike][:, mask].T)[0]).T
+    for is_known in np.unique(known, axis=0):
+        alike = np.flatnonzero((known == is_known).all(axis=(1, 2)))
+        values = modes.values[:, is_known].T
+        row, column = np.nonzero(is_known)
+        fitted[alike[:, None], row, column] = (values @ np.linalg.lstsq(values, flat[alike][:, is_known].T)[0]).T
     return without_piston(fitted.reshape(views.shape))

@@ -1,4 +1,4 @@
-"""What becomes of each lenslet: the same judgement for every method of registration."""
+"""Classification of each lenslet (converged, dark, ...), common to all registration methods."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def classify_lenslets(
     contrast: NDArray[np.floating[Any]],
     faults: dict[Outcome, Mask],
 ) -> Displacement:
-    """Say what became of each of L lenslets and arrange the results on the lattice, NaN where lost.
+    """Classify L lenslets and arrange the results on the lattice, NaN where lost.
 
-    coefficients c_q, px, (L, xy, Q) and their covariance (L, Q, xy, Q, xy); residual_rms (L,) over the contrast of the
-    reference's best subimage; contrast (L,) of the frame's subimages. `faults` says which lenslets (L,) the method
-    itself has found lost; of several faults the last counts, and darkness above all.
+    coefficients c_q, px, (L, xy, Q); covariance (L, Q, xy, Q, xy), px^2; residual_rms (L,) over the contrast of the
+    reference's best subimage; contrast (L,) of the frame's subimages. `faults` are the losses (L,) found by the method;
+    of several the last counts, and darkness above all.
     """
     lost = np.zeros(len(coefficients), np.bool_)
     for fault in faults.values():
@@ -44,20 +44,20 @@ def classify_lenslets(
     lost = outcome != Outcome.CONVERGED
     far = outcome == Outcome.LEFT_CELL
 
-    def arranged(values: Floats, wanted: Mask) -> Floats:
+    def arrange(values: Floats, keep: Mask) -> Floats:
         kept = values
-        if not wanted.all():
+        if not keep.all():
             kept = np.full_like(values, np.nan)
-            kept[wanted] = values[wanted]
+            kept[keep] = values[keep]
         return kept.reshape(*reference.lenslets, *values.shape[1:])
 
     unknown = np.full(len(coefficients), np.nan)
     return Displacement(
         modes=modes,
-        coefficients=arranged(np.swapaxes(coefficients, 1, 2), ~lost),
-        covariance=arranged(covariance, ~lost),
+        coefficients=arrange(np.swapaxes(coefficients, 1, 2), ~lost),
+        covariance=arrange(covariance, ~lost),
         outcome=outcome.reshape(reference.lenslets),
-        residual_rms=arranged(residual_rms, ~lost),
-        chi_square=arranged(unknown if chi_square is None else chi_square, ~lost),
-        range_used=arranged(range_used, ~lost | far & (range_used > 0)),
+        residual_rms=arrange(residual_rms, ~lost),
+        chi_square=arrange(unknown if chi_square is None else chi_square, ~lost),
+        range_used=arrange(range_used, ~lost | far & (range_used > 0)),
     )

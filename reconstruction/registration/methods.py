@@ -1,4 +1,4 @@
-"""Which method compares the subimages of a frame with those of the reference."""
+"""Choice of the registration method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from reconstruction.settings import FIELD_MODES, RegistrationSettings
 def prepare_registration(
     reference: ReferenceSubimages, settings: RegistrationSettings, field: Field
 ) -> RegistrationMethod:
-    """Prepare the method that the settings ask for, for one reference."""
+    """Prepare the method of the settings for one reference."""
     if settings.method in {"correlation", "correlation_fft"}:
         return Correlation(reference, method="fft" if settings.method == "correlation_fft" else "square_difference")
     if settings.method == "centroids":
@@ -28,7 +28,7 @@ def prepare_registration(
             reference, modes, conserve_flux=settings.conserve_flux, rotation=settings.rotation, threads=settings.threads
         )
     if settings.method == "itk_affine":
-        from reconstruction.registration.peers.itk_affine import ItkAffine
+        from reconstruction.registration.peers.simple_itk import ItkAffine
 
         return ItkAffine(reference)
     flow_modes: FieldModes = modes
@@ -38,6 +38,6 @@ def prepare_registration(
         from reconstruction.registration.peers.block_flow import BlockFlow
 
         return BlockFlow(reference, flow_modes)
-    from reconstruction.registration.peers.deformable import Demons, FreeForm
+    from reconstruction.registration.peers.simple_itk import Demons, FreeForm
 
     return (Demons if settings.method == "demons" else FreeForm)(reference, flow_modes)

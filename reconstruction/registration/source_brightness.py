@@ -1,4 +1,4 @@
-"""What the source looks like, found in the reference: the brightness of its points."""
+"""Brightness of the points of the source, estimated from the reference."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.subimages import ReferenceSubimages
 
-# SciPy's own 3 is too few now and then: with the lattice told turned by an outermost pixel, for example.
+# SciPy's default of 3 is too small, e.g. if the lattice's rotation is off by a pixel at the edge.
 _ITERATIONS_PER_POINT = 30
 
 
 def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
-    """The mean subimage of the lit lenslets, of unit sum, (width, width), and the light of each lenslet, counts.
+    """Mean subimage of the lit lenslets, of unit sum, (width, width), and the light of each lenslet, counts.
 
     The light is (lenslet_row, lenslet_column); 0 where the lenslet is dark.
     """
@@ -25,11 +25,11 @@ def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
 
 
 def point_brightness(point_images: Image, subimage: Floats) -> Floats:
-    """Brightness (point,), none negative, of the points whose images (point, row, column) add up to a subimage."""
+    """Non-negative brightness (point,) whose point images (point, row, column) add up to a subimage."""
     matrix = point_images.reshape(len(point_images), -1).T.astype(np.float64)
     scale = np.max(matrix)  # the solver's tolerance is absolute
     try:
         found, _ = nnls(matrix / scale, subimage.ravel(), maxiter=_ITERATIONS_PER_POINT * len(point_images))
-    except RuntimeError as error:  # SciPy's way to say that it gave up
+    except RuntimeError as error:  # SciPy did not converge
         raise ReconstructionError("the source's shape cannot be found in the reference: is it in focus?") from error
     return np.asarray(found / scale)

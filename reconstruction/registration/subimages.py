@@ -1,4 +1,4 @@
-"""The subimages: which pixels of the camera belong to which lenslet, and what the reference shows there."""
+"""The reference cut into subimages, one per lenslet."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes
 
-_OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice belongs to another frame
-_SPOILT = 0.25  # of a subimage's squared gradients; a lenslet with more of them on bad pixels counts as unlit
-_NEXT_PX = 2.0  # from the border of a cell, where interpolation still sees a pixel
-DARK_CONTRAST = 0.1  # of the median lenslet's contrast; below it a lenslet counts as unlit
-_SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is noise and no image
+_OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice does not belong to this frame
+_SPOILT = 0.25  # of a subimage's squared gradients on bad pixels; with more, a lenslet is unlit
+_NEXT_PX = 2.0  # beyond the border of a cell, where interpolation still uses a pixel
+DARK_CONTRAST = 0.1  # of the median lenslet's contrast; with less, a lenslet is unlit
+_SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is only noise
 
 
 class ReferenceSubimages:
-    """The reference cut into windows of `width` x `width` pixels about the true sub-pixel centres of L lenslets.
+    """Windows of `width` x `width` pixels of the reference about the subpixel centres of L lenslets.
 
-    Windows lie along the lattice's own axes; nothing of the frame is resampled but what lies in them.
+    Windows lie along the lattice's axes; only their pixels are resampled.
     """
 
     def __init__(
@@ -41,20 +41,20 @@ class ReferenceSubimages:
     ) -> None:
         """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing.
 
-        `noise` is that of a single frame, where it is known; the reference is the mean of `reference_frames` frames.
-        `bad` (row, column) marks the camera's pixels that show no light, or always too much.
+        `noise` is that of a single frame; the reference is the mean of `reference_frames`. `bad` (row, column) marks
+        bad pixels.
         """
         require({"reference_frames must be at least 1": reference_frames >= 1})
         self.noise, self.reference_frames = noise, reference_frames
         self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
         self._field_outline = field.outline
-        self._at_outline: dict[FieldModes, Floats] = {}  # field modes there, (Q, position), as they are asked for
+        self._at_outline: dict[FieldModes, Floats] = {}  # field modes there, (Q, position), cached
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage
         # A point's image falls to zero at the distance blur_px.
         blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
         self.blur_px = blur_px
         self.pitch_px = lattice.pitch_px
-        self.reach_px = (lattice.pitch_px - blur_px) / 2  # light of a field's edge beyond it meets the next cell
+        self.reach_px = (lattice.pitch_px - blur_px) / 2  # light beyond it reaches the next cell
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
         cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
         self.turn = np.array([[cosine, sine], [-sine, cosine]])  # row vectors: lattice frame @ turn = camera
@@ -69,7 +69,7 @@ class ReferenceSubimages:
         if np.mean(self.off_camera) > _OFF_CAMERA_FRACTION:
             rows, columns = reference.shape
             raise ReconstructionError(
-                f"most lenslets lie beside the frame of {rows} x {columns} pixels: check [lattice] and the frame's size"
+                f"most lenslets lie off the frame of {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
         self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
         nearest = np.rint(self.position_px).astype(np.intp)
@@ -79,7 +79,7 @@ class ReferenceSubimages:
         self.coefficients = self.spline(reference)  # of the whole frame, (row, column)
         self.light, gradient = sample(self.coefficients, self.position_px)  # (L, N)
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
-        self.usable = self._usable()  # positions that no bad pixel is next to, (L, N)
+        self.usable = self._usable()  # (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)
         steepness = np.sum(self.gradient**2, axis=2)
         spoilt = np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
@@ -89,7 +89,7 @@ class ReferenceSubimages:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 
     def spline(self, light: Image, *, saturated: Mask | None = None, threads: int = 1) -> Image:
-        """Spline coefficients of a frame (row, column), bad and saturated pixels put right from their neighbours."""
+        """Spline coefficients of a frame (row, column), bad and saturated pixels repaired."""
         bad = self.bad if saturated is None or not saturated.any() else self.bad | saturated
         return spline_coefficients(repaired(light, bad) if bad.any() else light, threads=threads)
 
@@ -99,13 +99,13 @@ class ReferenceSubimages:
         return values.reshape(-1, self.width, self.width)
 
     def touched(self, pixels: Mask) -> Mask:
-        """Which lenslets' windows hold one of the pixels (row, column), (L,)."""
+        """True for lenslets with one of the pixels (row, column) in their window, (L,)."""
         if not pixels.any():
             return np.zeros(len(self.center_px), np.bool_)
         return np.asarray(pixels[self._nearest].any(axis=1))
 
     def near(self, pixels: Mask) -> Mask:
-        """Which lenslets' cells one of the pixels (row, column) lies in or next to, (L,)."""
+        """True for lenslets with one of the pixels (row, column) in or next to their cell, (L,)."""
         if not pixels.any():
             return np.zeros(len(self.center_px), np.bool_)
         row, column = np.nonzero(pixels)
@@ -113,20 +113,20 @@ class ReferenceSubimages:
         return np.asarray(np.any(np.abs(away_px).max(axis=-1) < self.pitch_px / 2 + _NEXT_PX, axis=1))
 
     def range_used(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Floats:
-        """How far the field's edge is displaced over how far it may be until it leaves the lenslet's cell, (L,).
+        """Share (L,) of the dynamic range used: displacement of the field's edge over that which leaves the cell.
 
-        displacement (L, xy, Q) in the field modes, px.
+        `displacement` (L, xy, Q) in the field modes, px.
         """
         if modes not in self._at_outline:
             self._at_outline[modes] = modes.values(*self._field_outline.T)
-        moved_px = displacement.reshape(-1, modes.count) @ self._at_outline[modes]  # one product is quicker than L
+        moved_px = displacement.reshape(-1, modes.count) @ self._at_outline[modes]  # one product is faster than L
         edge_px = moved_px.reshape(len(displacement), 2, -1) + self.half_width_px * self._field_outline.T
         farthest_px = np.abs(edge_px).max(axis=(1, 2))
         allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
         return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)
 
     def _usable(self) -> Mask:
-        """Where no bad pixel is among the four about a position of the windows, (L, N)."""
+        """True for window positions without a bad pixel among the four around them, (L, N)."""
         usable = np.ones(self.position_px.shape[:2], np.bool_)
         if self.bad.any():
             rows, columns = self.bad.shape
@@ -136,7 +136,7 @@ class ReferenceSubimages:
         return usable
 
     def _smoothness(self) -> float:
-        """Median correlation of horizontally neighbouring pixels in the lit windows: about 0 for pure noise."""
+        """Median correlation of horizontal neighbours in the lit windows: about 0 for noise."""
         window = self.light[self.lit].reshape(-1, self.width, self.width)
         window = window - window.mean(axis=(1, 2), keepdims=True)
         neighbours = (window[:, :, 1:] * window[:, :, :-1]).mean(axis=(1, 2))

@@ -1,8 +1,8 @@
-"""Zonal reconstruction: Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980) for the lenslet centres.
+"""Zonal reconstruction at the lenslet centres: Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980).
 
-Between two neighbouring lenslets a pitch apart the wavefront rises by the mean of their slopes times the pitch. The
-weighted least-squares solution over all pairs of valid lenslets is found by one sparse factorisation, which depends
-on the valid lenslets and their weights alone and is kept until these change.
+Between neighbouring lenslets the wavefront rises by the mean of their slopes times the pitch. The weighted
+least-squares solution over all pairs of valid lenslets needs one sparse factorisation, cached until the valid lenslets
+or their weights change.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from reconstruction.arrays import Floats, Mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ZonalSolution:
-    """Slopes whose wavefront is integrated when it is asked for."""
+    """Slopes that are integrated to a wavefront on request."""
 
     slopes: Floats  # of every field mode, rad/m, (lenslet_row, lenslet_column, field_mode, xy)
     valid: Mask  # (lenslet_row, lenslet_column)
     pitch_m: float
-    weights: Floats | None = None  # how much each slope counts, in any unit, (lenslet_row, lenslet_column)
+    weights: Floats | None = None  # in any unit, (lenslet_row, lenslet_column)
     slope_covariance: Floats | None = None  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
 
     def wavefront(self, field_modes: Floats) -> Floats:
-        """Wavefront, rad, where the field modes have the values (..., field_mode); see `wavefront.Solution`."""
+        """Wavefront, rad, for values (..., field_mode) of the field modes; see `wavefront.Solution`."""
         slopes = np.tensordot(field_modes, self.slopes, axes=([-1], [2]))
         return zonal_wavefront(slopes, self.valid, pitch_m=self.pitch_m, weights=self.weights)
 
     def sigma(self, field_modes: Floats) -> Floats:
-        """Standard deviation of `wavefront`, rad, the same shape: what the noise of the slopes makes of it."""
+        """Standard deviation of `wavefront` from the noise of the slopes, rad, the same shape."""
         sigma = np.full((*field_modes.shape[:-1], self.valid.size), np.nan)
         equations = _equations(self.valid, self.weights)
         if equations is not None and self.slope_covariance is not None:
@@ -53,7 +53,7 @@ class ZonalSolution:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Southwell:
-    """The equations for one set of lenslets, factorised; nodes are the lenslets that hang together."""
+    """Factorised equations of one connected set of lenslets (nodes)."""
 
     node: NDArray[np.intp]  # flat index of every lenslet with an equation, (node,)
     mean: tuple[sparse.csr_array, sparse.csr_array]  # of x slopes, of y slopes, over their pairs: (pair, lenslet)
@@ -61,18 +61,28 @@ class _Southwell:
     factors: SuperLU  # of difference^T weight difference; the first node is held at zero
 
     def solve(self, slopes: Floats, axis: int) -> Floats:
-        """Wavefronts without piston (node, case) per pitch, of slopes (lenslet, case) along one axis."""
+        """Wavefronts without piston (node, case), per pitch, of slopes (lenslet, case) along one axis."""
         phase = self.factors.solve(np.asarray(self.weighted[axis] @ (self.mean[axis] @ slopes)))
         phase = np.concatenate([np.zeros((1, slopes.shape[1])), phase])
         return np.asarray(phase - phase.mean(axis=0))
 
 
 def zonal_wavefront(slopes: Floats, valid: Mask, *, pitch_m: float, weights: Floats | None = None) -> Floats:
-    """Integrate slopes (..., lenslet_row, lenslet_column, xy), rad/m, to wavefronts (..., lenslet_row, lenslet_column).
+    """Integrate slopes to wavefronts without piston, all leading axes at once.
 
-    The wavefronts are in rad, without piston, all leading axes at once. `weights` (lenslet_row, lenslet_column)
-    say how much each lenslet counts, in any unit. Only lenslets that hang together with the largest connected set of
-    valid ones share its piston; all others are NaN, as is everything without a valid pair.
+    Parameters
+    ----------
+    slopes : (..., lenslet_row, lenslet_column, xy)
+        rad/m.
+    valid : bool (lenslet_row, lenslet_column)
+    pitch_m : float
+    weights : (lenslet_row, lenslet_column), optional
+        In any unit.
+
+    Returns
+    -------
+    (..., lenslet_row, lenslet_column)
+        rad; NaN outside the largest connected set of valid lenslets.
     """
     flat = np.where(valid[..., None], slopes, 0.0).reshape(-1, valid.size, 2)
     wavefront = np.full((len(flat), valid.size), np.nan)
@@ -90,10 +100,7 @@ def _equations(valid: Mask, weights: Floats | None) -> _Southwell | None:
 
 @lru_cache(maxsize=16)
 def _southwell(valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int) -> _Southwell | None:
-    """Set up and factorise the equations for a set of valid lenslets; None when no two of them are neighbours.
-
-    The mean of two slopes is as uncertain as the two together: a pair's weight is 1 / (1/w_1 + 1/w_2).
-    """
+    """Factorise the equations; None if no two valid lenslets are neighbours."""
     valid = np.frombuffer(valid_bytes, np.bool_)
     weights = np.frombuffer(weight_bytes, np.float64)
     index = np.arange(rows * columns).reshape(rows, columns)
@@ -120,7 +127,7 @@ def _southwell(valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int)
 
 
 def _pairwise(pair: NDArray[np.intp], weights: Floats, lenslets: int) -> sparse.csr_array:
-    """Sparse operator from lenslets to pairs (2, pair) with the given weights of first and second."""
+    """Sparse operator from lenslets to pairs (2, pair), with the weights of their first and second lenslet."""
     count = pair.shape[1]
     values = np.repeat(weights, count)
     return sparse.csr_array((values, (np.tile(np.arange(count), 2), pair.ravel())), shape=(count, lenslets))

@@ -88,7 +88,7 @@ def test_the_source_is_the_benchs_own(small_bench: SmallBench, bowl: Bowl) -> No
     assert rms(last.wavefront.views - bowl.views).mean() < 0.4 * once
 
     model = BenchModel(settings_of(small_bench), reconstructor)
-    subimages, modelled = reconstructor.subimages, Reconstructor.against(reconstructor, model.image(None))
+    subimages, modelled = reconstructor.subimages, Reconstructor.registration_for(reconstructor, model.image(None))
     assert modelled(image(None), saturated=np.zeros(small_bench.frame_shape, np.bool_)).residual_rms.max() < 0.03
     assert subimages.light.max() == pytest.approx(float(model.image(None).max()), rel=0.1)
 

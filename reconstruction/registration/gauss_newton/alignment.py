@@ -1,7 +1,7 @@
-"""Compiled Gauss-Newton steps of one lenslet: the fit of a warp from one start.
+"""Compiled Gauss-Newton fit of one lenslet's warp from one start.
 
-The steps use the inverse A that `template` prepared. Pixels that must not count, n in B, are left out exactly, by the
-down-dated equations (1 - sum_B A_n J_n^T) x = sum_not-B A_n r_n, with J the steepest-descent images.
+The steps use the inverse A prepared by `template`. Excluded pixels, n in B, are left out exactly by the down-dated
+equations (1 - sum_B A_n J_n^T) x = sum_not-B A_n r_n, with J the steepest-descent images.
 """
 
 from __future__ import annotations
@@ -20,54 +20,49 @@ from reconstruction.registration.gauss_newton.warped_sampling import (
 )
 from reconstruction.runtime.compilation import compiled
 
-LOST_PX = np.float32(1e6)  # the last step of a fit that has run away
+LOST_PX = np.float32(1e6)  # last step of a lost fit
 
-_BOUND_PX = np.float32(
-    100.0
-)  # no coefficient of a displacement is larger; beyond it float32 has no fractions of a pixel
-_GROWTH = np.float32(2.0)  # of the residual after a step, squares, that must not be; on good ways 1.5 was seen
-_SMALL_PX = np.float32(0.1)  # steps that cannot do harm, although the residual may grow a little
+_BOUND_PX = np.float32(100.0)  # largest coefficient of a displacement; float32 resolves a fraction of a pixel below it
+_GROWTH = np.float32(2.0)  # reject a step if the squared residual grows more; converging fits reach 1.5
+_SMALL_PX = np.float32(0.1)  # smaller steps are never rejected
 _HALVINGS = 4
-_FIRST_SHRINKS = np.float32(0.3)  # the second step over the first, for want of a measured one
-_SHRINKS = np.float32(0.15)  # a step over the last at least: one coefficient may have settled before the others
-_PIVOT = 1e-12  # of the elimination; below it the pixels that are left do not tell the displacement
+_FIRST_SHRINKS = np.float32(0.3)  # assumed ratio of the second step to the first
+_SHRINKS = np.float32(0.15)  # smallest ratio of two steps: one coefficient may settle before the others
+_PIVOT = 1e-12  # of the elimination; below it the remaining pixels do not determine the displacement
 
 
 class Grid(NamedTuple):
-    """The reference as the steps of one warp see it: L lenslets, N pixels, Q field modes, P parameters.
-
-    The last two parameters are gain and offset, the others those of the displacement.
-    """
+    """The reference as one warp uses it: L lenslets, N pixels, Q field modes, P parameters (gain, offset last)."""
 
     uv: Image  # normalised positions of the pixels about the lenslet centre, (xy, N)
-    scale: tuple[np.float32, np.float32]  # px per unit of u and v; 1 over that where flux is conserved, else 0
+    scale: tuple[np.float32, np.float32]  # px per unit of u and v; its inverse if flux is conserved, else 0
     monomials: Image  # the field modes as polynomials of u and v, (Q, monomial)
     basis: Image  # the displacement (x modes, y modes) of each parameter, (P - 2, 2Q)
     light: Image  # I0, counts, (L, N)
     inverse: Image  # A, (L, P, N)
     descent: Image  # J, the steepest-descent images, (L, P, N)
-    weight: Image  # of the pixels, one on average; 0 for those that do not count, (L, N)
+    weight: Image  # of the pixels, 1 on average, 0 for unusable ones, (L, N)
 
 
 class FrameData(NamedTuple):
-    """A frame, and how the lattice lies on it."""
+    """A frame, and the position of the lattice on it."""
 
     coefficients: Image  # of the spline, (row, column)
-    bad: NDArray[np.bool_]  # pixels of the camera that show no light, (row, column)
-    sees_bad: NDArray[np.bool_]  # lenslets that may see one of them, (L,)
+    bad: NDArray[np.bool_]  # bad and saturated pixels, (row, column)
+    sees_bad: NDArray[np.bool_]  # lenslets with such pixels in or next to their cell, (L,)
     center_px: Floats  # of the lenslets, (L, xy)
     turn: Image  # of the lattice, (cosine, sine)
-    half_cell_px: np.float32  # beyond it is the neighbour's light
+    half_cell_px: np.float32  # beyond it is the neighbour's cell
 
 
 class State(NamedTuple):
-    """A fit and how well it matches."""
+    """A fit and its quality."""
 
-    square: np.float32  # weighted sum of the residual's squares, as if no pixel were left out
-    step_px: np.float32  # largest change of a coefficient in the last step, or what is still to come of it
+    square: np.float32  # weighted sum of the residual's squares, as if no pixel were excluded
+    step_px: np.float32  # largest change of a coefficient in the last step
     gain: np.float32
-    contrast: np.float32  # standard deviation of the light where the fit began, counts
-    is_partial: bool  # whether pixels were left out
+    contrast: np.float32  # standard deviation of the light at the start, counts
+    is_partial: bool  # some pixels were excluded
 
 
 @compiled
@@ -76,8 +71,8 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
 ) -> State:
     """Improve the displacement (xy, Q), px, of one lenslet in place.
 
-    `limits`: how many times to look at the frame, and the tolerance, px. A step after which the residual has grown is
-    halved; a fit that still grows, or leaves all bounds, is lost. Gain and offset start from means and contrasts.
+    `limits`: the number of iterations, and the tolerance, px. A step that increases the residual is halved; a fit that
+    still increases it, or leaves all bounds, is lost. Gain and offset start from means and contrasts.
     """
     modes, inverse, weight = displacement.shape[1], grid.inverse[lenslet], grid.weight[lenslet]
     parameters = inverse.shape[0]
@@ -96,7 +91,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
         if iteration == 0:
             gain, offset, contrast = _brightness(scratch.light, grid.light[lenslet])
             gain_before, offset_before = gain, offset
-            if not 0 < contrast < np.inf:  # nothing to be seen, or more than numbers hold
+            if not 0 < contrast < np.inf:  # dark, or overflow
                 return State(np.float32(np.inf), LOST_PX, gain, np.float32(0.0), is_partial)
         if renew:
             is_partial = bool(frame.sees_bad[lenslet]) or _leaves_cell(warp, grid, frame.half_cell_px)
@@ -130,11 +125,11 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
                 for q in range(modes):
                     displacement[axis, q] -= shift[axis * modes + q]
                     step = max(step, abs(shift[axis * modes + q]))
-            # What is still to come, if the steps go on to shrink as they did.
+            # The remaining change, if the steps keep shrinking at this rate.
             shrinks = _FIRST_SHRINKS if iteration == 0 else min(max(step / last, _SHRINKS), np.float32(0.9))
             if step * shrinks / (np.float32(1.0) - shrinks) < limits[1]:
                 break
-        renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two masks would never fit_warp
+        renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two sets of excluded pixels would never settle
         fainter = np.float32(1.0) - change[-2]
         gain, offset = gain_before * fainter, offset_before * fainter - change[-1]
     if not (gain > 0 and np.max(np.abs(displacement)) < _BOUND_PX):
@@ -144,10 +139,9 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
 
 @compiled
 def _shift(change: Image, warp: Image, grid: Grid, shift: Image) -> None:
-    """Turn a change of the parameters (P,) into one of the displacement (2Q,) in the frame.
+    """Convert a change of the parameters (P,) to one of the displacement (2Q,) in the frame.
 
-    A warp (xy, monomial) that stretches the image also stretches the remaining displacement, by its gradient in the
-    middle. What then lies outside the basis is projected out.
+    The mean gradient of the warp (xy, monomial) stretches it; what then lies outside the basis is projected out.
     """
     basis, per_unit = grid.basis, grid.scale[0]
     count, modes = basis.shape[0], basis.shape[1] // 2
@@ -172,7 +166,7 @@ def _shift(change: Image, warp: Image, grid: Grid, shift: Image) -> None:
 
 @compiled
 def _leaves_cell(warp: Image, grid: Grid, half_cell_px: np.float32) -> bool:
-    """Whether the border of a window that a warp (xy, monomial) moves lies in a neighbour's cell."""
+    """True if a warp (xy, monomial) moves the window's border into a neighbour's cell."""
     edge = abs(grid.uv[0, 0])  # the first pixel is a corner
     for row in range(-1, 2):
         for column in range(-1, 2):
@@ -186,7 +180,7 @@ def _leaves_cell(warp: Image, grid: Grid, half_cell_px: np.float32) -> bool:
 
 @compiled
 def _brightness(light: Image, template: Image) -> tuple[np.float32, np.float32, np.float32]:
-    """Gain and offset that give light (N,) the mean and the contrast of the template (N,); the light's contrast."""
+    """Gain and offset that give light (N,) the mean and contrast of the template (N,); the light's contrast."""
     pixels = np.float32(light.size)
     mean, template_mean = np.float32(0.0), np.float32(0.0)
     for n in range(light.size):
@@ -203,7 +197,7 @@ def _brightness(light: Image, template: Image) -> tuple[np.float32, np.float32, 
 
 @compiled
 def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Image, scratch: Scratch) -> np.float32:
-    """Fill in the residual; return the weighted sum of its squares."""
+    """Compute the residual; return its weighted sum of squares."""
     light, stretch, residual = scratch.light, scratch.stretch, scratch.residual
     for n in range(light.size):
         residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
@@ -215,7 +209,7 @@ def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Ima
 
 @compiled
 def _zero_excluded(weight: Image, scratch: Scratch) -> np.float32:
-    """Take the excluded pixels out of the residual; return the weighted sum of squares as if none were missing."""
+    """Zero the residual of excluded pixels; return the weighted sum of squares as if none were excluded."""
     square, total, kept = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for n in range(weight.size):
         total += weight[n]
@@ -229,7 +223,7 @@ def _zero_excluded(weight: Image, scratch: Scratch) -> np.float32:
 
 @compiled
 def _project(inverse: Image, residual: Image, change: Image) -> None:
-    """Carry a residual (N,) to a change of the parameters (P,)."""
+    """Project a residual (N,) to a change of the parameters (P,)."""
     for p in range(change.size):
         total, row = np.float32(0.0), inverse[p]
         for n in range(residual.size):
@@ -239,7 +233,7 @@ def _project(inverse: Image, residual: Image, change: Image) -> None:
 
 @compiled
 def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
-    """Mask the pixels that land in the neighbour's cell or between bad pixels."""
+    """Exclude the pixels that land in a neighbour's cell or between bad pixels."""
     cosine, sine = frame.turn[0], frame.turn[1]
     for n in range(scratch.x.size):
         x, y = scratch.x[n], scratch.y[n]
@@ -272,7 +266,7 @@ def _left_over(inverse: Image, descent: Image, excluded: NDArray[np.bool_]) -> F
 
 @compiled
 def _solve(matrix: Floats, x: Image) -> bool:
-    """Solve matrix (P, P) y = x in place by elimination with pivoting, x (P,) becoming y; False if it is singular."""
+    """Solve matrix (P, P) y = x in place by pivoted elimination, x (P,) becoming y; False if singular."""
     size = x.size
     for i in range(size):
         pivot_row = i

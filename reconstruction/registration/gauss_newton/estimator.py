@@ -1,13 +1,12 @@
 """Registration by flux-conserving Gauss-Newton: the method of this instrument.
 
-Light imaged at x in the reference arrives at x + d(x). Light is neither made nor lost on the way, so that
+Light imaged at x in the reference arrives at x + d(x), and flux is conserved:
 
     I0(x) = (gain I1(x + d(x)) + offset) det(1 + dd/dx),    d(x) = sum_q c_q T_q(x / h)
 
-with T_q the field modes and h the half width of the field on the subimage. One mode is a translation, three Legendre
-modes are the paper's affine map, six and ten bend. The c_q follow from Gauss-Newton steps that need of the reference
-only what `template` prepares once. They start from the frame before, or from a translation found on every other pixel;
-where that ends in no match, from the whole-pixel shift of the best correlation.
+with T_q the field modes and h the half width of the field on the subimage (docs/flux_conserving_warp.md). The fit
+starts from the previous frame, or from a translation found on every other pixel, or, if that does not match, from the
+whole-pixel shift with the best correlation.
 """
 
 from __future__ import annotations
@@ -21,30 +20,29 @@ from reconstruction.modes.field_modes import LegendreModes, PolynomialModes
 from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.gauss_newton.alignment import FrameData
 from reconstruction.registration.gauss_newton.fit_errors import ErrorPropagation
-from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fits, fit_lenslets
+from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fits, fit_lenslets, prepare_search
 from reconstruction.registration.gauss_newton.template import prepare_template
-from reconstruction.registration.gauss_newton.whole_pixel_search import prepare_search
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool
 
-# How far beyond the field's edge pixels are looked at, in blurs. Further out is only what diffraction scatters, which
-# no warp describes: with 0.8 the wavefronts of physics.md, section 7, are 0.157 rad wrong for the shortest correlation
-# length, with 1.3 0.098, as with all pixels of the cell; those of cubic warps 0.094 instead of 0.098.
+# Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp
+# describes. With 0.8 the wavefront error at the shortest correlation length of docs/estimator.md is 0.157 rad, with
+# 1.3 0.098, as with all pixels of the cell.
 _MARGIN_BLURS = 1.3
-_CONVERGED_PX = 0.05  # a last step above it is no convergence
-_MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
-# Likewise, and over that of most lenslets: above both, the frame shows something more in a cell. On the screens of
-# physics.md, section 7, none is above 0.041 or 2.6; half covered, a lenslet of dim light has 0.15.
+_CONVERGED_PX = 0.05  # largest last step of a converged fit
+_MISFIT = 0.5  # residual over contrast above which the frame does not match
+# Residual over contrast, and over that of most lenslets: above both, a lenslet is an outlier. Screens stay below 0.041
+# and 2.6; a half-covered lenslet has 0.15.
 _ODD, _OUTLYING = 0.08, 2.5
-_NOISE_SHARE = 0.3  # of the noise's square, by which a residual's may be more by chance
-_POOR = 0.3  # likewise; above it another start may do better
-_NOISE_AT_MOST = 1.5  # the square of a residual's noise over its mean
-_INFORMATION_LEFT = 0.75  # of a lenslet's; with less it is lost
+_NOISE_SHARE = 0.3  # of the noise's square, tolerated as chance
+_POOR = 0.3  # residual over contrast above which another start is tried
+_NOISE_AT_MOST = 1.5  # square of a residual's noise over its mean
+_INFORMATION_LEFT = 0.75  # of a lenslet's pixels; with less it is lost
 
 
 class GaussNewton:
-    """Registers frames against one reference; everything that depends on the reference alone is prepared here."""
+    """Gauss-Newton registration against one reference."""
 
     def __init__(
         self,
@@ -55,7 +53,7 @@ class GaussNewton:
         rotation: bool = True,
         threads: int = 2,
     ) -> None:
-        """Prepare for warps of the given field modes, and for so many threads that share the lenslets."""
+        """Prepare for warps of the given field modes, and for that many threads."""
         self._reference, self._modes, self._threads = reference, modes, threads
         offset_px = reference.offset_px
         near = np.abs(offset_px).max(axis=1) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
@@ -72,17 +70,17 @@ class GaussNewton:
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(near)
         self._limits = FitLimits(
             start_iterations=8,
-            start_tolerance_px=np.float32(0.1),  # only a start for the warp
+            start_tolerance_px=np.float32(0.1),  # only the start of the warp
             iterations=16,
             tolerance_px=np.float32(3e-4),
             converged_px=np.float32(_CONVERGED_PX),
             poor_square=poor_square.astype(np.float32),
         )
-        # Numba compiles, or loads what it has compiled, at the first call: let that not be a camera's first frame.
+        # Compile now instead of at the first frame.
         self._fit(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.bool_), None)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:
-        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
+        """Register a frame; see `displacement.RegistrationMethod`."""
         reference, warp = self._reference, self._warp
         coefficients = reference.spline(light, saturated=saturated, threads=self._threads)
         bad = reference.bad | saturated
@@ -109,7 +107,7 @@ class GaussNewton:
         )
 
     def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
-        """Fit the lenslets, shared among threads, to a frame of which the spline coefficients are given."""
+        """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""
         reference, grid = self._reference, self._warp.grid
         lenslets, pixels = grid.light.shape
         fits = Fits(
@@ -143,7 +141,7 @@ class GaussNewton:
         return fits
 
     def _begin(self, start: Displacement | None) -> Image:
-        """Where the fits begin, (L, xy, Q), px: NaN for those that have no start but their own."""
+        """Start of the fits, (L, xy, Q), px; NaN for lenslets without a start."""
         shape = len(self._reference.light), self._modes.count, 2
         if start is None or start.coefficients.size != np.prod(shape):
             return np.full((shape[0], 2, shape[1]), np.nan, np.float32)
@@ -152,10 +150,10 @@ class GaussNewton:
 
 @compiled
 def _stands_out(unexplained: Floats, square: Floats, at_most: Floats, found: Mask) -> Mask:
-    """Which lenslets (L,) show something that most do not, as when a part of the cell is covered.
+    """Flag lenslets (L,) with outlying residuals, e.g. partly covered ones.
 
-    `unexplained` (L,) of the residual's `square` (L,), counts^2, is more than its noise, and must be less than
-    `at_most` (L,) in any case; `found` (L,) have a match.
+    `unexplained` (L,) is the residual's `square` (L,) minus its noise, counts^2, `at_most` (L,) its limit; `found` (L,)
+    marks the lenslets with a match.
     """
     out = np.zeros_like(found)
     if found.any():

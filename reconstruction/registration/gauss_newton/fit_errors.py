@@ -1,7 +1,7 @@
-"""The error bars of fitted warps: what the camera's noise does to them, and to the residual.
+"""Error bars of fitted warps, from the camera's noise.
 
-The broad steepest-descent images see the slow part of the noise, which interpolation leaves as it is: so the covariance
-is that of pixels without interpolation. The residual holds all of the noise, and so less than the pixels' own.
+Steepest-descent images see the slow part of the noise, which interpolation preserves: the covariance is that of pixels
+without interpolation. The residual holds all of the noise, reduced by interpolation.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from reconstruction.runtime.compilation import compiled
 
 
 class FitErrors(NamedTuple):
-    """How wrong the fits of L lenslets may be."""
+    """Errors of the fits of L lenslets."""
 
-    covariance: Floats  # px^2, (L, Q, xy, Q, xy); without known noise, of what the warp cannot explain
-    chi_square: Floats  # reduced, (L,); NaN where the noise is not known
-    unexplained: Floats  # weighted sum of squares of the residual, less what noise leaves in it, counts^2, (L,)
-    known: Floats  # share of what a lenslet's pixels say about its parameters that the good ones say, (L,)
+    covariance: Floats  # px^2, (L, Q, xy, Q, xy); from the residual if the noise is unknown
+    chi_square: Floats  # reduced, (L,); NaN if the noise is unknown
+    unexplained: Floats  # weighted sum of squares of the residual minus its noise, counts^2, (L,)
+    known: Floats  # share of the information of a lenslet's pixels in the usable ones, (L,)
 
 
 class ErrorPropagation:
@@ -35,7 +35,7 @@ class ErrorPropagation:
         """Prepare for a template on some pixels (N,) of the reference's windows."""
         self._noise, self._template = reference.noise, template
         self._of_reference = 1 / reference.reference_frames
-        # Interpolation has weakened the noise of the reference, too: of uniform noise, of shot noise, (L, 2).
+        # Share of the noise of the reference that interpolation leaves: uniform, shot, (L, 2).
         power = noise_power(reference.position_px[:, pixels])
         weight = np.stack([template.grid.weight, template.grid.weight * np.maximum(template.grid.light, 0)], axis=-1)
         total = np.maximum(weight.sum(axis=1), np.finfo(np.float32).tiny)
@@ -43,7 +43,7 @@ class ErrorPropagation:
 
     @property
     def expected_square(self) -> Floats:
-        """Weighted sum of the squares of all noise, as a polynomial of the gain: (L, 3); zero where it is not known."""
+        """Expected weighted sum of squared noise, as a polynomial of the gain: (L, 3); zero if unknown."""
         square = np.zeros((len(self._template.contrast), 3))
         if self._noise is not None:
             shot = self._noise.counts_per_light * self._template.per_light.square
@@ -52,7 +52,7 @@ class ErrorPropagation:
         return square
 
     def __call__(self, fits: Fits) -> FitErrors:
-        """Say how wrong the fits are; of those that ran away it may say anything."""
+        """Errors of the fits; arbitrary for lost ones."""
         template, lenslets = self._template, len(fits.gain)
         errors = FitErrors(
             np.empty_like(template.per_pixel.covariance), np.empty(lenslets), np.empty(lenslets), np.ones(lenslets)
@@ -81,10 +81,10 @@ def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by
     reference_power: Floats,
     errors: FitErrors,
 ) -> None:
-    """Fill in what is wrong with the fits of some lenslets (K,), of which `per_pixel` and `per_light` tell.
+    """Fill in the errors of some lenslets (K,).
 
-    `shot`, the variance (counts^2) of each count of light, and `read`, that of each pixel, are NaN where they are not
-    known; the reference has the share `of_reference` of them, weakened by interpolation to `reference_power` (L, 2).
+    `shot` (counts^2 per count of light) and `read` (counts^2) are NaN if unknown; the reference has the share
+    `of_reference` of them, reduced by interpolation to `reference_power` (L, 2).
     """
     for k in range(lenslets.size):
         lenslet = lenslets[k]
@@ -95,7 +95,7 @@ def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by
             of_pixels = square / (power[0] * per_pixel.square[k] - per_pixel.fitted[k])
             errors.chi_square[lenslet] = np.nan
         else:
-            # Of the frame, raised by the gain to the brightness of the reference, and of the reference itself.
+            # Noise of the frame, scaled to the brightness of the reference, and of the reference.
             shot_frame, read_frame = shot * gain, read * gain * gain
             shot_reference, read_reference = shot * of_reference, read * of_reference
             of_pixels, of_light = read_frame + read_reference, shot_frame + shot_reference

@@ -1,4 +1,4 @@
-"""The compiled loop over the lenslets: from which start each is fitted, and how much noise interpolation leaves."""
+"""Compiled loop over the lenslets: the starts of their fits, and the noise left by interpolation."""
 
 from __future__ import annotations
 
@@ -9,36 +9,46 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.registration.gauss_newton.alignment import LOST_PX, FrameData, Grid, State, fit_warp
-from reconstruction.registration.gauss_newton.warped_sampling import Scratch, new_scratch
-from reconstruction.registration.gauss_newton.whole_pixel_search import WholePixelSearch, best_shift
+from reconstruction.registration.gauss_newton.warped_sampling import Scratch, new_scratch, sample_warped
+from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 
-_NOISE_STRIDE = 7  # pixels between those where the noise of interpolation is looked at; no divisor of a window's width
+_NOISE_STRIDE = 7  # pixels between samples of the interpolation noise; no divisor of a window's width
+
+
+class WholePixelSearch(NamedTuple):
+    """Whole-pixel correlation search, used when Gauss-Newton fails: the middle of the reference's windows."""
+
+    light: Image  # minus its mean, over its contrast, (L, rows, columns)
+    uv: Image  # normalised positions of a patch wider by `reach` pixels on each side, (xy, N)
+    scale: tuple[np.float32, np.float32]  # px per unit of u and v, and 0: no flux
+    reach: int  # the largest shift, px
 
 
 class FitLimits(NamedTuple):
-    """When a fit has settled and when it is no match, for translations (`start_`) and warps."""
+    """Limits of convergence and match, for translations (`start_`) and warps."""
 
     start_iterations: int
     start_tolerance_px: np.float32
     iterations: int
     tolerance_px: np.float32
-    converged_px: np.float32  # a last step above it is no convergence
-    # Square of a residual above which another start is tried, as a polynomial of the gain: (L, 3), counts^2.
-    poor_square: Image
+    converged_px: np.float32  # largest last step of a converged fit
+    poor_square: (
+        Image  # squared residual above which another start is tried, a polynomial of the gain: (L, 3), counts^2
+    )
 
 
 class Fits(NamedTuple):
-    """What becomes of L lenslets with Q field modes; filled in."""
+    """Fits of L lenslets with Q field modes; filled in."""
 
-    displacement: Image  # in: where a fit begins, NaN for the start of its own; out: the fit, px, (L, xy, Q)
-    contrast: Floats  # standard deviation of the frame's subimage where the fit began, counts, (L,)
-    gain: Floats  # by which the frame's light makes the reference's, (L,)
+    displacement: Image  # in: start of the fit, or NaN; out: the fit, px, (L, xy, Q)
+    contrast: Floats  # standard deviation of the frame's subimage at the start, counts, (L,)
+    gain: Floats  # from the frame's light to the reference's, (L,)
     square: Floats  # weighted sum of the residual's squares before the last step, counts^2, (L,)
     step_px: Floats  # the largest change of a coefficient in the last step, (L,)
-    noise_power: Floats  # share of the pixels' noise that interpolation leaves: of uniform, of shot noise, (L, 2)
-    is_partial: NDArray[np.bool_]  # whether pixels were left out, (L,)
-    excluded: NDArray[np.bool_]  # which ones, (L, N)
+    noise_power: Floats  # share of the noise that interpolation leaves: uniform, shot, (L, 2)
+    is_partial: NDArray[np.bool_]  # some pixels were excluded, (L,)
+    excluded: NDArray[np.bool_]  # pixels, (L, N)
 
 
 @compiled
@@ -53,10 +63,10 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     first: int,
     step: int,
 ) -> None:
-    """Fit every `step`-th lenslet from `first` on.
+    """Fit every `step`-th lenslet, starting with `first`.
 
-    `start` holds the reference for translations on a coarse grid, `warp` that of the warps. Where that ends nowhere,
-    the whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
+    `start` is the reference for translations on a coarse grid, `warp` that for the warps. If these fail, the
+    whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
     """
     scratch = new_scratch(warp.uv.shape[1])
     coarse = new_scratch(start.uv.shape[1])
@@ -83,13 +93,13 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
             poor = _is_poor(state, limits, lenslet)
         if poor and search.reach > 0:
             again = np.zeros_like(displacement)
-            best_shift(frame, search, lenslet, again, patch)
+            _best_shift(frame, search, lenslet, again, patch)
             other = fit_warp(frame, warp, lenslet, again, settled, scratch)
             better = other.square < state.square if state.step_px < limits.converged_px else True
             if other.step_px < limits.converged_px and better:
                 displacement[:] = again
                 state = other
-            elif state.step_px < limits.converged_px:  # as before; the pixels left out are looked up again
+            elif state.step_px < limits.converged_px:  # repeat, to restore the excluded pixels
                 state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
         fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
         fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
@@ -101,7 +111,7 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
 
 @compiled
 def _is_poor(state: State, limits: FitLimits, lenslet: int) -> bool:
-    """Whether another start might do better."""
+    """True if another start might do better."""
     poor = limits.poor_square[lenslet]
     enough = state.square < poor[0] + state.gain * (poor[1] + state.gain * poor[2])
     return not (state.step_px < limits.converged_px and enough)
@@ -109,7 +119,7 @@ def _is_poor(state: State, limits: FitLimits, lenslet: int) -> bool:
 
 @compiled
 def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scratch, found: Floats) -> None:
-    """Mean share of the noise that interpolation leaves where a window has landed: of uniform, of shot noise, (2,)."""
+    """Mean share of the noise that interpolation leaves in a warped window: uniform, shot noise, (2,)."""
     pixels, shot, left_pixels, left_shot = 0.0, 0.0, 0.0, 0.0
     for n in range(0, weight.size, _NOISE_STRIDE):
         x, y = scratch.x[n] - np.floor(scratch.x[n]), scratch.y[n] - np.floor(scratch.y[n])
@@ -123,3 +133,51 @@ def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scr
         left_pixels += one * left
         left_shot += much * left
     found[0], found[1] = left_pixels / max(pixels, 1e-30), left_shot / max(shot, 1e-30)
+
+
+def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
+    """Prepare the search for shifts that keep the field, with half its blur, inside the lenslet's cell."""
+    reach = max(int(reference.reach_px - reference.half_width_px), 0)
+    width = 2 * int(reference.half_width_px + reference.blur_px / 2) + reference.width % 2
+    width = min(width, reference.width - 2 * reach)  # the patch must not exceed the window
+    inner = slice((reference.width - width) // 2, (reference.width + width) // 2)
+    light = reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner]
+    light = light - light.mean(axis=(1, 2), keepdims=True)
+    light /= np.maximum(light.std(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
+    near = np.abs(reference.offset_px).max(axis=1) <= (width - 1) / 2 + reach
+    return WholePixelSearch(
+        light=light.astype(np.float32),
+        uv=np.ascontiguousarray(reference.offset_px[near].T / reference.half_width_px, np.float32),
+        scale=(np.float32(reference.half_width_px), np.float32(0.0)),
+        reach=reach,
+    )
+
+
+@compiled
+def _best_shift(
+    frame: FrameData, search: WholePixelSearch, lenslet: int, displacement: Image, scratch: Scratch
+) -> None:
+    """Set the displacement (xy, Q) to the whole-pixel shift with the best correlation."""
+    still = np.zeros((2, 10), np.float32)
+    sample_warped(frame.coefficients, still, search.uv, frame.center_px[lenslet], frame.turn, search.scale, scratch)
+    template, reach = search.light[lenslet], search.reach
+    rows, columns = template.shape
+    width = columns + 2 * reach
+    patch = scratch.light
+    pixels = np.float32(rows * columns)
+    best, best_x, best_y = np.float32(0.0), 0, 0
+    for shift_y in range(2 * reach + 1):
+        for shift_x in range(2 * reach + 1):
+            total, power, product = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for row in range(rows):
+                first = (row + shift_y) * width + shift_x
+                for column in range(columns):
+                    value = patch[first + column]
+                    total += value
+                    power += value * value
+                    product += value * template[row, column]
+            spread = power - total * total / pixels
+            if spread > 0 and product > best * np.sqrt(spread):  # the template's mean is 0: the patch's does not matter
+                best, best_x, best_y = product / np.sqrt(spread), shift_x, shift_y
+    displacement[:] = 0
+    displacement[0, 0], displacement[1, 0] = best_x - reach, best_y - reach

@@ -1,9 +1,8 @@
-"""What the Gauss-Newton steps of a warp need of the reference, computed once.
+"""Template: what the Gauss-Newton steps of a warp need of the reference, computed once.
 
-The steepest-descent images are taken from the reference instead of the frame: d(residual)/dc_q = d(I0 T_q)/dx. So
-their pseudo-inverse does not depend on the frame, and a step is one product with the residual (after Baker and
-Matthews 2004, International Journal of Computer Vision 56, 221). Where the camera's noise is known, each pixel counts
-by the inverse of its variance: A = (J W J^T)^-1 J W.
+The steepest-descent images, d(residual)/dc_q = d(I0 T_q)/dx, are those of the reference, so that their pseudo-inverse
+does not depend on the frame and a step is one product with the residual (after Baker and Matthews 2004, International
+Journal of Computer Vision 56, 221). With known noise, pixels have inverse-variance weights: A = (J W J^T)^-1 J W.
 """
 
 from __future__ import annotations
@@ -23,44 +22,35 @@ from reconstruction.registration.gauss_newton.alignment import Grid
 from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS
 from reconstruction.registration.subimages import ReferenceSubimages
 
-# What a warp may leave unexplained, over the brightest pixel of a subimage. Without it the dark surround of a bright
-# subimage, where noise is weakest, would count most: there is the light that diffraction scatters, which no warp
-# describes. The noise-free wavefronts of physics.md, section 7, would be 0.169 0.110 0.097 rad wrong instead of 0.098
-# 0.060 0.050, and those of dim frames would not be less noisy.
+# Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
+# scattered light that no warp describes, would have most weight, and the noise-free wavefront errors on the screens of
+# docs/estimator.md would be 0.169 0.110 0.097 rad instead of 0.098 0.060 0.050.
 _MODEL_ERROR = 0.1
 _NOTHING = 1e-12
-_AT_ONCE = 64  # lenslets whose numbers fit into the processor's cache
+_AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
 
 
 class Propagated(NamedTuple):
-    """What noise of a given variance per pixel does to the fits of L lenslets with Q field modes."""
+    """Effect of noise of a given variance per pixel on the fits of L lenslets with Q field modes."""
 
     covariance: Floats  # of the displacement coefficients, (L, Q, xy, Q, xy)
-    square: Floats  # the weighted sum of its squares that is to be expected, (L,)
-    fitted: Floats  # how much of that the fit follows, (L,)
-
-    def put(self, lenslets: slice, some: Propagated) -> None:
-        """Fill in what is known of some lenslets."""
-        self.covariance[lenslets], self.square[lenslets], self.fitted[lenslets] = (
-            some.covariance,
-            some.square,
-            some.fitted,
-        )
+    square: Floats  # expected weighted sum of its squares, (L,)
+    fitted: Floats  # part of `square` absorbed by the fit, (L,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Template:
-    """The reference as one warp sees it: L lenslets, N pixels a window, Q field modes, P parameters."""
+    """The reference prepared for one warp: L lenslets, N pixels, Q field modes, P parameters."""
 
-    grid: Grid  # what the steps need
+    grid: Grid
     contrast: Floats  # standard deviation of the light, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
-    per_light: Propagated  # of noise with as much variance as there is light, as shot noise has
+    per_light: Propagated  # of shot noise, whose variance is the light
 
     def without(self, lenslets: NDArray[np.intp], excluded: Mask) -> tuple[Propagated, Propagated, Floats]:
-        """`per_pixel` and `per_light` of some lenslets (K,) when pixels `excluded` (K, N) do not count.
+        """`per_pixel` and `per_light` of some lenslets (K,) with pixels `excluded` (K, N).
 
-        Also the share of what all pixels know about the parameters that is left, (K,).
+        Also the share of the information about the parameters that remains, (K,).
         """
         inverse, descent = (np.asarray(part[lenslets], np.float64) for part in (self.grid.inverse, self.grid.descent))
         inverse *= ~excluded[:, None]
@@ -86,11 +76,11 @@ def prepare_template(
     rotation: bool = True,
     noise: CameraNoise | None = None,
 ) -> Template:
-    """Prepare the steps of the warp with the field modes T_q on some pixels (N,) of the windows.
+    """Prepare a warp with the field modes T_q on some pixels (N,) of the windows.
 
-    For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, of which the second term is
-    the flux; those of gain and offset are I0 and 1. Without `noise` all pixels count alike. Without `rotation` the
-    displacement is the gradient of a potential over the field, as layers make it.
+    For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, the second term from the flux;
+    those of gain and offset are I0 and 1. Without `noise` all pixels have equal weight. Without `rotation` the
+    displacement is the gradient of a potential over the field.
     """
     u, v = reference.offset_px[pixels].T / reference.half_width_px
     values = modes.values(u, v)
@@ -108,7 +98,7 @@ def prepare_template(
         descent=np.empty((lenslets, parameters, count), np.float32),
         weight=np.empty((lenslets, count), np.float32),
     )
-    per_pixel, per_light = _unknown(lenslets, modes.count), _unknown(lenslets, modes.count)
+    per_pixel, per_light = [], []
     smooth = _smooth(reference)
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
@@ -133,13 +123,14 @@ def prepare_template(
         inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
         grid.light[some], grid.weight[some] = light, weight
         grid.inverse[some], grid.descent[some] = inverse, descent
-        per_pixel.put(some, _propagated(np.ones_like(light), inverse, weight, descent, basis))
-        per_light.put(some, _propagated(expected, inverse, weight, descent, basis))
-    return Template(grid, reference.light[:, pixels].std(axis=1), per_pixel, per_light)
+        per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent, basis))
+        per_light.append(_propagated(expected, inverse, weight, descent, basis))
+    whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
+    return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
 
 
 def _monomials(modes: PolynomialModes) -> Image:
-    """Write the field modes as polynomials of u and v: (Q, monomial)."""
+    """Coefficients of the field modes as polynomials of u and v: (Q, monomial)."""
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 7)))
     powers = np.stack([u**m * v**n for m, n in MONOMIALS])
     values = modes.values(u, v)
@@ -149,16 +140,13 @@ def _monomials(modes: PolynomialModes) -> Image:
 
 
 def _weight(expected: Floats, noise: CameraNoise) -> Floats:
-    """How much each pixel counts: the inverse square of the residual to be expected where the light is so much, (L, N).
-
-    That is the noise, and what the warp cannot explain.
-    """
+    """Inverse square of the residual expected for that light, (L, N): noise, and model error."""
     peak = np.maximum(expected.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)
     return np.asarray(1 / (noise.variance(expected) / peak**2 + _MODEL_ERROR**2))
 
 
 def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floats, basis: Floats) -> Propagated:
-    """Carry noise of independent pixels, (L, N), through the fit with A = `inverse` (L, P, N) and J = `descent`."""
+    """Propagate noise of independent pixels, (L, N), through A = `inverse` (L, P, N), J = `descent`."""
     count, modes = len(basis), basis.shape[1] // 2
     warp = inverse[:, :count]
     covariance = (warp * variance[:, None]) @ np.swapaxes(warp, 1, 2)
@@ -173,15 +161,7 @@ def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floa
     )
 
 
-def _unknown(lenslets: int, modes: int) -> Propagated:
-    """Room for what is to be filled in."""
-    return Propagated(np.empty((lenslets, modes, 2, modes, 2)), np.empty(lenslets), np.empty(lenslets))
-
-
 def _smooth(reference: ReferenceSubimages) -> Floats:
-    """The light that is expected, (L, N): of a noisy reference the mean of neighbours.
-
-    Weights from each pixel's own light would favour those that happen to be too dark.
-    """
+    """Expected light, (L, N), a mean over neighbours: weights from single noisy pixels would favour dark ones."""
     light = reference.light.reshape(-1, reference.width, reference.width)
     return np.asarray(ndimage.uniform_filter(light, (0, 3, 3), mode="nearest").reshape(reference.light.shape))

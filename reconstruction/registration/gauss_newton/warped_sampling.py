@@ -1,10 +1,7 @@
-"""The compiled inner loop of the registration: what a frame shows where a warped window lands.
+"""Compiled inner loop of the registration: sampling a frame where a warped window lands.
 
-A warp is a pair of cubic polynomials of the normalised position (u, v) in the window, with the ten monomials
-
-    1, u, v, u^2, uv, v^2, u^3, u^2 v, u v^2, v^3
-
-for x and for y: so positions and their derivatives cost a few operations a pixel.
+A warp is a pair of cubic polynomials, for x and for y, of the normalised position (u, v) in the window, with the
+monomials 1, u, v, u^2, uv, v^2, u^3, u^2 v, u v^2, v^3: a few operations per pixel.
 """
 
 from __future__ import annotations
@@ -24,21 +21,21 @@ _NEXT, _NEXT_BUT_ONE, _LAST = np.uint64(1), np.uint64(2), np.uint64(3)  # column
 
 
 class Scratch(NamedTuple):
-    """Where one thread keeps what it knows of the N pixels of a window."""
+    """One thread's work arrays for the N pixels of a window."""
 
-    x: Image  # where each pixel lands on the camera, px, (N,)
+    x: Image  # position of each pixel on the camera, px, (N,)
     y: Image
-    light: Image  # what the frame shows there, counts, (N,)
-    stretch: Image  # of the warp, by which light is spread thinner, (N,)
+    light: Image  # of the frame there, counts, (N,)
+    stretch: Image  # determinant of the warp, (N,)
     corner: NDArray[np.uint64]  # flat index of the first of the 4 x 4 coefficients about it, (N,)
     weights: Image  # of the four columns and the four rows of coefficients, (8, N)
     residual: Image  # counts, (N,)
-    excluded: NDArray[np.bool_]  # pixels that do not count, (N,)
+    excluded: NDArray[np.bool_]  # excluded pixels, (N,)
 
 
 @compiled
 def new_scratch(pixels: int) -> Scratch:
-    """Make room for windows of some pixels."""
+    """Allocate work arrays for windows of that many pixels."""
     return Scratch(
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
@@ -53,7 +50,7 @@ def new_scratch(pixels: int) -> Scratch:
 
 @compiled
 def warp_polynomials(displacement: Image, monomials: Image) -> Image:
-    """Polynomials (xy, monomial) of a displacement (xy, Q) whose field modes are those of `monomials` (Q, monomial)."""
+    """Polynomials (xy, monomial) of a displacement (xy, Q) in the field modes `monomials` (Q, monomial)."""
     polynomials = np.zeros((2, monomials.shape[1]), np.float32)
     for axis in range(2):
         for q in range(monomials.shape[0]):
@@ -81,16 +78,16 @@ def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their
     scale: tuple[np.float32, np.float32],
     scratch: Scratch,
 ) -> None:
-    """Sample a frame where the pixels uv (xy, N) of a lenslet's window land; fill `scratch`.
+    """Sample a frame at the positions of the warped pixels uv (xy, N) of a lenslet's window; fill `scratch`.
 
-    Of the frame: its spline coefficients (row, column); beyond the border the nearest inner position is taken. Of the
-    lenslet: center_px (xy,) and the lattice's turn (cosine, sine). `warp` (xy, monomial), px. `scale`: px per unit of
-    u and v; and 1 / that if light spreads as the warp stretches, 0 if not.
+    The frame is given by its spline coefficients (row, column); beyond its border the nearest inner position is
+    sampled. center_px (xy,), turn (cosine, sine) and warp (xy, monomial), px, place the window. `scale`: px per unit of
+    u and v, and its inverse to conserve flux or 0.
     """
     per_unit, flux = scale
     rows, columns = coefficients.shape
     last_x, last_y = np.float32(columns - 3), np.float32(rows - 3)
-    # The warp, and the identity, on the camera.
+    # Warp plus identity, in camera coordinates.
     to_x, to_y = np.empty(10, np.float32), np.empty(10, np.float32)
     for m in range(10):
         along_x, along_y = warp[0, m], warp[1, m]
@@ -132,10 +129,10 @@ def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their
 
 @compiled
 def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
-    """Fill in the light that the frame's coefficients, row after row, give at the corners in `scratch`."""
+    """Interpolate the light from the flat coefficients at the corners in `scratch`."""
     weights, light, corner = scratch.weights, scratch.light, scratch.corner
     for n in range(light.size):
-        # Column by column, so that four neighbours of a row make one vector operation.
+        # Column by column, so that four neighbours of a row are one vector operation.
         a = corner[n]
         b, c, d = a + stride, a + stride + stride, a + stride + stride + stride
         y0, y1, y2, y3 = weights[4, n], weights[5, n], weights[6, n], weights[7, n]

@@ -1,19 +1,12 @@
-"""Block-wise optical flow: the method of Wu et al. 2021 (Cell 184, 3318), as the paper describes it.
+"""Block-wise optical flow, after Wu et al. 2021 (Cell 184, 3318).
 
-The image of the field is divided into 7 x 7 areas; each is searched for in the frame's subimage at the place of maximum
-correlation; cubic interpolation makes of the 7 x 7 shifts one for every pixel.
+7 x 7 blocks of the field are searched for in the frame's subimage by correlation; cubic interpolation yields a shift
+for every pixel. Choices where the paper leaves them open, for sources without structure:
 
-The description leaves open what a source needs that is not full of structure, as a uniform square is not:
-
-* A seventh of the field is 2.5 pixels, less than the diffraction blur. So a block is wider than the area that it
-  stands for, and blocks overlap.
-* The peak is that of the normalised correlation, which a neighbour's brightness does not shift, between pixels by a
-  parabola along x and another along y, for a whole pixel is 2.3 rad over a lenslet. No joint quadratic in x and y is
-  fitted, as along an edge it is flat in one direction.
-* Inside the square the correlation is undefined, and along an edge it is so in one direction. The structure tensor of a
-  block, sum of grad I0 grad I0^T, says which shifts it can see. A direction with less than a fraction of the best
-  block's structure counts for nothing, and the shifts are filled in from the neighbours as a thin plate would be:
-  the smallest second differences that pass through what was seen.
+* Blocks overlap and are wider than a seventh of the field, 2.5 px, which is less than the diffraction blur.
+* The peak is that of the normalised correlation, refined by one parabola along x and another along y.
+* The structure tensor of a block, sum of grad I0 grad I0^T, says which shifts it can see. Directions with less than a
+  fraction of the best block's structure have no weight; a thin plate through the other shifts fills them in.
 """
 
 from __future__ import annotations
@@ -28,26 +21,26 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
 from reconstruction.geometry import centered_steps
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.registration.peers.flow import FlowReading
+from reconstruction.registration.peers.flow import FlowToModes
 from reconstruction.registration.subimages import ReferenceSubimages
 
 _BLOCKS = 7  # along x and along y
-_BLOCK_PX = 9  # width of a block; odd, so that it has a middle pixel; 7 see too little of a square's blurred edge
-_FAINT = 0.1  # of the best block's structure; below it a direction is not seen
-_STIFFNESS = 1e-2  # of the plate, in units of the best block's structure: it bends wherever anything is seen
-_REST = 1e-9  # likewise; holds what nothing holds
-_FLAT = 1e-3  # of the subimage's contrast; where the frame varies less, nothing correlates
+_BLOCK_PX = 9  # odd width of a block; 7 see too little of a square's blurred edge
+_FAINT = 0.1  # of the best block's structure; weaker directions have no weight
+_STIFFNESS = 1e-2  # of the plate, in units of the best block's structure
+_REST = 1e-9  # pull towards no shift, which keeps the system regular in the dark
+_FLAT = 1e-3  # of the subimage's contrast; flatter parts of the frame do not correlate
 
 
 class BlockFlow:
-    """Registers frames against one reference by the correlation of blocks."""
+    """Registration by the correlation of blocks."""
 
     def __init__(self, reference: ReferenceSubimages, modes: FieldModes) -> None:
-        """Prepare for one reference, displacements written in `modes` (see `flow.FlowReading`)."""
+        """Prepare for one reference and for displacements in those field modes."""
         self._reference = reference
-        self._read = FlowReading(reference, modes)
+        self._to_modes = FlowToModes(reference, modes)
         self._reach = max(1, int(np.ceil(reference.reach_px - reference.half_width_px)))  # of the shifts, px
-        # Blocks lie on whole pixels; one shift more than is wanted, so that each peak has neighbours.
+        # Blocks lie on whole pixels.
         self._center_px = np.rint(centered_steps(_BLOCKS) * (2 * reference.half_width_px / _BLOCKS))
         pixels_px = np.clip(centered_steps(reference.width), -reference.half_width_px, reference.half_width_px)
         self._interpolation = make_interp_spline(self._center_px, np.eye(_BLOCKS), k=3)(pixels_px)  # (width, block)
@@ -60,33 +53,30 @@ class BlockFlow:
         self._structure, self._plate = self._prepare_plate()
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
+        """Register a frame; see `displacement.RegistrationMethod`."""
         subimages = self._reference.cut(light)
         seen = self._structure @ self._search(subimages)[..., None]
         shift = self._plate @ seen.reshape(len(seen), -1, 1)
         shift = shift.reshape(-1, _BLOCKS, _BLOCKS, 2)
         flow = np.einsum("yi,xj,lijd->lyxd", self._interpolation, self._interpolation, shift, optimize=True)
-        return self._read(flow.reshape(len(flow), -1, 2), subimages, saturated=saturated)
+        return self._to_modes(flow.reshape(len(flow), -1, 2), subimages, saturated=saturated)
 
     def _padded(self, windows: Floats, reach: int) -> tuple[Floats, NDArray[np.intp]]:
-        """Go on with the windows (L, width, width) beyond their edges, as far as blocks moved by `reach` may lie.
-
-        Also says where in it the blocks begin, along x as along y, when they are moved by -reach.
-        """
+        """Windows (L, width, width) padded for blocks moved by up to `reach`, and where those moved by -reach begin."""
         margin = reach + _BLOCK_PX
         padded = np.pad(windows, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
         middle = self._reference.width // 2 + margin
         return padded, (self._center_px + middle).astype(np.intp) - _BLOCK_PX // 2 - reach
 
     def _blocks(self, windows: Floats) -> Floats:
-        """Every block of the windows (L, width, width): (L, block_row, block_column, row, column)."""
+        """Blocks of the windows (L, width, width): (L, block_row, block_column, row, column)."""
         padded, first = self._padded(windows, 0)
         return sliding_window_view(padded, (_BLOCK_PX, _BLOCK_PX), axis=(1, 2))[:, first[:, None], first]
 
     def _search(self, subimages: Floats) -> Floats:
-        """Shift of the best normalised correlation of every block, px, (L, block_row, block_column, xy)."""
+        """Shift with the best normalised correlation, px, (L, block_row, block_column, xy)."""
         correlation = self._correlation(subimages)
-        # A peak at the very end of the search has no neighbour to tell where it lies: only inner shifts are asked.
+        # Only inner shifts have the neighbours that locate a peak.
         inner = correlation[..., 1:-1, 1:-1]
         best = np.argmax(inner.reshape(*inner.shape[:3], -1), axis=-1)
         row, column = np.unravel_index(best, inner.shape[3:])
@@ -96,10 +86,7 @@ class BlockFlow:
         return np.stack([column, row], axis=-1) - self._reach + _vertex(across)
 
     def _correlation(self, subimages: Floats) -> Floats:
-        """Normalised correlation of every block with the subimages (L, width, width) at every shift.
-
-        (L, block_row, block_column, shift_row, shift_column), one shift more at each end than the search may find.
-        """
+        """Correlation (L, block_row, block_column, shift_row, shift_column), with a margin of one shift."""
         reach = self._reach + 1
         shifts = 2 * reach + 1
         padded, first = self._padded(subimages, reach)
@@ -120,11 +107,7 @@ class BlockFlow:
         return correlation
 
     def _prepare_plate(self) -> tuple[Floats, Floats]:
-        """What each block of the reference can see, and the plate bent by what the blocks see.
-
-        The structure tensors (L, block_row, block_column, xy, xy), and the matrices (L, shifts, shifts) that make the
-        filled shifts of tensor times shift; both in units of the best block's structure.
-        """
+        """Structure tensors (L, block_row, block_column, xy, xy); plate (L, shifts, shifts) that fills in shifts."""
         gradient = self._reference.gradient.reshape(-1, self._reference.width, self._reference.width, 2)
         along_x, along_y = (self._blocks(gradient[..., axis]) for axis in (0, 1))
         tensor = np.empty((*along_x.shape[:3], 2, 2))
@@ -144,7 +127,6 @@ class BlockFlow:
         blocks = _BLOCKS**2
         system = np.zeros((len(structure), blocks, 2, blocks, 2))
         diagonal = np.arange(blocks)
-        # Where nothing at all is seen, as in the dark, the least of pulls towards no shift keeps the system regular.
         system[:] = np.kron(_STIFFNESS * energy + _REST * np.eye(blocks), np.eye(2)).reshape(system.shape[1:])
         system[:, diagonal, :, diagonal] += np.swapaxes(structure.reshape(-1, blocks, 2, 2), 0, 1)
         plate = np.linalg.inv(system.reshape(-1, 2 * blocks, 2 * blocks))
@@ -152,7 +134,7 @@ class BlockFlow:
 
 
 def _vertex(values: Floats) -> Floats:
-    """Where the parabola through three neighbours (..., 3) has its peak, px from the middle one, at most half."""
+    """Peak of the parabola through three neighbours (..., 3), px from the middle one, at most half."""
     before, middle, after = np.moveaxis(values, -1, 0)
     curvature = before - 2 * middle + after
     peaked = curvature < 0

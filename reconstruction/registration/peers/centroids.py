@@ -1,10 +1,8 @@
 """Registration by the centroids of stars: the paper's reference method, for an array of pinholes as the source.
 
-In every subimage each star is found, in the reference and in the frame, and its displacement is the difference of
-the two centroids. A star is followed by a small window that lies on the subpixel grid about the star itself (sampled
-by the B-spline), so that nothing depends on where the star lies among the pixels. In the window, the background (the
-median of its border) and a fraction of the star's height are subtracted, what is then negative is cut off, and the
-window moves to the centre of gravity of the rest until it stays.
+A star's displacement is the difference of its centroids in frame and reference. A small window on the subpixel grid
+follows each star: the background (median of its border) and a fraction of the star's height are subtracted, negative
+values are cut off, and the window moves to the centre of gravity until it stays.
 """
 
 from __future__ import annotations
@@ -24,17 +22,17 @@ from reconstruction.registration.peers.correlation import correlation_spectrum, 
 from reconstruction.registration.subimages import ReferenceSubimages
 
 _THRESHOLD = 0.1  # of the star's height above the background
-_WINDOW_BLURS = 1.5  # half width of a star's window over the first zero of its image, where no other star is near
+_WINDOW_BLURS = 1.5  # largest half width of a window over the first zero of a star's image
 _ITERATIONS = 12
 _TOLERANCE_PX = 2e-3
-_CONVERGED_PX = 0.05  # a last step above it is no convergence
-_FAINT = 0.2  # of the median star's height; below it a star counts as lost
-_MISFIT = 0.5  # residual over contrast above which a window shows something else than the star
-_STARLESS_FRACTION = 0.5  # of the lit lenslets; with more that lack a star, the reference shows another source
+_CONVERGED_PX = 0.05  # largest last step of a converged window
+_FAINT = 0.2  # of the median star's height; fainter stars are lost
+_MISFIT = 0.5  # residual over contrast above which a star is lost
+_STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the reference shows another source
 
 
 class _Stars(NamedTuple):
-    """What is found at L lenslets x S stars in windows of N pixels."""
+    """L lenslets x S stars in windows of N pixels."""
 
     position_px: Floats  # centroids about the lenslet's centre, lattice frame, (L, S, xy)
     window: Floats  # light in the window about the centroid, less the background, (L, S, N)
@@ -43,12 +41,12 @@ class _Stars(NamedTuple):
 
 
 class Centroids:
-    """Follows stars against one reference; their positions there are found here."""
+    """Registration by stars, whose positions in the reference are found when prepared."""
 
     def __init__(self, reference: ReferenceSubimages, *, star_x: Floats, star_y: Floats) -> None:
-        """Prepare for stars at all combinations of star_x (column,) and star_y (row,).
+        """Prepare for stars at all combinations of star_x (column,) and star_y (row,), normalised and ascending.
 
-        Both are normalised field positions, ascending. Raise `ReconstructionError` if the reference shows no stars.
+        Raise `ReconstructionError` if the reference shows no stars.
         """
         for name, position in (("star_x", star_x), ("star_y", star_y)):
             require(
@@ -68,7 +66,7 @@ class Centroids:
         self._offset_px, self._border = _window(self._half_px)
         light = reference.light.reshape(-1, reference.width, reference.width)
         self._spectrum = correlation_spectrum(normalised(light))
-        # A shift of the whole subimage is searched for as far as it leaves the outermost star inside the cell.
+        # Whole-subimage shifts are searched that leave the outermost star inside the cell.
         outermost_px = np.abs(np.concatenate([star_x, star_y])).max() * reference.half_width_px
         self._search = max(int(reference.reach_px - outermost_px), 0)
         nominal_px = np.stack(self._modes.nodes, axis=-1) * reference.half_width_px
@@ -80,10 +78,7 @@ class Centroids:
         self._contrast = self._stars.window.std(axis=-1)  # (L, S)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.RegistrationMethod`.
-
-        A lenslet that has lost one of its stars yields nothing at all: the others do not say where it went.
-        """
+        """Register a frame; see `displacement.RegistrationMethod`. A lenslet is lost with any of its stars."""
         reference, before = self._reference, self._stars
         window = reference.cut(light)
         correlation = cross_correlation(self._spectrum, normalised(window), self._search)
@@ -92,7 +87,7 @@ class Centroids:
         start_px = before.position_px + (np.stack(best[::-1], axis=-1) - self._search)[:, None, :]
         after = self._follow(reference.spline(light), start_px)
 
-        # The window of the reference's star, as bright as the frame's, is what the frame's should show.
+        # The frame's window should be that of the reference, scaled in brightness.
         gain = np.einsum("lsn,lsn->ls", after.window, before.window)
         gain /= np.maximum(np.einsum("lsn,lsn->ls", before.window, before.window), 1e-30)
         difference = after.window - gain[..., None] * before.window
@@ -112,8 +107,8 @@ class Centroids:
         )
 
     def _follow(self, coefficients: Image, start_px: Floats) -> _Stars:
-        """Find the stars near start_px (L, S, xy) in a frame of which the spline coefficients are given."""
-        # The brightest place of a coarse look around is where the window starts.
+        """Find the stars near start_px (L, S, xy) in a frame given by its spline coefficients."""
+        # The window starts at the brightest place nearby.
         coarse_px, _ = _window(self._half_px - 1)
         light = self._light(coefficients, start_px, coarse_px)
         smooth = light @ _smoothing(coarse_px, self._reference.blur_px)
@@ -126,7 +121,7 @@ class Centroids:
         return stars
 
     def _weigh(self, coefficients: Image, position_px: Floats) -> _Stars:
-        """Move the windows about position_px (L, S, xy) once."""
+        """Move the windows at position_px (L, S, xy) to the centres of gravity, once."""
         window = self._light(coefficients, position_px, self._offset_px)
         window -= np.median(window[..., self._border], axis=-1, keepdims=True)
         height = window.max(axis=-1)
@@ -142,19 +137,14 @@ class Centroids:
         return ndimage.map_coordinates(coefficients, [y, x], np.float64, order=3, mode="mirror", prefilter=False)
 
     def _are_stars(self, stars: _Stars, start_px: Floats) -> Mask:
-        """Which stars are bright, stay near start_px (L, S, xy) and inside the cell, and are pinned down: (L, S)."""
+        """True for stars that are bright, near start_px (L, S, xy), inside the cell and converged: (L, S)."""
         strayed = np.abs(stars.position_px - start_px).max(axis=-1) > self._half_px
         left = np.abs(stars.position_px).max(axis=-1) > self._reference.reach_px
         faint = ~(stars.height > _FAINT * np.median(stars.height[self._reference.lit]))
         return np.asarray(~(strayed | left | faint) & (stars.step_px < _CONVERGED_PX))
 
     def _variance(self, stars: _Stars, difference: Floats) -> Floats:
-        """Variance of the centroids' differences along one axis, px^2, (L, S).
-
-        The noise of a pixel is what frame and reference differ by (L, S, N) on the windows' border, where the star is
-        faint; there it holds the noise of both. Each pixel above the threshold moves the centroid by its distance over
-        the star's sum.
-        """
+        """Variance of the displacement along one axis, px^2, (L, S), from the `difference` (L, S, N) on the border."""
         noise = np.mean(difference[..., self._border] ** 2, axis=-1)
         weight = np.maximum(stars.window - _THRESHOLD * stars.height[..., None], 0)
         arm = (weight > 0) @ (self._offset_px**2).mean(axis=1)
@@ -162,14 +152,14 @@ class Centroids:
 
 
 def _window(half_px: float) -> tuple[Floats, Mask]:
-    """Positions about the middle of a square window, whole pixels apart (N, xy), and which are its border (N,)."""
+    """Positions of a square window, whole pixels apart (N, xy), and its border (N,)."""
     steps = np.arange(-int(half_px), int(half_px) + 1, dtype=np.float64)
     y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
     return np.stack([x, y], axis=-1), np.maximum(np.abs(x), np.abs(y)) == steps[-1]
 
 
 def _smoothing(position_px: Floats, blur_px: float) -> Floats:
-    """Matrix (N, N) that averages light at positions (N, xy) with a Gaussian about as wide as a star."""
+    """Matrix (N, N) of a Gaussian average, as wide as a star, at positions (N, xy)."""
     square_px = np.sum((position_px[:, None] - position_px) ** 2, axis=-1)
     kernel = np.exp(-square_px / (2 * (0.4 * blur_px) ** 2))
     return np.asarray(kernel / kernel.sum(axis=0))

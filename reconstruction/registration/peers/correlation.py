@@ -1,9 +1,8 @@
 """Registration by one shift per lenslet: the space-invariant method that the paper compares with.
 
-Every subimage is laid over its reference at all whole-pixel shifts within reach; between the pixels, a 2-D quadratic
-through the 3 x 3 values about the best one has its minimum where the shift is. The mismatch is either the sum of
-squared differences (square difference function) or follows from the cross-correlation, by FFT. Both after Löfdahl
-2010, Astronomy & Astrophysics 524, A90.
+The mismatch of subimage and reference at all whole-pixel shifts within reach, and the minimum of a quadratic through
+the 3 x 3 values about the best one. The mismatch is the sum of squared differences, or follows from the
+cross-correlation by FFT (both after Löfdahl 2010, Astronomy & Astrophysics 524, A90).
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from reconstruction.registration.subimages import ReferenceSubimages
 
 Mismatch = Literal["square_difference", "fft"]
 
-_MISFIT = 0.7  # residual over contrast above which the frame shows something else than the reference, however deformed
+_MISFIT = 0.7  # residual over contrast above which the frame does not match, however deformed
 
 
 class Correlation:
-    """Finds the shift of each subimage against one reference, prepared here."""
+    """Registration by one shift of each subimage."""
 
     def __init__(self, reference: ReferenceSubimages, *, method: Mismatch = "square_difference") -> None:
         """Prepare for shifts that leave the field inside the lenslet's cell."""
@@ -37,18 +36,18 @@ class Correlation:
         if range_px < 1:
             raise ReconstructionError("the field fills the lenslets' cells: no shift of it can be correlated")
         self._reference, self._method, self._modes = reference, method, LegendreModes(1)
-        self._search = int(range_px) + 1  # the outermost shifts are looked at, but are only neighbours
+        self._search = int(range_px) + 1  # the outermost shifts are only neighbours of a minimum
         self._light = normalised(reference.light.reshape(-1, reference.width, reference.width))
         self._spectrum = correlation_spectrum(self._light)
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
-        """Compare a frame with the reference; see `displacement.RegistrationMethod`."""
+        """Register a frame; see `displacement.RegistrationMethod`."""
         reference = self._reference
         window = reference.cut(light)
         mismatch, pixels = self._mismatch(normalised(window))
         shift, variance, least, found = _quadratic_minimum(mismatch)
         residual_rms = np.sqrt(least / pixels)
-        variance *= least[:, None] / (pixels - 3)  # what the shift does not explain is taken for noise
+        variance *= least[:, None] / (pixels - 3)  # the residual is taken for noise
 
         return classify_lenslets(
             reference,
@@ -64,12 +63,12 @@ class Correlation:
         )
 
     def _mismatch(self, window: Floats) -> tuple[Floats, int]:
-        """Sum of squared differences at all shifts, (L, shift_y, shift_x), and over how many pixels."""
+        """Sum of squared differences at all shifts, (L, shift_y, shift_x), and its number of pixels."""
         search, width = self._search, self._reference.width
         if self._method == "fft":
             correlation = cross_correlation(self._spectrum, window, search)
             return 2 * (width**2 - correlation), width**2
-        inner = width - 2 * search  # of the reference only its middle, so that every shift of it lies in the window
+        inner = width - 2 * search  # the middle of the reference, so that every shift of it lies in the window
         middle = self._light[:, search : search + inner, search : search + inner]
         shifts = 2 * search + 1
         mismatch = np.empty((len(window), shifts, shifts))
@@ -80,21 +79,21 @@ class Correlation:
 
 
 def normalised(window: Floats) -> Floats:
-    """Windows (L, row, column) less their mean and over their contrast: neither gain nor offset is left."""
+    """Windows (L, row, column) minus their mean, over their contrast."""
     window = window - window.mean(axis=(1, 2), keepdims=True)
     return np.asarray(window / np.maximum(window.std(axis=(1, 2), keepdims=True), 1e-30))
 
 
 def correlation_spectrum(light: Floats) -> NDArray[np.complex128]:
-    """Spectrum of normalised reference windows (L, width, width), as `cross_correlation` wants it."""
+    """Spectrum of normalised reference windows (L, width, width), for `cross_correlation`."""
     return np.asarray(np.conj(fft.rfft2(light)))
 
 
 def cross_correlation(spectrum: NDArray[np.complex128], window: Floats, search: int) -> Floats:
-    """Sum of the products of windows (L, width, width) and reference at shifts up to `search` px.
+    """Products of windows (L, width, width) and reference, summed, at shifts up to `search` px: (L, shift_y, shift_x).
 
-    Shifts wrap around: at the borders of both is the same darkness, and with zeros there instead, which the
-    mean is not, everything would seem to have moved less. Returns (L, shift_y, shift_x), from -search to search.
+    Shifts wrap around: both borders are equally dark, whereas zero padding, unlike the mean, would bias towards no
+    shift.
     """
     products = fft.irfft2(fft.rfft2(window) * spectrum, window.shape[1:])
     shifts = np.arange(-search, search + 1)
@@ -102,10 +101,10 @@ def cross_correlation(spectrum: NDArray[np.complex128], window: Floats, search: 
 
 
 def _quadratic_minimum(mismatch: Floats) -> tuple[Floats, Floats, Floats, Mask]:
-    """Where a quadratic about the least of the mismatches (L, shift_y, shift_x) has its minimum.
+    """Minimum of a quadratic about the least of the mismatches (L, shift_y, shift_x).
 
-    Returns its position in samples (L, xy); the position's variance (L, xy) per unit of variance of a pixel; the
-    mismatch there (L,); and whether there is a minimum inside the border, (L,).
+    Returns its position in samples (L, xy), the position's variance (L, xy) per variance of a pixel, the mismatch there
+    (L,), and whether it lies inside the border, (L,).
     """
     lenslets, rows, columns = mismatch.shape
     least = mismatch.reshape(lenslets, -1).argmin(axis=1)

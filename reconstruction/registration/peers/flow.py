@@ -1,7 +1,7 @@
-"""Dense displacements: what the methods that find one for every pixel of a subimage have in common.
+"""From dense displacements to field modes, for the methods that find a displacement for every pixel.
 
-A flow d(x) is the displacement, px, of the light at every pixel x of the reference's window: (L, N, xy). The rest of
-the instrument asks for coefficients c_q of field modes; they follow from the flow by one matrix for all lenslets.
+A flow d(x) is the displacement, px, of the light at every pixel x of the reference's window: (L, N, xy). One matrix
+for all lenslets yields the coefficients c_q.
 """
 
 from __future__ import annotations
@@ -19,18 +19,17 @@ from reconstruction.modes.field_modes import FieldModes, SampledModes
 from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.subimages import ReferenceSubimages
 
-_MISFIT = 0.5  # residual over contrast above which the frame shows something else than the reference
+_MISFIT = 0.5  # residual over contrast above which the frame does not match
 
 
-class FlowReading:
-    """Turns flows into displacements written in field modes; the matrix that does it is prepared once."""
+class FlowToModes:
+    """Turns flows into coefficients of field modes by a prepared matrix."""
 
     def __init__(self, reference: ReferenceSubimages, modes: FieldModes) -> None:
-        """Prepare to write flows in `modes`.
+        """Prepare for field modes.
 
-        `SampledModes` take the flow at their nodes as it is, by bilinear interpolation between four pixels: nothing of
-        the flow's own shape is lost. Other modes are fitted to it by least squares over the field's square
-        |x|, |y| <= 1, all pixels weighted alike; what they cannot hold is left out.
+        `SampledModes` take the flow at their nodes, bilinearly interpolated. Other modes are fitted by least squares
+        over the field's square |x|, |y| <= 1.
         """
         self._reference, self._modes = reference, modes
         x, y = reference.offset_px.T / reference.half_width_px
@@ -40,20 +39,19 @@ class FlowReading:
             inside = np.maximum(np.abs(x), np.abs(y)) <= 1
             self._matrix = np.zeros((modes.count, x.size))
             self._matrix[:, inside] = np.linalg.pinv(modes.values(x[inside], y[inside])).T
-        # If each pixel's displacement had an error of its own, that of their mean, a translation, would be
-        # sigma^2 / sum |dI0/dx|^2: so one pixel's is N times that, and the matrix carries it to the coefficients.
+        # The variance of a translation, sigma^2 / sum |dI0/dx|^2, is that of a mean of N independent pixels.
         strength = np.sum(reference.gradient**2, axis=1)  # (L, xy)
         with np.errstate(divide="ignore", invalid="ignore"):
             pixel = np.where(reference.lit[:, None], x.size / strength, 0.0)
         self._variance = pixel[:, :, None] * np.sum(self._matrix**2, axis=1)
 
     def __call__(self, flow: Floats, subimages: Floats, *, saturated: Mask) -> Displacement:
-        """Write the flow (L, N, xy), px, NaN where lost, of the frame's subimages (L, width, width) in the modes.
+        """Convert the flow (L, N, xy), px, NaN where lost, of a frame's subimages (L, width, width).
 
-        saturated (row, column): pixels of the frame at full scale.
+        `saturated` (row, column) marks pixels at full scale.
         """
         residual_rms = misfit(self._reference, subimages, flow)
-        return displacement_of(
+        return classify_flow(
             self._reference,
             self._modes,
             np.swapaxes(self._matrix @ flow, 1, 2),
@@ -68,7 +66,7 @@ def _at_nodes(modes: SampledModes, half_width_px: float, width: int) -> Floats:
     """Bilinear weights of the window's pixels for the value at each node: (Q, N)."""
     along = [np.array(nodes) * half_width_px + (width - 1) / 2 for nodes in modes.nodes]
     if not all(np.all((position >= 0) & (position <= width - 1)) for position in along):
-        raise ReconstructionError("the views lie beside the subimages: check the field's half_width_m and its views")
+        raise ReconstructionError("the views lie outside the subimages: check the field's half_width_m and its views")
     x, y = (np.maximum(1 - np.abs(position[:, None] - np.arange(width)), 0) for position in along)
     return np.asarray(y[:, :, None] * x[:, None, :]).reshape(modes.count, -1)
 
@@ -76,7 +74,7 @@ def _at_nodes(modes: SampledModes, half_width_px: float, width: int) -> Floats:
 def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> Floats:
     """RMS of I0(x) - gain I1(x + d(x)) - offset over each window, counts, (L,), with the best gain and offset.
 
-    subimages (L, width, width); flow (L, N, xy), px. NaN where the flow is.
+    subimages (L, width, width); flow (L, N, xy), px, NaN where lost, as is the result.
     """
     lenslets, width = len(subimages), reference.width
     position = flow + reference.offset_px + (width - 1) / 2
@@ -93,7 +91,7 @@ def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> Fl
     return residual_rms
 
 
-def displacement_of(
+def classify_flow(
     reference: ReferenceSubimages,
     modes: FieldModes,
     coefficients: Floats,
@@ -103,10 +101,9 @@ def displacement_of(
     contrast: NDArray[np.floating[Any]],
     saturated: Mask,
 ) -> Displacement:
-    """Judge each lenslet by its misfit and arrange the result on the lattice, NaN where lost.
+    """Classify each lenslet by its misfit and arrange the results on the lattice, NaN where lost.
 
-    coefficients c_q, px, (L, xy, Q) and their covariance (L, Q, xy, Q, xy); residual_rms (L,), counts; any of them NaN
-    where the method found nothing. contrast (L,) of the frame's subimages; saturated (row, column).
+    Arguments as in `classify_lenslets`, but residual_rms (L,) in counts; NaN marks lenslets without a result.
     """
     found = np.isfinite(coefficients).all(axis=(1, 2)) & (residual_rms < _MISFIT * reference.contrast)
     return classify_lenslets(

@@ -15,7 +15,7 @@ import reconstruction
 
 PROGRAM = """
 import numpy as np
-from reconstruction.solve.lenslet_weights import mean_variance
+from reconstruction.solve.weights import mean_variance
 print(mean_variance(np.ones((1, 1, 2, 1, 2))))
 """
 

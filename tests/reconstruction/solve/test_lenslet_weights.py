@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reconstruction.solve.lenslet_weights import lenslet_weights, mean_variance
-from reconstruction.solve.whitening import SYSTEMATIC_PX
+from reconstruction.solve.weights import SYSTEMATIC_PX, lenslet_weights, mean_variance
 
 
 def test_a_lenslet_counts_less_where_its_frame_shows_more_error_and_never_more_where_it_shows_less() -> None:

@@ -11,7 +11,7 @@ from reconstruction.displacement import diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.whitening import Whitening, no_whitening, whitening
+from reconstruction.solve.weights import Whitening, no_whitening, whitening
 
 ROWS, COLUMNS, FIELD_MODES = 7, 8, 3
 SENSOR = sensor_of(ROWS, COLUMNS)
