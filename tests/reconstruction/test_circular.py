@@ -1,4 +1,4 @@
-"""Circular pupils and fields: the dual-orthogonal model in Zernike's bases."""
+"""Circular pupils and fields in Zernike modes."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from reconstruction.wavefront import rms
 CIRCLE = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape="circle", view_spacing_m=0.4e-3)
 
 
-def test_coefficients_of_a_wavefront_made_of_zernikes_come_back() -> None:
+def test_zernike_coefficients_are_recovered() -> None:
     sensor = sensor_of(11, 13)
     modes = pupil_modes(sensor, "zernike", 15)
     coefficients = np.random.default_rng(0).normal(size=(15, 2))
     coefficients[0] = 0  # slopes show no piston
     slopes = np.einsum("prcv,pq->rcqv", modes.gradients, coefficients)
-    slopes[~modes.inside] = 1e9  # what lies outside the pupil does not count
+    slopes[~modes.inside] = 1e9  # outside the pupil
     solver = ModalSolver(modes, no_whitening(2), is_smooth=False)
     solution = solver(slopes, diagonal_covariance(np.ones_like(slopes)), np.ones((11, 13), bool))
     np.testing.assert_allclose(solution.coefficients, coefficients, atol=1e-9)
@@ -40,7 +40,7 @@ def test_coefficients_of_a_wavefront_made_of_zernikes_come_back() -> None:
     np.testing.assert_allclose(wavefront, expected - np.nanmean(expected), atol=1e-9)
 
 
-def test_the_circle_is_inscribed_in_the_lattice() -> None:
+def test_circular_pupil_is_inscribed_in_lattice() -> None:
     inside = pupil_modes(sensor_of(5, 9), "zernike", 3).inside
     assert not inside[:, :2].any()
     assert inside[2].tolist() == [False, False, True, True, True, True, True, False, False]
@@ -71,12 +71,12 @@ def seen_by_a_circle(small_bench: SmallBench) -> tuple[Floats, Floats]:
     return views, np.where(np.isfinite(views), truth, np.nan)
 
 
-def test_a_space_variant_wavefront_in_zernikes(seen_by_a_circle: tuple[Floats, Floats]) -> None:
+def test_space_variant_zernike_wavefront_is_recovered(seen_by_a_circle: tuple[Floats, Floats]) -> None:
     views, truth = seen_by_a_circle
     assert np.nanmax(rms(views - truth)) < 0.06 * np.nanmax(rms(truth))
 
 
-def test_views_outside_the_circular_field_are_unknown(small_bench: SmallBench) -> None:
+def test_views_outside_circular_field_are_unknown(small_bench: SmallBench) -> None:
     far = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape="circle", view_spacing_m=0.5e-3)
     reconstructor = Reconstructor(
         small_bench.reference,

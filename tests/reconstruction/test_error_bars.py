@@ -1,4 +1,4 @@
-"""The error bars against the scatter of many noisy frames; the noise of interpolation against SciPy."""
+"""Error bars against the scatter of many noisy frames."""
 
 from __future__ import annotations
 
@@ -37,22 +37,20 @@ def deformed(small_bench: SmallBench) -> Image:
 
 
 def _estimator(bench: SmallBench, electrons: float, noise: CameraNoise | None) -> RegistrationMethod:
-    """The registration of quadratic warps against a reference whose brightest pixel has so many electrons."""
+    """Quadratic registration against a reference with that many electrons in its brightest pixel."""
     reference = bench.reference * np.float32(electrons / bench.reference.max())
     subimages = ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, noise=noise)
     return prepare_registration(subimages, RegistrationSettings(), FIELD)
 
 
 def _exposed(light: Image, read_noise: float, excess_noise: float, rng: np.random.Generator) -> Image:
-    """A frame of `light` electrons: Poisson's, with the register's own chance and the read noise as Gaussians."""
+    """A frame of `light` electrons with Poisson noise, and Gaussian excess and read noise."""
     shot = rng.poisson(light) + np.sqrt((excess_noise - 1) * light) * rng.normal(size=light.shape)
     return np.asarray(shot + rng.normal(0, read_noise, light.shape), np.float32)
 
 
 @pytest.mark.parametrize("name", NOISY_FRAMES)
-def test_two_thirds_of_the_errors_lie_within_sigma_and_chi_square_is_one(
-    small_bench: SmallBench, deformed: Image, name: str
-) -> None:
+def test_errors_match_sigma_and_chi_square_is_one(small_bench: SmallBench, deformed: Image, name: str) -> None:
     electrons, read_noise, excess_noise, brightness = NOISY_FRAMES[name]
     estimate = _estimator(small_bench, electrons, CameraNoise(1.0, read_noise, excess_noise))
     light = np.maximum(deformed * np.float32(brightness * electrons / small_bench.reference.max()), 0)
@@ -67,7 +65,7 @@ def test_two_thirds_of_the_errors_lie_within_sigma_and_chi_square_is_one(
     assert np.mean(np.abs(error) < sigma) == pytest.approx(0.683, abs=0.015)
     chi_square = np.array([frame.chi_square for frame in noisy]).mean(axis=0) - still.chi_square
     np.testing.assert_allclose(chi_square, 1.0, atol=0.08)
-    # Errors of a lenslet's coefficients go together as the covariance says.
+    # Errors of a lenslet's coefficients are correlated as in the covariance.
     whitened = np.linalg.solve(
         np.linalg.cholesky(noisy[0].covariance.reshape(-1, 12, 12)), error.reshape(30, -1, 12, 1)
     )[..., 0]
@@ -75,13 +73,13 @@ def test_two_thirds_of_the_errors_lie_within_sigma_and_chi_square_is_one(
     np.testing.assert_allclose(together, np.eye(12), atol=0.12)
 
 
-def test_without_known_noise_the_residual_stands_for_it(small_bench: SmallBench, deformed: Image) -> None:
+def test_residual_replaces_unknown_noise(small_bench: SmallBench, deformed: Image) -> None:
     displacement = _estimator(small_bench, 300.0, None)(deformed, saturated=np.zeros(deformed.shape, np.bool_))
     assert np.isnan(displacement.chi_square).all()
     assert np.all(np.linalg.eigvalsh(displacement.covariance.reshape(-1, 12, 12)) > 0)
 
 
-def test_coefficients_scatter_as_their_sigma_says(small_bench: SmallBench) -> None:
+def test_scatter_of_coefficients_matches_sigma(small_bench: SmallBench) -> None:
     u, v = small_bench.samples()
     frame = small_bench.frame(lambda x, _y: (1500.0 * u + 500.0 * v + 4e5 * u * x).astype(np.float32))
     reconstructor = small_bench.reconstructor("quadratic", pupil_modes=15)
@@ -92,11 +90,11 @@ def test_coefficients_scatter_as_their_sigma_says(small_bench: SmallBench) -> No
     ]
     coefficients = np.array([solution.coefficients for solution in solutions])  # type: ignore[attr-defined] # modal
     sigma = np.array([solution.coefficients_sigma for solution in solutions]).mean(axis=0)  # type: ignore[attr-defined] # the same
-    ratio = coefficients.std(axis=0, ddof=1)[1:] / sigma[1:]  # the piston has neither
+    ratio = coefficients.std(axis=0, ddof=1)[1:] / sigma[1:]  # without the piston
     assert 0.9 < np.sqrt(np.mean(ratio**2)) < 1.1
 
 
-def test_interpolated_noise_is_as_weak_as_scipys() -> None:
+def test_interpolated_noise_matches_scipy() -> None:
     noise = np.random.default_rng(0).normal(size=(400, 400))
     y, x = np.meshgrid(np.arange(20, 380), np.arange(20, 380), indexing="ij")
     for fraction_x, fraction_y in ((0.0, 0.0), (0.5, 0.0), (0.25, 0.5), (0.5, 0.5)):

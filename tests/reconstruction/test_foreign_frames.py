@@ -1,4 +1,4 @@
-"""Frames made by another simulator (HCIPy, Fresnel propagation), with truth: nobody here made up their signs."""
+"""Frames and truth of another simulator (HCIPy, Fresnel propagation)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TRUTH = np.load(FRAMES / "truth.npz")["wavefront_rad"]
         ("quadratic", "zonal", 66, 0.105),
     ],
 )
-def test_residual_against_the_truth(warp: str, method: str, pupil_modes: int, figure_rad: float) -> None:
+def test_residual_against_truth_is_small(warp: str, method: str, pupil_modes: int, figure_rad: float) -> None:
     assert BENCH.lattice is not None
     reconstructor = Reconstructor(
         REFERENCE,
@@ -44,7 +44,7 @@ def test_residual_against_the_truth(warp: str, method: str, pupil_modes: int, fi
     assert rms(wavefront.views - TRUTH).mean() < figure_rad
 
 
-def test_the_lattice_is_found_where_it_was_put() -> None:
+def test_lattice_of_another_simulator_is_found() -> None:
     lattice = find_lattice(REFERENCE, BENCH.sensor)
     assert (lattice.center_x_px, lattice.center_y_px) == pytest.approx((255.5, 255.5), abs=0.02)
     assert lattice.pitch_px == pytest.approx(31.25, abs=0.005)

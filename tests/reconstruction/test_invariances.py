@@ -1,4 +1,4 @@
-"""What must not matter does not: transposed frames, other gain and offset, everything a pixel further."""
+"""Invariance to transposition, gain, offset and shift of the lattice."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def frame(small_bench: SmallBench) -> NDArray[np.float32]:
 
 @pytest.mark.parametrize(("method", "pupil_modes"), METHODS)
 @pytest.mark.parametrize("warp", FIELD_MODES)
-def test_a_transposed_frame_gives_the_transposed_wavefront(
+def test_transposed_frame_gives_transposed_wavefront(
     small_bench: SmallBench, frame: NDArray[np.float32], warp: str, method: str, pupil_modes: int | None
 ) -> None:
     upright = small_bench.reconstructor(warp, method, pupil_modes)(frame)
@@ -48,7 +48,7 @@ def test_a_transposed_frame_gives_the_transposed_wavefront(
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(gain=st.floats(0.05, 20), offset=st.floats(-0.5, 0.5))
 @pytest.mark.parametrize(("method", "pupil_modes"), METHODS)
-def test_gain_and_offset_do_not_matter(
+def test_gain_and_offset_do_not_change_result(
     small_bench: SmallBench,
     frame: NDArray[np.float32],
     method: str,
@@ -62,7 +62,7 @@ def test_gain_and_offset_do_not_matter(
 
 
 @pytest.mark.parametrize("shift", [(1, 0), (0, 1), (2, 3)])
-def test_lattice_and_image_moved_together(
+def test_moving_lattice_and_image_does_not_change_wavefront(
     small_bench: SmallBench, frame: NDArray[np.float32], shift: tuple[int, int]
 ) -> None:
     lattice = small_bench.lattice

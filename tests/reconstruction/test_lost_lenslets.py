@@ -1,4 +1,4 @@
-"""What is wrong with a lenslet or a frame is told apart, and never becomes a slope."""
+"""Classification of lost lenslets, and refusal of invalid frames."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _cell(bench: SmallBench, row: int, column: int) -> tuple[slice, slice]:
 
 
 @pytest.mark.parametrize("method", ["zonal", "modal"])
-def test_a_lenslet_that_goes_dark_yields_no_slope_and_spoils_nothing(
+def test_dark_lenslet_is_lost_and_does_not_affect_others(
     small_bench: SmallBench, tilted: NDArray[np.float32], method: str
 ) -> None:
     frame = tilted + np.random.default_rng(0).normal(0, 20, tilted.shape).astype(np.float32)
@@ -47,7 +47,7 @@ def test_a_lenslet_that_goes_dark_yields_no_slope_and_spoils_nothing(
     assert rms(wavefront.views[1, 1] - truth) < 0.03
 
 
-def test_something_else_than_the_reference_is_no_match(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_foreign_subimage_diverges(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     frame = tilted.copy()
     frame[_cell(small_bench, 3, 3)] = np.random.default_rng(2).uniform(0, tilted.max(), (30, 30))
     outcome = small_bench.reconstructor()(frame).displacement.outcome
@@ -55,7 +55,7 @@ def test_something_else_than_the_reference_is_no_match(small_bench: SmallBench, 
     assert np.count_nonzero(outcome) == 1
 
 
-def test_a_subimage_beyond_its_cell_is_out_of_range(small_bench: SmallBench) -> None:
+def test_subimage_beyond_cell_has_left_it(small_bench: SmallBench) -> None:
     u, v = small_bench.samples()
     slope = 7.5 * small_bench.sensor.slope_per_px  # 8.8 px of field and 7.5 px of shift are more than half a cell
 
@@ -67,14 +67,14 @@ def test_a_subimage_beyond_its_cell_is_out_of_range(small_bench: SmallBench) -> 
     assert np.all(outcome[:, :6] == Outcome.CONVERGED)
 
 
-def test_a_lenslet_beside_the_camera_is_told(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_lenslet_outside_camera_is_off_camera(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     reconstructor = small_bench.reconstructor(reference=small_bench.reference[:, :-25])
     outcome = reconstructor(tilted[:, :-25]).displacement.outcome
     assert np.all(outcome[:, 8] == Outcome.OFF_CAMERA)
     assert np.all(outcome[:, :8] == Outcome.CONVERGED)
 
 
-def test_offset_and_gain_change_nothing(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_gain_and_offset_of_camera_do_not_change_result(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     reconstructor = small_bench.reconstructor("quadratic")
     other = reconstructor(tilted * 0.4 + 300)
     np.testing.assert_allclose(other.views, reconstructor(tilted).views, atol=2e-3)
@@ -90,23 +90,23 @@ NONSENSE: dict[str, Callable[[NDArray[np.float32]], NDArray[Any]]] = {
 
 
 @pytest.mark.parametrize("sentence", NONSENSE)
-def test_a_reference_without_meaning_is_refused(small_bench: SmallBench, sentence: str) -> None:
+def test_invalid_reference_is_refused(small_bench: SmallBench, sentence: str) -> None:
     with pytest.raises(ReconstructionError, match=sentence):
         small_bench.reconstructor(reference=NONSENSE[sentence](small_bench.reference))
 
 
-def test_a_frame_without_light_is_refused(small_bench: SmallBench) -> None:
+def test_dark_frame_is_refused(small_bench: SmallBench) -> None:
     noise = np.random.default_rng(0).normal(500, 8, small_bench.reference.shape)
     with pytest.raises(ReconstructionError, match="is the light on"):
         small_bench.reconstructor()(noise)
 
 
-def test_a_frame_of_another_size_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_frame_of_another_size_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     with pytest.raises(ReconstructionError, match="pixels, but the reference has"):
         small_bench.reconstructor()(tilted[:-1])
 
 
-def test_a_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     full_scale = tilted.max() / 3
     with pytest.raises(ReconstructionError, match="saturated: shorten the exposure"):
         small_bench.reconstructor(reference=small_bench.reference / 4, full_scale=full_scale)(
@@ -114,12 +114,12 @@ def test_a_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[n
         )
 
 
-def test_more_modes_than_lenslets_can_carry_are_refused(small_bench: SmallBench) -> None:
+def test_too_many_modes_are_refused(small_bench: SmallBench) -> None:
     with pytest.raises(ReconstructionError, match="cannot tell 300 pupil modes apart"):
         small_bench.reconstructor(pupil_modes=300)
 
 
-def test_a_frame_beyond_the_dynamic_range_is_told_as_that(small_bench: SmallBench) -> None:
+def test_frame_beyond_dynamic_range_is_refused_with_reason(small_bench: SmallBench) -> None:
     u, v = small_bench.samples()
     slope = 7.0 * small_bench.sensor.slope_per_px  # 5.5 px are all that a cell allows
     frame = small_bench.frame(lambda _x, _y: (slope * u + 0 * v).astype(np.float32))
@@ -127,7 +127,7 @@ def test_a_frame_beyond_the_dynamic_range_is_told_as_that(small_bench: SmallBenc
         small_bench.reconstructor("affine")(frame)
 
 
-def test_a_lenslet_half_covered_is_no_match(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_half_covered_lenslet_diverges(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     frame = tilted + np.random.default_rng(0).normal(0, 0.02 * tilted.max(), tilted.shape).astype(np.float32)
     rows, columns = _cell(small_bench, 3, 3)
     frame[rows, columns.start : columns.start + 15] = 0
@@ -140,7 +140,7 @@ def test_a_lenslet_half_covered_is_no_match(small_bench: SmallBench, tilted: NDA
     "method", ["correlation", "correlation_fft", "itk_affine", "centroids", "demons", "block_flow"]
 )
 @pytest.mark.parametrize("integrate", ["modal", "zonal"])
-def test_every_method_knows_its_noise(
+def test_every_method_reconstructs_with_known_noise(
     small_bench: SmallBench, tilted: NDArray[np.float32], method: str, integrate: str
 ) -> None:
     per_electron = float(small_bench.reference.max()) / 1e4
@@ -153,7 +153,7 @@ def test_every_method_knows_its_noise(
     assert np.isfinite(reconstructor(tilted).views).any()
 
 
-def test_lenslets_count_by_the_light_they_get(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+def test_lenslets_are_weighted_by_their_light(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     columns = np.arange(small_bench.frame_shape[1])
     shade = np.where(columns < small_bench.frame_shape[1] / 2, 1.0, 0.1).astype(np.float32)
     per_electron = float(small_bench.reference.max()) / 3e3

@@ -1,4 +1,4 @@
-"""Refinement on a small bench, against wavefronts in closed form: what one pass gets wrong it takes away."""
+"""Refinement on a small bench, against wavefronts in closed form."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HALF_M = FIELD.half_width_m
 
 
 class Bowl:
-    """A wavefront of third degree that grows over the field, strong enough for one pass to get it wrong."""
+    """A cubic wavefront that grows over the field, strong enough to bias a single pass."""
 
     def __init__(self, bench: SmallBench) -> None:
         self._half_m = bench.sensor.pupil_half_width_m[0]
@@ -59,18 +59,18 @@ def refined(bench: SmallBench, reconstructor: Reconstructor, frame: NDArray[Any]
 
 
 @pytest.mark.parametrize("method", ["modal", "zonal"])
-def test_the_bias_of_one_pass_goes(small_bench: SmallBench, bowl: Bowl, method: str) -> None:
+def test_refinement_removes_bias(small_bench: SmallBench, bowl: Bowl, method: str) -> None:
     frame = small_bench.frame(bowl.at_samples)
     reconstructor = small_bench.reconstructor("cubic", method, None)
     once = rms(reconstructor(frame).views - bowl.views).mean()
     residuals = [rms(each.wavefront.views - bowl.views).mean() for each in refined(small_bench, reconstructor, frame)]
     assert once > 0.015
-    assert residuals[-1] < (0.2 if method == "modal" else 0.85) * once  # zonal: Southwell's own error stays
+    assert residuals[-1] < (0.2 if method == "modal" else 0.85) * once  # zonal: Southwell's error remains
     assert len(residuals) <= 3
 
 
-def test_the_source_is_the_benchs_own(small_bench: SmallBench, bowl: Bowl) -> None:
-    """A square, brighter to one side, blurred more than diffraction does, behind unevenly lit lenslets."""
+def test_model_source_matches_bench_source(small_bench: SmallBench, bowl: Bowl) -> None:
+    """An uneven, blurred square source and unevenly lit lenslets."""
     points = square(Source(), object_samples=19)
     uneven = SourcePoints(
         position_m=points.position_m, area_m2=points.area_m2 * (1.3 + points.position_m[:, 0] / HALF_M)
@@ -93,14 +93,14 @@ def test_the_source_is_the_benchs_own(small_bench: SmallBench, bowl: Bowl) -> No
     assert subimages.light.max() == pytest.approx(float(model.image(None).max()), rel=0.1)
 
 
-def test_a_flat_wavefront_ends_at_once(small_bench: SmallBench) -> None:
+def test_flat_wavefront_ends_refinement_at_once(small_bench: SmallBench) -> None:
     reconstructor = small_bench.reconstructor("quadratic", pupil_modes=None)
     rounds = list(refined(small_bench, reconstructor, small_bench.reference, 5))
     assert len(rounds) == 1
     assert rounds[0].change_rad < 1e-3
 
 
-def test_a_lost_lenslet_stays_lost_and_its_neighbours_are_refined(small_bench: SmallBench, bowl: Bowl) -> None:
+def test_lost_lenslet_stays_lost_and_neighbours_are_refined(small_bench: SmallBench, bowl: Bowl) -> None:
     frame = small_bench.frame(bowl.at_samples)
     x, y = small_bench.lattice.lenslet_centers_px(7, 9)[3, 4]
     frame[int(y) - 15 : int(y) + 16, int(x) - 15 : int(x) + 16] = 0
@@ -112,7 +112,7 @@ def test_a_lost_lenslet_stays_lost_and_its_neighbours_are_refined(small_bench: S
     assert rms(last.wavefront.views - bowl.views).mean() < 0.4 * rms(once.views - bowl.views).mean()
 
 
-def test_the_bias_of_the_state_before_serves_a_state_nearby(small_bench: SmallBench, bowl: Bowl) -> None:
+def test_bias_corrects_a_similar_wavefront(small_bench: SmallBench, bowl: Bowl) -> None:
     reconstructor = small_bench.reconstructor("cubic", pupil_modes=None)
     *_, last = refined(small_bench, reconstructor, small_bench.frame(bowl.at_samples))
     later = small_bench.frame(lambda x, y: np.float32(1.05) * bowl.at_samples(x, y))
@@ -121,7 +121,7 @@ def test_the_bias_of_the_state_before_serves_a_state_nearby(small_bench: SmallBe
     assert rms(corrected.views - 1.05 * bowl.views).mean() < 0.4 * once
 
 
-def test_a_model_without_light_is_told(small_bench: SmallBench) -> None:
+def test_model_without_light_is_refused(small_bench: SmallBench) -> None:
     class Dark:
         sample_x_m = sample_y_m = np.linspace(-1e-3, 1e-3, 4)
 
@@ -132,7 +132,7 @@ def test_a_model_without_light_is_told(small_bench: SmallBench) -> None:
         Refinement(small_bench.reconstructor(), Dark())
 
 
-def test_a_turned_lattice_is_modelled() -> None:
+def test_rotated_lattice_is_modelled() -> None:
     turned = SmallBench(5, 6, rotation_rad=-0.03)
     other = Bowl(turned)
     reconstructor = turned.reconstructor("cubic", pupil_modes=None)
@@ -142,9 +142,9 @@ def test_a_turned_lattice_is_modelled() -> None:
     assert rms(last.wavefront.views - other.views).mean() < 0.4 * once
 
 
-def test_rounds_that_do_not_improve_end_it(small_bench: SmallBench, bowl: Bowl) -> None:
+def test_refinement_ends_without_improvement(small_bench: SmallBench, bowl: Bowl) -> None:
     class Wild:
-        """A model that says something else every time, and more of it."""
+        """A model whose images differ more and more."""
 
         sample_x_m, sample_y_m = small_bench.model.sample_x_m, small_bench.model.sample_y_m
         asked = 0

@@ -1,6 +1,6 @@
 """Known phases through the forward model and back: signs, axes, units, and the space-variant terms.
 
-The lattice is 7 x 9, turned and off centre, on a non-square camera: whatever mixes up x and y fails here.
+The lattice is 7 x 9, turned and off centre, on a non-square camera, to detect swapped x and y.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ def _views(bench: SmallBench, phase: Phase) -> Floats:
 
 @pytest.mark.parametrize("name", PHASES)
 @pytest.mark.parametrize(("warp", "method"), [("affine", "zonal"), ("affine", "modal"), ("quadratic", "modal")])
-def test_a_phase_in_closed_form_comes_back(small_bench: SmallBench, name: str, warp: str, method: str) -> None:
+def test_closed_form_phase_is_recovered(small_bench: SmallBench, name: str, warp: str, method: str) -> None:
     phase = PHASES[name]
     u, v = small_bench.samples()
     frame = small_bench.frame(lambda x, y: phase(u, v, x, y).astype(np.float32))
     wavefront = small_bench.reconstructor(warp, method)(frame)
     truth = _views(small_bench, phase)
     assert wavefront.displacement.valid.all()
-    # Diffraction blurs the moved image, where the geometric picture moves the blurred one: with the wide tails of a
-    # square aperture a shear over the field seems 5 % smaller than it is, a stretch 1 %, a shift not at all.
+    # Diffraction blurs the displaced image, but the geometric picture displaces the blurred one: a shear over the field
+    # is underestimated by 5 %, a stretch by 1 %, a shift not at all.
     figure = 0.06 if "field" in name else 0.005
     assert rms(wavefront.views - truth).max() < figure * rms(truth).max()
 
 
-def test_the_displacement_of_a_tilt_is_its_slope_over_slope_per_px(small_bench: SmallBench) -> None:
+def test_displacement_of_tilt_is_slope_over_slope_per_px(small_bench: SmallBench) -> None:
     u, v = small_bench.samples()
     frame = small_bench.frame(lambda _x, _y: (3000.0 * u + 1000.0 * v).astype(np.float32))
     displacement = small_bench.reconstructor("translation", pupil_modes=3)(frame).displacement
@@ -57,7 +57,7 @@ def test_the_displacement_of_a_tilt_is_its_slope_over_slope_per_px(small_bench: 
     np.testing.assert_allclose(displacement.coefficients[:, :, 0], np.broadcast_to(expected, (7, 9, 2)), atol=3e-3)
 
 
-def test_any_field_position_can_be_asked_for(small_bench: SmallBench) -> None:
+def test_wavefront_at_any_field_position(small_bench: SmallBench) -> None:
     phase = PHASES["astigmatism that turns over the field"]
     u, v = small_bench.samples()
     wavefront = small_bench.reconstructor()(small_bench.frame(lambda x, y: phase(u, v, x, y).astype(np.float32)))
@@ -67,7 +67,7 @@ def test_any_field_position_can_be_asked_for(small_bench: SmallBench) -> None:
         wavefront.at(0.7e-3, 0.0)
 
 
-def test_a_bump_that_no_polynomial_of_the_model_holds(small_bench: SmallBench) -> None:
+def test_gaussian_bump_is_recovered(small_bench: SmallBench) -> None:
     def bump(u: Floats, v: Floats, x: float, y: float) -> Floats:
         return 8.0 * np.exp(-(((u + 0.3 * x - 0.4e-3) / 2.0e-3) ** 2 + ((v + 0.3 * y + 0.2e-3) / 1.8e-3) ** 2))
 

@@ -1,4 +1,4 @@
-"""RMS and peak to valley of wavefronts in closed form, with lenslets lost and with none left."""
+"""RMS and peak to valley of wavefronts in closed form."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ LOST[:, 4] = np.nan
 
 
 @pytest.mark.parametrize("phase", [STEPS, STEPS + 2.5, LOST], ids=["whole", "with piston", "with lost lenslets"])
-def test_two_levels_in_closed_form(phase: np.ndarray) -> None:
+def test_rms_and_peak_to_valley_of_two_levels(phase: np.ndarray) -> None:
     assert rms(phase) == pytest.approx(0.7)
     assert peak_to_valley(phase) == pytest.approx(1.4)
     np.testing.assert_allclose(without_piston(phase)[:, :4], STEPS[:, :4], atol=1e-12)
 
 
-def test_many_views_at_once_and_none_known() -> None:
+def test_leading_axes_and_unknown_wavefronts() -> None:
     views = np.stack([STEPS, np.full_like(STEPS, np.nan)])
     for value in (rms(views), peak_to_valley(views)):
         assert value.shape == (2,)

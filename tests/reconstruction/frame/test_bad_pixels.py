@@ -1,4 +1,4 @@
-"""Dead and hot pixels are found where they were put, and nowhere else."""
+"""Bad-pixel detection and repair."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def light(request: pytest.FixtureRequest, small_bench: SmallBench) -> Image:
 
 
 @pytest.mark.parametrize("name", ["square_reference.tif", "square_frame.tif"])
-def test_another_simulators_frames_have_none(name: str) -> None:
+def test_frames_of_another_simulator_have_no_bad_pixels(name: str) -> None:
     assert not find_bad_pixels(tifffile.imread(FRAMES / name)).any()
 
 
 @pytest.mark.parametrize("electrons", [10.0, 100.0, 10000.0])
 @pytest.mark.parametrize("frames", [1, 30])
-def test_noise_is_no_bad_pixel(light: Image, electrons: float, frames: int) -> None:
+def test_noise_is_not_taken_for_bad_pixels(light: Image, electrons: float, frames: int) -> None:
     rng = np.random.default_rng(0)
     signal = np.maximum(light.astype(np.float64), 0) * electrons
 
     def exposed(signal: Floats) -> Image:
-        """The mean of frames behind an electron-multiplying register: a gamma-distributed number for each electron."""
+        """Mean of frames with electron multiplication: a gamma-distributed count per electron."""
         draws = [rng.gamma(np.maximum(rng.poisson(signal + 0.02), 1e-9), 20.0) for _ in range(frames)]
         return np.asarray(np.mean(draws, axis=0) + rng.normal(0, 4 / np.sqrt(frames), signal.shape) + 500, np.float32)
 
@@ -45,7 +45,7 @@ def test_noise_is_no_bad_pixel(light: Image, electrons: float, frames: int) -> N
     assert not find_bad_pixels(exposed(signal)).any()
 
 
-def test_dead_and_hot_pixels_are_found_where_they_are(small_bench: SmallBench) -> None:
+def test_dead_and_hot_pixels_are_found(small_bench: SmallBench) -> None:
     image = small_bench.reference * np.float32(10000 / small_bench.reference.max())
     rng = np.random.default_rng(1)
     x, y = np.rint(small_bench.lattice.lenslet_centers_px(7, 9)).astype(int).reshape(-1, 2).T
@@ -59,7 +59,7 @@ def test_dead_and_hot_pixels_are_found_where_they_are(small_bench: SmallBench) -
     np.testing.assert_array_equal(find_bad_pixels(rng.poisson(np.maximum(hot, 0)) + dark, dark), put)
 
 
-def test_a_hot_pixel_in_the_darkness_of_the_reference(small_bench: SmallBench) -> None:
+def test_hot_pixel_in_dark_part_of_reference_is_found(small_bench: SmallBench) -> None:
     rng = np.random.default_rng(2)
     image = small_bench.reference * np.float32(1000 / small_bench.reference.max())
     corner = np.rint(small_bench.lattice.lenslet_centers_px(7, 9)[3, 3] + 15).astype(int)
@@ -68,12 +68,12 @@ def test_a_hot_pixel_in_the_darkness_of_the_reference(small_bench: SmallBench) -
     assert np.argwhere(find_bad_pixels(noisy)).tolist() == [[corner[1], corner[0]]]
 
 
-def test_nothing_to_see_is_nothing_bad() -> None:
+def test_dark_frame_has_no_bad_pixels() -> None:
     assert not find_bad_pixels(np.full((40, 50), 7, np.uint16)).any()
     assert not find_bad_pixels(np.zeros((40, 50))).any()
 
 
-def test_a_repaired_plane_is_the_plane() -> None:
+def test_repair_preserves_a_plane() -> None:
     rng = np.random.default_rng(3)
     y, x = np.mgrid[:30, :40].astype(np.float32)
     plane = 3 * x - 2 * y + 100

@@ -1,4 +1,4 @@
-"""The camera's noise in closed form and against draws."""
+"""Camera noise in closed form and against random draws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from reconstruction.frame.noise import CameraNoise
 
 
-def test_the_variance_is_that_of_poissons_electrons_and_the_read_out() -> None:
+def test_variance_is_poisson_plus_read_noise() -> None:
     rng = np.random.default_rng(0)
     light = np.array([0.0, 40.0, 4000.0])  # counts
     noise = CameraNoise(counts_per_electron=2.5, read_noise_counts=6.0)
@@ -16,8 +16,8 @@ def test_the_variance_is_that_of_poissons_electrons_and_the_read_out() -> None:
     np.testing.assert_allclose(noise.variance(light), draws.var(axis=0), rtol=0.02)
 
 
-def test_the_register_doubles_the_shot_noise() -> None:
-    # An exponentially distributed number of electrons leaves a long register for each that enters.
+def test_excess_noise_doubles_shot_noise_variance() -> None:
+    # A long register turns each electron into an exponentially distributed number.
     rng = np.random.default_rng(0)
     electrons = rng.poisson(50.0, 200_000)
     counts = rng.gamma(np.maximum(electrons, 1), 8.0) * (electrons > 0)
@@ -25,7 +25,7 @@ def test_the_register_doubles_the_shot_noise() -> None:
     np.testing.assert_allclose(noise.variance(np.array([400.0])), counts.var(), rtol=0.02)
 
 
-def test_darkness_has_the_read_noise_alone() -> None:
+def test_dark_pixels_have_read_noise_only() -> None:
     assert CameraNoise(1.0, 3.0).variance(np.array([-5.0])) == pytest.approx(9.0)
 
 
@@ -37,6 +37,6 @@ def test_darkness_has_the_read_noise_alone() -> None:
         ({"excess_noise": 0.5}, "excess_noise must be 1 ... 2"),
     ],
 )
-def test_nonsense_is_refused(changes: dict[str, float], sentence: str) -> None:
+def test_invalid_arguments_are_refused(changes: dict[str, float], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         CameraNoise(**{"counts_per_electron": 1.0, "read_noise_counts": 1.0, **changes})

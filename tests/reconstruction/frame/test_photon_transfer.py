@@ -1,4 +1,4 @@
-"""The camera's noise, found in simulated frames of known noise; what it decides."""
+"""Photon transfer on simulated frames of known noise, and the warp chosen by the noise."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROWS = COLUMNS = 256
 
 
 @pytest.mark.parametrize(("em_gain", "frames"), [(1.0, 20), (50.0, 20), (50.0, 5)])
-def test_noise_is_found_in_frames_of_the_simulated_camera(em_gain: float, frames: int) -> None:
+def test_photon_transfer_recovers_noise_of_simulated_camera(em_gain: float, frames: int) -> None:
     settings = SimulatedCameraSettings(rows=ROWS, columns=COLUMNS, em_gain=em_gain)
     detector = Detector(settings, seed=3)
     ramp = np.linspace(0, 3000 / em_gain**0.5, ROWS * COLUMNS, dtype=np.float32).reshape(ROWS, COLUMNS)
@@ -42,21 +42,21 @@ def test_noise_is_found_in_frames_of_the_simulated_camera(em_gain: float, frames
         dark_variance=dark.var(axis=0, ddof=1).astype(np.float32),
     )
     assert noise is not None
-    # Behind a register of gain G the variance of n electrons is n (2 G^2 - G): excess noise 2 - 1 / G.
+    # After a register of gain G the variance of n electrons is n (2 G^2 - G): excess noise 2 - 1 / G.
     expected = em_gain / settings.electrons_per_count * (2 - 1 / em_gain)
     assert noise.counts_per_light == pytest.approx(expected, rel=0.03)
     read_noise_counts = np.hypot(settings.em_read_noise_e[2] / settings.electrons_per_count, 12**-0.5)
     assert noise.read_noise_counts == pytest.approx(read_noise_counts, rel=0.05)
 
 
-def test_too_few_frames_or_none_of_light_tell_nothing() -> None:
+def test_photon_transfer_without_light_or_frames_returns_none() -> None:
     flat = np.ones((8, 8), np.float32)
     assert photon_transfer(flat, flat, frames=3, dark_variance=flat) is None
     assert photon_transfer(flat, flat * 0, frames=20, dark_variance=flat) is None
 
 
 @pytest.mark.parametrize(("peak_e", "warp"), [(1e6, "quadratic"), (3000, "quadratic"), (30, "affine")])
-def test_the_noise_says_how_freely_a_warp_may_bend(small_bench: SmallBench, peak_e: float, warp: str) -> None:
+def test_noise_decides_between_affine_and_quadratic(small_bench: SmallBench, peak_e: float, warp: str) -> None:
     per_electron = float(small_bench.reference.max()) / peak_e
     reconstructor = small_bench.reconstructor(
         registration=RegistrationSettings(),
@@ -66,7 +66,7 @@ def test_the_noise_says_how_freely_a_warp_may_bend(small_bench: SmallBench, peak
     assert reconstructor.registration.warp == warp
 
 
-def test_a_reference_with_few_lenslets_lit_is_no_obstacle(small_bench: SmallBench) -> None:
+def test_warp_is_chosen_with_few_lit_lenslets(small_bench: SmallBench) -> None:
     columns = np.arange(small_bench.frame_shape[1])
     reference = np.where(columns < 100, small_bench.reference, 0).astype(np.float32)
     per_electron = float(reference.max()) / 3000
@@ -80,11 +80,11 @@ def test_a_reference_with_few_lenslets_lit_is_no_obstacle(small_bench: SmallBenc
     assert np.isfinite(reconstructor(reference).views[1, 1, :, :2]).all()
 
 
-def test_without_a_noise_to_go_by_the_warp_is_quadratic(small_bench: SmallBench) -> None:
+def test_warp_is_quadratic_if_noise_is_unknown(small_bench: SmallBench) -> None:
     assert small_bench.reconstructor(registration=RegistrationSettings()).registration.warp == "quadratic"
 
 
-def test_the_instrument_measures_its_noise_with_dark_and_reference(small_toml: Path) -> None:
+def test_instrument_measures_noise_from_dark_and_reference(small_toml: Path) -> None:
     bench = load_bench(small_toml)
     with open_devices(bench, lambda _: None) as devices, closing(Instrument(devices, bench)) as instrument:
         devices.light.set_on(True)

@@ -1,4 +1,4 @@
-"""The B-spline against SciPy's, and the compiled one against the array one."""
+"""B-splines against SciPy, and the compiled sampling against the array one."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from reconstruction.registration.gauss_newton.warped_sampling import new_scratch
 
 
 @pytest.mark.parametrize("shape", [(40, 60), (3, 40), (8, 8), (64, 9), (150, 2), (1, 1), (1, 30), (30, 1), (2, 2)])
-def test_coefficients_are_scipys(shape: tuple[int, int]) -> None:
+def test_coefficients_match_scipy(shape: tuple[int, int]) -> None:
     image = np.random.default_rng(0).uniform(0, 1000, shape).astype(np.float32)
     np.testing.assert_allclose(spline_coefficients(image), ndimage.spline_filter(image, mode="mirror"), atol=1e-2)
 
 
 @pytest.mark.parametrize("kind", ["u1", "<u2", ">u2", ">f4", "f8"])
-def test_every_kind_of_pixels_and_any_order_in_memory_has_the_same_coefficients(kind: str) -> None:
+def test_coefficients_do_not_depend_on_dtype_or_memory_order(kind: str) -> None:
     counts = np.random.default_rng(7).integers(0, 256, (70, 90))
     expected = spline_coefficients(counts.astype(np.float32))
     image = counts.astype(kind)
@@ -29,7 +29,7 @@ def test_every_kind_of_pixels_and_any_order_in_memory_has_the_same_coefficients(
         np.testing.assert_array_equal(each, before)
 
 
-def test_samples_are_scipys() -> None:
+def test_samples_match_scipy() -> None:
     rng = np.random.default_rng(1)
     image = rng.uniform(0, 1, (40, 60)).astype(np.float32)
     position = rng.uniform([0, 0], [59, 39], (200, 2))
@@ -38,7 +38,7 @@ def test_samples_are_scipys() -> None:
     np.testing.assert_allclose(values, expected, atol=1e-5)
 
 
-def test_gradients_are_those_of_the_values() -> None:
+def test_gradients_match_numerical_derivatives() -> None:
     rng = np.random.default_rng(2)
     coefficients = spline_coefficients(ndimage.gaussian_filter(rng.uniform(0, 1, (40, 60)), 2).astype(np.float32))
     position = rng.uniform([3, 3], [56, 36], (50, 2))
@@ -50,7 +50,7 @@ def test_gradients_are_those_of_the_values() -> None:
         np.testing.assert_allclose(gradients[:, axis], slope, atol=1e-6)
 
 
-def test_compiled_sampling_of_a_warp_is_scipys_and_its_stretch_the_determinant() -> None:
+def test_compiled_warp_sampling_matches_scipy_and_determinant() -> None:
     rng = np.random.default_rng(3)
     coefficients = spline_coefficients(rng.uniform(0, 1, (40, 60)).astype(np.float32))
     uv = rng.uniform(-1, 1, (2, 100)).astype(np.float32)
@@ -75,6 +75,6 @@ def test_compiled_sampling_of_a_warp_is_scipys_and_its_stretch_the_determinant()
 
 
 @pytest.mark.parametrize("threads", [2, 3])
-def test_a_shared_image_has_the_same_coefficients(threads: int) -> None:
+def test_coefficients_do_not_depend_on_threads(threads: int) -> None:
     image = np.random.default_rng(5).normal(100, 30, (1001, 803)).astype(np.float32)
     np.testing.assert_array_equal(spline_coefficients(image, threads=threads), spline_coefficients(image))

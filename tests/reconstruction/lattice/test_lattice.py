@@ -1,4 +1,4 @@
-"""The lattice is found in a reference, to a small part of a pixel, or refused."""
+"""Lattice search in rendered references."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_pitch_rotation_and_centre(rotation_rad: float, source: str) -> None:
     assert found.rotation_rad == pytest.approx(rotation_rad, abs=5e-4)
 
 
-def test_an_even_block_is_centred_between_lenslets(small_bench: SmallBench) -> None:
+def test_even_lattice_is_centred_between_lenslets(small_bench: SmallBench) -> None:
     found = find_lattice(small_bench.reference, sensor_of(6, 8))
     centers = small_bench.lattice.lenslet_centers_px(7, 9).reshape(-1, 2)
     first = found.lenslet_centers_px(6, 8)[0, 0]
@@ -36,11 +36,11 @@ def test_an_even_block_is_centred_between_lenslets(small_bench: SmallBench) -> N
 
 
 @pytest.mark.parametrize("make", [np.zeros, np.ones, lambda shape: np.random.default_rng(0).normal(500, 8, shape)])
-def test_a_frame_without_a_lattice_is_refused(make: object) -> None:
+def test_frame_without_lattice_is_refused(make: object) -> None:
     with pytest.raises(ReconstructionError, match="no lattice"):
         find_lattice(make((300, 400)), sensor_of(7, 9))  # type: ignore[operator] # one of three functions
 
 
-def test_a_frame_that_is_too_small_is_refused() -> None:
+def test_too_small_frame_is_refused() -> None:
     with pytest.raises(ReconstructionError, match="do not fit on 100 x 100 pixels"):
         find_lattice(np.ones((100, 100)), sensor_of(7, 9))

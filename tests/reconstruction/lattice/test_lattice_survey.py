@@ -1,4 +1,4 @@
-"""The lattice is found on frames drawn in closed form, whatever the bench does to them; what is none is refused."""
+"""Lattice survey on frames drawn in closed form, with many defects."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def drawn(
 
 
 def errors(found: Survey, truth: Lattice = TRUTH) -> tuple[float, float, float]:
-    """How far centre (px), pitch (px) and rotation (mrad) are off."""
+    """Errors of centre (px), pitch (px) and rotation (mrad)."""
     lattice = found.lattice
     center_px = np.hypot(lattice.center_x_px - truth.center_x_px, lattice.center_y_px - truth.center_y_px)
     return (
@@ -51,7 +51,7 @@ def errors(found: Survey, truth: Lattice = TRUTH) -> tuple[float, float, float]:
 
 
 def check(found: Survey, truth: Lattice = TRUTH, *, times: float = 1.0) -> None:
-    """Assert what is asked of the calibration, or so many times that."""
+    """Assert the required accuracy of the calibration, or a multiple of it."""
     center_px, pitch_px, rotation_mrad = errors(found, truth)
     assert center_px < 0.1 * times
     assert pitch_px < 0.02 * times
@@ -60,7 +60,7 @@ def check(found: Survey, truth: Lattice = TRUTH, *, times: float = 1.0) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(draws=st.data())
-def test_any_lattice_is_found_on_a_clean_frame(draws: st.DataObject) -> None:
+def test_random_lattice_is_found_on_clean_frame(draws: st.DataObject) -> None:
     rows, columns = draws.draw(st.integers(4, 9)), draws.draw(st.integers(4, 9))
     pitch_px, blur_px = draws.draw(st.floats(14.0, 36.0)), draws.draw(st.floats(0.7, 1.4))
     shape: Shape = draws.draw(st.sampled_from(SHAPES))
@@ -93,7 +93,7 @@ def test_any_lattice_is_found_on_a_clean_frame(draws: st.DataObject) -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), shape=st.sampled_from(["square", "disc", "stars"]))
-def test_faint_frames_with_dead_lenslets_gradients_and_a_cut_border(seed: int, shape: Shape) -> None:
+def test_lattice_is_found_on_faint_frames_with_dead_lenslets(seed: int, shape: Shape) -> None:
     rng = np.random.default_rng(seed)
     truth = Lattice(
         center_x_px=255.5 + rng.uniform(-3, 3),
@@ -111,14 +111,14 @@ def test_faint_frames_with_dead_lenslets_gradients_and_a_cut_border(seed: int, s
 
 
 @pytest.mark.parametrize("shape", ["square", "disc"])
-def test_images_that_almost_touch(shape: Shape) -> None:
+def test_almost_touching_images_are_calibrated(shape: Shape) -> None:
     dead = np.random.default_rng(4).random((17, 17)) < 0.1
     slope = np.linspace(0.4, 1, 17)
     light = drawn(shape, 0.44, np.where(dead, 0, slope))
     check(survey(photographed(light, np.random.default_rng(5), peak_e=2000), SENSOR))
 
 
-def test_the_background_does_not_pull_the_centre() -> None:
+def test_background_does_not_bias_centre() -> None:
     y, x = np.indices(FRAME) / 512
     light = drawn("square", 0.35, np.ones((17, 17))) * 1000 + 4000 * x + 2000 * y - 1500 * x**2
     center_px, pitch_px, _ = errors(survey(light, SENSOR))
@@ -126,35 +126,35 @@ def test_the_background_does_not_pull_the_centre() -> None:
     assert pitch_px < 0.001
 
 
-def test_the_centre_of_a_lopsided_image_is_where_its_first_harmonic_has_phase_0() -> None:
+def test_centre_of_asymmetric_image_has_first_harmonic_phase_zero() -> None:
     found = survey(drawn("corner", 0.15), SENSOR)
-    # Along each axis two of the three stars lie at -0.15 pitches and one at 0.15; they are blurred alike.
+    # Along each axis two of the three stars lie at -0.15 pitches and one at 0.15.
     offset = np.angle(2 * np.exp(-2j * np.pi * 0.15) + np.exp(2j * np.pi * 0.15)) / (2 * np.pi) * TRUTH.pitch_px
     x_px, y_px = TRUTH.to_camera_px(np.array([offset, offset]))
     assert (found.lattice.center_x_px, found.lattice.center_y_px) == pytest.approx((x_px, y_px), abs=0.01)
 
 
-def test_a_ring_whose_harmonic_is_negative_is_centred_on_its_middle() -> None:
+def test_ring_with_negative_harmonic_is_centred_on_its_middle() -> None:
     check(survey(drawn("ring", 0.41), SENSOR))  # J0(2 pi 0.41) < 0
 
 
-def test_stars_in_the_outer_part_of_the_cells() -> None:
+def test_stars_near_cell_edges_are_calibrated() -> None:
     check(survey(drawn("stars", 0.38), SENSOR))  # 1 + 2 cos(2 pi 0.38) < 0
 
 
 @pytest.mark.parametrize("rotation_rad", [-0.7, 0.3, 0.75])
-def test_up_to_45_degrees(rotation_rad: float) -> None:
+def test_rotation_up_to_45_degrees_is_found(rotation_rad: float) -> None:
     truth = Lattice(center_x_px=250.2, center_y_px=260.9, pitch_px=31.4, rotation_rad=rotation_rad)
     check(survey(drawn(lattice=truth, brightness=np.ones((10, 9))), sensor_with(10, 9, 31.25)), truth)
 
 
-def test_beyond_45_degrees_it_is_the_same_lattice_turned_back_by_90() -> None:
+def test_rotation_beyond_45_degrees_is_reduced_by_90() -> None:
     turned = Lattice(center_x_px=255.5, center_y_px=255.5, pitch_px=31.4, rotation_rad=0.79)
     found = survey(drawn(lattice=turned, brightness=np.ones((9, 9))), sensor_with(9, 9, 31.25))
     assert found.lattice.rotation_rad == pytest.approx(0.79 - np.pi / 2, abs=2e-4)
 
 
-def test_what_is_lit_and_where_the_light_lies() -> None:
+def test_survey_reports_lit_lenslets_and_displacements() -> None:
     brightness = np.ones((15, 15))
     brightness[3, 4] = brightness[7, 7] = 0
     brightness[0, 14] = 0.05
@@ -166,7 +166,7 @@ def test_what_is_lit_and_where_the_light_lies() -> None:
     assert found.likeness > 0.999
 
 
-def test_the_residual_is_how_far_the_light_lies_beside_the_lattice() -> None:
+def test_residual_is_rms_distance_of_light_from_lattice() -> None:
     beside = np.random.default_rng(3).normal(0, 0.4, (15, 15, 2))
     light = draw(
         FRAME,
@@ -183,7 +183,7 @@ def test_the_residual_is_how_far_the_light_lies_beside_the_lattice() -> None:
     np.testing.assert_allclose(found.displacement_px, beside - mean, atol=0.15)
 
 
-def test_a_few_lenslets_far_beside_the_lattice_do_not_drag_it() -> None:
+def test_outlying_lenslets_do_not_bias_lattice() -> None:
     beside = np.zeros((15, 15, 2))
     beside[:3, :4] = 1.5  # a scratch, a bubble
     light = draw(
@@ -200,36 +200,36 @@ def test_a_few_lenslets_far_beside_the_lattice_do_not_drag_it() -> None:
     assert rotation_mrad < 0.05
 
 
-def test_more_lenslets_on_the_frame_than_the_sensor_has_are_counted() -> None:
+def test_extra_lenslets_on_frame_are_counted() -> None:
     found = survey(drawn(brightness=np.ones((15, 15))), sensor_with(9, 13, 31.25))
     assert (found.rows, found.columns) == (15, 15)
     check(found)  # the middle ones
 
 
-def test_some_dead_lenslets_do_not_push_the_block_aside() -> None:
+def test_dead_lenslets_do_not_shift_block() -> None:
     """The middle of three blocks has four dead lenslets in a column that the first does not have."""
     brightness = np.ones((15, 15))
     brightness[[2, 5, 9, 11], 13] = 0
     check(survey(drawn(brightness=brightness), sensor_with(15, 13, 31.25)))
 
 
-def test_the_lit_block_is_taken_wherever_it_lies() -> None:
+def test_lit_block_is_chosen_anywhere_on_frame() -> None:
     truth = Lattice(center_x_px=330.0, center_y_px=180.0, pitch_px=31.0, rotation_rad=-0.01)
     found = survey(drawn(lattice=truth, brightness=np.ones((6, 7))), sensor_with(6, 7, 31.25))
     check(found, truth)
     assert (found.rows, found.columns) == (6, 7)
 
 
-def test_a_round_pupil() -> None:
+def test_round_pupil_is_calibrated() -> None:
     y, x = np.indices((15, 15)) - 7
     found = survey(drawn(brightness=(np.hypot(x, y) < 7.6).astype(float)), SENSOR)
     check(found)
     np.testing.assert_array_equal(found.illuminated, np.hypot(x, y) < 7.6)
 
 
-def test_the_dark_is_subtracted_and_hot_pixels_do_no_harm() -> None:
+def test_dark_is_subtracted_and_hot_pixels_are_ignored() -> None:
     rng = np.random.default_rng(8)
-    pattern = 300 * np.sin(2 * np.pi * np.indices(FRAME)[1] / 31.4)  # of the camera, with the lattice's own pitch
+    pattern = 300 * np.sin(2 * np.pi * np.indices(FRAME)[1] / 31.4)  # of the camera, with the pitch of the lattice
     light = drawn() * 400 + 1000 + pattern
     for row, column in rng.integers(0, 512, (40, 2)):
         light[row, column] = 60000
@@ -237,7 +237,7 @@ def test_the_dark_is_subtracted_and_hot_pixels_do_no_harm() -> None:
     assert errors(survey(light, SENSOR))[0] > 0.1
 
 
-def test_a_reflection_that_outshines_everything() -> None:
+def test_bright_reflection_does_not_hide_lattice() -> None:
     y, x = np.indices(FRAME)
     light = drawn() * 100 + 5000 * np.exp(-((x - 300) ** 2 + (y - 100) ** 2) / 30)
     check(survey(light, SENSOR))
@@ -273,7 +273,7 @@ def pitch_of(pitch_px: float) -> Floats:
 
 
 def two_kinds() -> Floats:
-    """Lenslets on a lattice, every other one with an upright bar, the others with a level one."""
+    """A lattice whose lenslets show vertical and horizontal bars in turn."""
     x, y = np.meshgrid(np.arange(15), np.arange(15))
     along_px = np.linspace(-11, 11, 15)
     level_px = np.stack([along_px, np.zeros(15)], axis=-1)
@@ -345,10 +345,10 @@ REFUSED: dict[str, tuple[Callable[[], NDArray[np.generic]], str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_is_no_lattice_is_refused_in_one_sentence(name: str) -> None:
+def test_non_lattice_is_refused_with_reason(name: str) -> None:
     make, sentence = REFUSED[name]
     with pytest.raises(ReconstructionError, match=sentence) as refusal:
-        survey(make(), SENSOR)  # type: ignore[arg-type] # some are no images
+        survey(make(), SENSOR)  # type: ignore[arg-type] # some are not images
     assert refusal.value.image in {"reference", "dark"}
     assert "\n" not in str(refusal.value)
 
@@ -361,7 +361,7 @@ def test_noise_is_never_a_lattice(seed: int, count: int) -> None:
         survey(frame, sensor_with(count, count, 31.25))
 
 
-def test_saturated_and_ill_fitting_frames_are_refused() -> None:
+def test_saturated_and_mismatched_frames_are_refused() -> None:
     light = np.minimum(drawn() * 9e4, 65535).astype(np.uint16)
     with pytest.raises(ReconstructionError, match="saturated"):
         survey(light, SENSOR, full_scale=65535)
@@ -370,7 +370,7 @@ def test_saturated_and_ill_fitting_frames_are_refused() -> None:
     assert refusal.value.image == "dark"
 
 
-def test_the_reference_is_left_as_it_was() -> None:
+def test_survey_leaves_reference_untouched() -> None:
     light = photographed(drawn(), np.random.default_rng(1), peak_e=300)
     before = light.copy()
     survey(light, SENSOR)
@@ -393,7 +393,7 @@ def _many(peak: float) -> NDArray[np.float32]:
     return frame.astype(np.float32)
 
 
-def test_a_large_frame_without_a_lattice_is_refused_before_anything_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_frame_without_lattice_is_refused_before_fitting(monkeypatch: pytest.MonkeyPatch) -> None:
     def fitted(*_: object) -> None:
         raise AssertionError("it was fitted, which takes minutes on many megapixels")
 
@@ -403,7 +403,7 @@ def test_a_large_frame_without_a_lattice_is_refused_before_anything_is_fitted(mo
         survey(_many(0), sensor_with(46, 46, 16.0))
 
 
-def test_hot_pixels_do_not_hide_a_faint_lattice_on_a_large_frame() -> None:
+def test_hot_pixels_do_not_hide_faint_lattice_on_large_frame() -> None:
     heard: list[tuple[str, float]] = []
     found = survey(_many(60), sensor_with(46, 46, 16.0), progress=lambda text, done: heard.append((text, done)))
     truth = Lattice(center_x_px=374.6, center_y_px=373.9, pitch_px=16.1, rotation_rad=0.004)

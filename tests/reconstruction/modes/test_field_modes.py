@@ -1,4 +1,4 @@
-"""The functions in which displacements are written."""
+"""Field modes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.modes.field_modes import LegendreModes, SampledModes, ZernikeModes, gradient_basis
 
 
-def test_a_sampled_mode_is_one_at_its_node_and_zero_at_the_others() -> None:
+def test_sampled_mode_is_one_at_its_node_and_zero_at_others() -> None:
     modes = SampledModes(np.array([-0.8, 0.0, 0.8]), np.array([-0.5, 0.5]))
     np.testing.assert_allclose(modes.values(*modes.nodes), np.eye(6), atol=1e-14)
 
 
-def test_sampled_modes_carry_every_polynomial_of_their_degree() -> None:
+def test_sampled_modes_reproduce_polynomials_of_their_degree() -> None:
     modes = SampledModes(np.array([-0.8, 0.0, 0.8]), np.array([-0.5, 0.5]))
     node_x, node_y = modes.nodes
     x, y = np.random.default_rng(0).uniform(-1, 1, (2, 30))
@@ -22,7 +22,7 @@ def test_sampled_modes_carry_every_polynomial_of_their_degree() -> None:
     np.testing.assert_allclose(coefficients @ modes.values(x, y), (1 + x - 2 * x**2) * (3 - y), atol=1e-12)
 
 
-def test_the_mean_displacement_is_the_mean_over_the_field() -> None:
+def test_mean_displacement_is_mean_over_field() -> None:
     shape = (2, 3)
     for modes in (LegendreModes(6), SampledModes(np.array([-0.8, 0.0, 0.8]), np.array([-0.8, 0.1, 0.8]))):
         coefficients = np.random.default_rng(1).normal(size=(*shape, modes.count, 2))

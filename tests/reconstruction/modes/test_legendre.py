@@ -1,4 +1,4 @@
-"""The polynomials against SciPy, closed forms and numerical integration."""
+"""Legendre polynomials against SciPy, closed forms and numerical integration."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from scipy import special
 from reconstruction.modes.legendre import legendre, legendre_gradients, legendre_lenslet_gradients, legendre_orders
 
 
-def test_order_is_the_papers() -> None:
+def test_order_matches_paper() -> None:
     for k, (m, n) in enumerate(legendre_orders(45)):
         assert k == (m + n) * (m + n + 1) // 2 + n
     assert legendre_orders(6) == ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 
 
-def test_values_are_scipys() -> None:
+def test_values_match_scipy() -> None:
     x, y = np.random.default_rng(1).uniform(-1, 1, (2, 50))
     values = legendre(66, x, y)
     for k, (m, n) in enumerate(legendre_orders(66)):
@@ -29,14 +29,14 @@ def test_positions_broadcast() -> None:
     assert legendre_gradients(6, x, y).shape == (6, 2, 3, 2)
 
 
-def test_low_modes_in_closed_form() -> None:
+def test_low_modes_match_closed_form() -> None:
     x, y = 0.3, -0.7
     expected = [1, x, y, (3 * x**2 - 1) / 2, x * y, (3 * y**2 - 1) / 2]
     np.testing.assert_allclose(legendre(6, x, y), expected, atol=1e-15)
     np.testing.assert_allclose(legendre_gradients(6, x, y)[4], [y, x], atol=1e-15)
 
 
-def test_gradients_are_those_of_the_values() -> None:
+def test_gradients_match_numerical_derivatives() -> None:
     x, y = np.random.default_rng(2).uniform(-0.9, 0.9, (2, 20))
     step = 1e-6
     gradients = legendre_gradients(45, x, y)
@@ -47,7 +47,7 @@ def test_gradients_are_those_of_the_values() -> None:
 
 
 @pytest.mark.parametrize("k", [1, 4, 13, 40])
-def test_lenslet_means_are_the_integrals_over_the_lenslets(k: int) -> None:
+def test_lenslet_means_match_numerical_integrals(k: int) -> None:
     rows, columns = 3, 5
     means = legendre_lenslet_gradients(k + 1, rows, columns)[k]
     node, weight = np.polynomial.legendre.leggauss(16)  # exact for these polynomials

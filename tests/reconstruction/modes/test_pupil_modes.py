@@ -1,4 +1,4 @@
-"""The modes between the lenslets: their products of Legendre polynomials against the polynomials themselves."""
+"""Pupil modes between the lenslets, against the polynomials themselves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ X_M, Y_M = np.linspace(-2.2e-3, 2.0e-3, 7), np.linspace(-1.4e-3, 1.5e-3, 5)
 
 
 @pytest.mark.parametrize("basis", ["legendre", "zernike"])
-def test_a_wavefront_between_the_lenslets(basis: str) -> None:
+def test_pupil_grid_matches_polynomials_between_lenslets(basis: str) -> None:
     modes = pupil_modes(SENSOR, basis, 21)  # type: ignore[arg-type] # parametrised
     coefficients = np.random.default_rng(0).normal(size=21)
     if basis == "legendre":
@@ -27,5 +27,5 @@ def test_a_wavefront_between_the_lenslets(basis: str) -> None:
 
 
 @pytest.mark.parametrize(("rows", "columns", "count"), [(15, 15, 120), (6, 9, 21), (2, 5, 3), (64, 64, 153)])
-def test_the_lattice_says_how_many_modes_it_carries(rows: int, columns: int, count: int) -> None:
+def test_default_mode_count_follows_lattice_size(rows: int, columns: int, count: int) -> None:
     assert len(pupil_modes(sensor_of(rows, columns), "legendre", None).values) == count

@@ -30,16 +30,16 @@ NOLL = {  # Noll 1976, table I
 
 
 @pytest.mark.parametrize("j", NOLL)
-def test_nolls_table(j: int) -> None:
+def test_modes_match_nolls_table(j: int) -> None:
     np.testing.assert_allclose(zernike(15, X, Y)[j - 1], NOLL[j], atol=1e-12)
 
 
-def test_whole_radial_orders_are_1_3_6_10() -> None:
+def test_complete_radial_orders_have_1_3_6_10_modes() -> None:
     orders = noll_orders(10)
     assert [sum(n <= degree for n, _ in orders) for degree in range(4)] == [1, 3, 6, 10]
 
 
-def test_orthonormal_over_the_circle() -> None:
+def test_modes_are_orthonormal_over_circle() -> None:
     nodes, weights = np.polynomial.legendre.leggauss(20)
     r, weight_r = (nodes + 1) / 2, weights / 2
     theta = np.arange(64) * 2 * np.pi / 64
@@ -48,7 +48,7 @@ def test_orthonormal_over_the_circle() -> None:
     np.testing.assert_allclose(products, np.eye(45), atol=1e-10)
 
 
-def test_gradients_are_those_of_the_values() -> None:
+def test_gradients_match_numerical_derivatives() -> None:
     step = 1e-6
     gradients = zernike_gradients(36, X, Y)
     along_x = (zernike(36, X + step, Y) - zernike(36, X - step, Y)) / (2 * step)
@@ -57,12 +57,12 @@ def test_gradients_are_those_of_the_values() -> None:
     np.testing.assert_allclose(gradients[..., 1], along_y, atol=1e-6)
 
 
-def test_gradients_are_finite_in_the_middle() -> None:
+def test_gradients_are_finite_at_centre() -> None:
     assert np.isfinite(zernike_gradients(36, 0.0, 0.0)).all()
 
 
 @pytest.mark.parametrize("k", [3, 7, 20])
-def test_lenslet_means_are_the_integrals_over_the_lenslets(k: int) -> None:
+def test_lenslet_means_match_numerical_integrals(k: int) -> None:
     edges_x, edges_y = np.linspace(-1.2, 1.2, 5), np.linspace(-0.9, 0.9, 4)
     means = zernike_lenslet_gradients(k + 1, edges_x, edges_y)[k]
     node, weight = np.polynomial.legendre.leggauss(16)  # exact for these polynomials

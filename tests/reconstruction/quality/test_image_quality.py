@@ -27,14 +27,14 @@ def flat(sensor: Sensor = SENSOR) -> Floats:
 
 
 def aberrated(seed: int = 3) -> Floats:
-    """Strong and smooth, without any symmetry."""
+    """A strong, smooth, asymmetric phase."""
     u, v = pupil()
     a, b, c, d, e = np.random.default_rng(seed).normal(0, 3, 5)
     u, v = u / WIDTH_M * 2, v / HEIGHT_M * 2
     return np.asarray(a * u * u + b * u * v + c * v * v + d * u**3 + e * u * v * v + 2 * u - v)
 
 
-def test_flat_pupil_gives_the_sinc_of_its_width_and_height() -> None:
+def test_psf_of_flat_pupil_is_sinc() -> None:
     angle_rad = np.linspace(-4, 4, 81) * LIMIT_RAD
     seen = psf(flat(), SENSOR, angle_rad=angle_rad)
     along_x, along_y = (np.sinc(angle_rad * width_m / SENSOR.wavelength_m) for width_m in (WIDTH_M, HEIGHT_M))
@@ -45,7 +45,7 @@ def test_flat_pupil_gives_the_sinc_of_its_width_and_height() -> None:
     assert diffraction_rad(SENSOR) == pytest.approx(LIMIT_RAD)
 
 
-def test_flat_pupil_transfers_a_triangle() -> None:
+def test_mtf_of_flat_pupil_is_triangle() -> None:
     curves = mtf(flat(), SENSOR)
     for frequency_per_rad, transfer, limit, width_m in (
         (curves.frequency_x_per_rad, curves.along_x, curves.limit_x, WIDTH_M),
@@ -58,7 +58,7 @@ def test_flat_pupil_transfers_a_triangle() -> None:
         np.testing.assert_allclose(limit, transfer)
 
 
-def test_circular_pupil_gives_the_airy_pattern() -> None:
+def test_psf_of_circular_pupil_is_airy_pattern() -> None:
     sensor = sensor_of(61, 61)
     u, v = pupil(sensor)
     radius_m = 30.5 * sensor.lenslet_pitch_m
@@ -70,7 +70,7 @@ def test_circular_pupil_gives_the_airy_pattern() -> None:
     np.testing.assert_allclose(seen[1:, 0], (2 * j1(x) / x) ** 2, atol=4e-3)
 
 
-def test_tilt_moves_the_light_to_where_it_rises() -> None:
+def test_tilt_moves_psf_towards_positive_slope() -> None:
     u, v = pupil()
     slope_x, slope_y = 4 * 2 * np.pi / WIDTH_M, -2 * 2 * np.pi / WIDTH_M  # rad/m
     angle_rad = np.linspace(-8, 8, 17) * LIMIT_RAD
@@ -82,7 +82,7 @@ def test_tilt_moves_the_light_to_where_it_rises() -> None:
 
 
 @pytest.mark.parametrize("strength_rad", [-2.0, 7.0, 13.0])
-def test_defocus_has_the_strehl_ratio_of_fresnel(strength_rad: float) -> None:
+def test_strehl_ratio_of_defocus_matches_fresnel_integrals(strength_rad: float) -> None:
     u, v = pupil()
     phase = strength_rad * ((2 * u / WIDTH_M) ** 2 + (2 * v / HEIGHT_M) ** 2)  # strength at each edge's middle
     x = np.sqrt(2 * abs(strength_rad) / np.pi)
@@ -92,7 +92,7 @@ def test_defocus_has_the_strehl_ratio_of_fresnel(strength_rad: float) -> None:
     assert seen == pytest.approx(expected, rel=0.02)  # 6 samples across a lenslet instead of an integral
 
 
-def test_defocus_transfers_as_in_closed_form() -> None:
+def test_mtf_of_defocus_matches_closed_form() -> None:
     u, _ = pupil()
     strength_rad = 9.0
     curves = mtf(strength_rad * (2 * u / WIDTH_M) ** 2 + 0 * flat(), SENSOR)
@@ -102,20 +102,20 @@ def test_defocus_transfers_as_in_closed_form() -> None:
     np.testing.assert_allclose(curves.along_y, curves.limit_y, atol=1e-5)
 
 
-def test_no_light_is_lost_whatever_the_phase() -> None:
+def test_psf_conserves_energy_for_any_phase() -> None:
     samples = 15 * 6
     period_rad = 6 * SENSOR.wavelength_m / SENSOR.lenslet_pitch_m
     angle_rad = np.arange(samples) / samples * period_rad
     phase = np.stack([aberrated(1), aberrated(2)])
     phase[1, 2, 3] = np.nan
     seen = psf(phase, SENSOR, angle_rad=angle_rad)
-    light = seen.sum(axis=(1, 2)) * (1, (135 - 1) / 135)  # the peak it is measured by has the square of the area
-    np.testing.assert_allclose(light, 15 / 9, rtol=1e-4)  # one step is a wavelength over the width, for y as well
+    light = seen.sum(axis=(1, 2)) * (1, (135 - 1) / 135)  # the peak is the square of the area
+    np.testing.assert_allclose(light, 15 / 9, rtol=1e-4)  # a step is one wavelength over the width, also along y
 
 
-def test_only_the_known_area_transmits() -> None:
+def test_only_known_lenslets_transmit() -> None:
     phase = flat()
-    phase[:, :10] = np.nan  # left are 5 of 15 columns
+    phase[:, :10] = np.nan  # 5 of 15 columns remain
     angle_rad = np.array([0.0, 1.5, 3.0]) * LIMIT_RAD
     seen = psf(phase, SENSOR, angle_rad=angle_rad)[0]
     np.testing.assert_allclose(seen, np.sinc(angle_rad * WIDTH_M / 3 / SENSOR.wavelength_m) ** 2, atol=1e-3)
@@ -125,7 +125,7 @@ def test_only_the_known_area_transmits() -> None:
     np.testing.assert_allclose(curves.limit_y, mtf(flat(), SENSOR).limit_y, atol=1e-6)
 
 
-def test_lost_lenslets_do_not_change_the_phase_beside_them() -> None:
+def test_lost_lenslets_do_not_change_neighbouring_phase() -> None:
     u, v = pupil()
     bowl = 5 * ((2 * u / WIDTH_M) ** 2 + u * v / WIDTH_M**2)
     step = SENSOR.lenslet_pitch_m
@@ -138,7 +138,7 @@ def test_lost_lenslets_do_not_change_the_phase_beside_them() -> None:
     np.testing.assert_allclose(extrapolate(bowl), whole, atol=1e-4)
 
 
-def test_nothing_known_gives_no_number_and_one_lenslet_gives_its_own() -> None:
+def test_psf_is_nan_without_lenslets_and_defined_for_one() -> None:
     phase = np.full((2, 9, 15), np.nan)
     phase[1, 4, 5] = 0.7
     before = phase.copy()
@@ -150,7 +150,7 @@ def test_nothing_known_gives_no_number_and_one_lenslet_gives_its_own() -> None:
     np.testing.assert_array_equal(phase, before)
 
 
-def test_reach_holds_nearly_all_light() -> None:
+def test_reach_contains_nearly_all_light() -> None:
     phase = np.stack([aberrated(1), aberrated(2), np.full((9, 15), np.nan)])
     reach_rad = psf_reach_rad(phase, SENSOR)
     step_rad = LIMIT_RAD / 2
@@ -161,7 +161,7 @@ def test_reach_holds_nearly_all_light() -> None:
     assert np.isnan(psf_reach_rad(phase[2], SENSOR))
 
 
-def test_angles_lie_about_zero_fine_enough_and_not_too_many() -> None:
+def test_psf_angles_are_centred_fine_and_limited() -> None:
     angle_rad = psf_angles_rad(SENSOR, 7.9 * LIMIT_RAD)
     assert angle_rad.size == 65
     assert angle_rad[32] == 0

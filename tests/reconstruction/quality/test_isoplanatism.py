@@ -1,4 +1,4 @@
-"""Differences over the field, on wavefronts that are polynomials of field and pupil."""
+"""Isoplanatism of wavefronts that are polynomials of field and pupil."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def wavefront(along_x: float, along_y: float, field: Field = FIELD) -> Wavefront
     return Wavefront.of(sensor_of(ROWS, COLUMNS), field, displacement, Tilting(along_x, along_y))
 
 
-def test_tilt_that_rises_over_the_field_differs_in_proportion_to_separation() -> None:
+def test_linear_tilt_differs_in_proportion_to_separation() -> None:
     strength = 3.0  # rad RMS over the half width of the field, along x as along y
     found = isoplanatism(wavefront(strength / RMS_U, strength / RMS_V))
     expected_rad = strength * found.curve.separation_m / FIELD.half_width_m
@@ -59,13 +59,13 @@ def test_tilt_that_rises_over_the_field_differs_in_proportion_to_separation() ->
     assert found.error_without_tilt_rad == pytest.approx(0, abs=1e-9)
 
 
-def test_error_of_one_wavefront_at_each_view_is_its_distance_from_the_middle() -> None:
+def test_view_error_grows_with_distance_from_field_centre() -> None:
     found = isoplanatism(wavefront(0.2, 0))
     at = 0.2 * RMS_U * 5 / 6
     np.testing.assert_allclose(found.view_error_rad, np.tile([at, 0, at], (3, 1)), atol=1e-9)
 
 
-def test_shifted_cubic_leaves_its_curvature_when_tilt_is_removed() -> None:
+def test_shifted_cubic_without_tilt_leaves_curvature() -> None:
     x_m = np.linspace(0, 1e-3, 5)
     position_m = np.stack([x_m, np.zeros(5)], axis=-1)
     shift = 400.0 * x_m[:, None, None]  # lenslets
@@ -78,7 +78,7 @@ def test_shifted_cubic_leaves_its_curvature_when_tilt_is_removed() -> None:
     np.testing.assert_allclose(curve.least_rad, curve.most_rad)
 
 
-def test_patch_is_interpolated_and_may_be_unknown() -> None:
+def test_patch_is_interpolated_infinite_or_nan() -> None:
     position_m = np.array([[0, 0], [1, 0], [3, 0]]) * 1e-3
     phase = np.array([0.0, 0.5, 2.5])[:, None, None] * U / RMS_U
     curve = structure_curve(phase, position_m, bin_m=1e-3)
@@ -93,7 +93,7 @@ def test_patch_is_interpolated_and_may_be_unknown() -> None:
     assert partly.patch_m == np.inf
 
 
-def test_one_wavefront_misses_what_is_not_common() -> None:
+def test_global_error_is_rms_of_difference_from_mean() -> None:
     common = np.random.default_rng(2).normal(0, 5, (ROWS, COLUMNS))
     phase = common + np.array([-1.0, 1.0])[:, None, None] * U / RMS_U
     assert global_error_rad(phase) == pytest.approx(1.0)
@@ -101,7 +101,7 @@ def test_one_wavefront_misses_what_is_not_common() -> None:
     assert global_error_rad(phase) == pytest.approx(1.0, rel=0.02)
 
 
-def test_plane_is_removed_over_the_known_lenslets() -> None:
+def test_without_tilt_ignores_unknown_lenslets() -> None:
     phase = np.stack([3 + 2 * U - V, U * V])
     phase[0, 0, 0] = phase[0, 5] = np.nan
     flat = without_tilt(phase)
@@ -110,7 +110,7 @@ def test_plane_is_removed_over_the_known_lenslets() -> None:
     np.testing.assert_allclose(flat[1], U * V, atol=1e-12)
 
 
-def test_positions_lie_in_the_middle_of_equal_parts_of_the_field() -> None:
+def test_field_positions_are_middles_of_equal_parts() -> None:
     square_m = field_positions_m(FIELD, 3)
     np.testing.assert_allclose(square_m[:4], np.array([[-0.4, -0.4], [0, -0.4], [0.4, -0.4], [-0.4, 0]]) * 1e-3)
     assert len(square_m) == 9
@@ -120,7 +120,7 @@ def test_positions_lie_in_the_middle_of_equal_parts_of_the_field() -> None:
     assert len(in_circle_m) == 37  # 49 without three at each corner
 
 
-def test_circular_field_compares_only_what_lies_in_it() -> None:
+def test_circular_field_compares_only_positions_inside() -> None:
     circle = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape="circle", view_spacing_m=0.5e-3)
     found = isoplanatism(wavefront(0.2, 0.2, circle))
     assert found.curve.separation_m.max() < 1.2e-3

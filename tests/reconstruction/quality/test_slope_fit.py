@@ -1,4 +1,4 @@
-"""Measured, fitted and their difference, on polynomials that are known."""
+"""Measured and fitted wavefronts of known polynomials."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SLOPES = np.stack([8e5 * U - 3e5 * V, -3e5 * U + 800], axis=-1)  # of the bowl, 
 
 
 def displacement() -> Displacement:
-    """What the bowl does at the middle of the field; towards the field's +x it becomes twice as strong."""
+    """Displacement of a bowl that doubles from the middle of the field to its +x edge."""
     coefficients = np.stack([SLOPES, SLOPES, np.zeros_like(SLOPES)], axis=2) / SENSOR.slope_per_px
     return converged(LegendreModes(3), coefficients, coefficients**2)
 
@@ -33,8 +33,8 @@ def over_the_field(phase: Floats) -> Floats:
     return np.tile(1 + np.array([-5, 0, 5])[:, None, None] / 6, (3, 1, 1, 1)) * without_piston(phase)
 
 
-def test_modal_is_compared_with_the_slopes(small_bench: SmallBench) -> None:
-    modes = pupil_modes(SENSOR, "legendre", 3)  # piston and tilt alone: the fit misses the curvature
+def test_modal_fit_is_compared_with_slopes(small_bench: SmallBench) -> None:
+    modes = pupil_modes(SENSOR, "legendre", 3)  # piston and tilt: the fit lacks the curvature
     wavefront = small_bench.reconstructor(warp="affine", pupil_modes=3).solve(displacement())
     found = slope_fit(wavefront, SENSOR, modes)
     np.testing.assert_allclose(found.measured, over_the_field(BOWL), atol=1e-9)
@@ -43,10 +43,10 @@ def test_modal_is_compared_with_the_slopes(small_bench: SmallBench) -> None:
     np.testing.assert_allclose(found.fitted + found.difference, found.measured, atol=1e-9)
 
 
-def test_fit_that_says_all_leaves_nothing(small_bench: SmallBench) -> None:
+def test_complete_fit_leaves_no_difference(small_bench: SmallBench) -> None:
     modes = pupil_modes(SENSOR, "legendre", 10)
     coefficients = np.zeros((7, 9, 3, 2))
-    coefficients[:, :, 0] = modes.gradients[8] / SENSOR.slope_per_px  # a cubic: zonal integration only comes near it
+    coefficients[:, :, 0] = modes.gradients[8] / SENSOR.slope_per_px  # a cubic, which zonal integration approximates
     measured = replace(displacement(), coefficients=coefficients)
     wavefront = small_bench.reconstructor(warp="affine", pupil_modes=10).solve(measured)
     found = slope_fit(wavefront, SENSOR, modes)
@@ -54,7 +54,7 @@ def test_fit_that_says_all_leaves_nothing(small_bench: SmallBench) -> None:
     np.testing.assert_allclose(found.measured[0, 0], without_piston(modes.values[8]), atol=1e-9)
 
 
-def test_zonal_is_compared_with_the_modes_that_fit_it_best() -> None:
+def test_zonal_is_compared_with_best_fitting_modes() -> None:
     solution = ZonalSolution(
         displacement().coefficients * SENSOR.slope_per_px, np.ones(U.shape, np.bool_), SENSOR.lenslet_pitch_m
     )
@@ -68,7 +68,7 @@ def test_zonal_is_compared_with_the_modes_that_fit_it_best() -> None:
 
 
 @pytest.mark.parametrize("row", [0, 3])
-def test_what_is_not_known_is_not_compared(row: int) -> None:
+def test_unknown_lenslets_are_not_compared(row: int) -> None:
     valid = np.ones(U.shape, np.bool_)
     valid[row, 4] = False
     measured = displacement()

@@ -1,4 +1,4 @@
-"""The compiled registration finds what plain NumPy finds, with one thread as with two."""
+"""The compiled registration against a plain NumPy one."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _found(bench: SmallBench, frame: Image, warp: Warp, threads: int = 2) -> Dis
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("warp", ["affine", "quadratic", "cubic"])
-def test_it_finds_what_plain_numpy_finds(bench: SmallBench, warp: Warp, seed: int) -> None:
+def test_compiled_registration_matches_plain_numpy(bench: SmallBench, warp: Warp, seed: int) -> None:
     frame = _random_frame(bench, seed)
     plain = plain_registration(
         bench.reference,
@@ -62,7 +62,7 @@ def test_it_finds_what_plain_numpy_finds(bench: SmallBench, warp: Warp, seed: in
 
 
 @pytest.mark.parametrize("threads", [2, 3])
-def test_threads_change_nothing(bench: SmallBench, threads: int) -> None:
+def test_result_does_not_depend_on_threads(bench: SmallBench, threads: int) -> None:
     frame = _random_frame(bench, 3)
     one, more = _found(bench, frame, "quadratic", 1), _found(bench, frame, "quadratic", threads)
     np.testing.assert_array_equal(one.coefficients, more.coefficients)

@@ -1,4 +1,4 @@
-"""Dead and saturated pixels: a lenslet goes on without them, and knows what it has lost by that."""
+"""Registration with dead and saturated pixels."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def electrons(small_bench: SmallBench) -> tuple[Image, Image]:
 
 
 def _pixels(bench: SmallBench, offsets: list[tuple[int, int]]) -> Mask:
-    """A mask of pixels at (x, y) offsets from the middle of the lenslet CENTER."""
+    """True at (x, y) offsets from the middle of the lenslet CENTER."""
     mask = np.zeros(bench.frame_shape, np.bool_)
     x, y = np.rint(bench.lattice.lenslet_centers_px(7, 9)[CENTER]).astype(int)
     for right, down in offsets:
@@ -61,7 +61,7 @@ SPOTS: dict[str, list[tuple[int, int]]] = {
 
 @pytest.mark.parametrize("kind", ["saturated", "dead"])
 @pytest.mark.parametrize("name", SPOTS)
-def test_a_lenslet_goes_on_without_its_bad_pixels(
+def test_lenslet_is_registered_without_its_bad_pixels(
     small_bench: SmallBench, electrons: tuple[Image, Image], name: str, kind: str
 ) -> None:
     reference, light = electrons
@@ -87,7 +87,7 @@ def test_a_lenslet_goes_on_without_its_bad_pixels(
         assert np.max(found.variance[CENTER] / clean.variance[CENTER]) > 1.05
 
 
-def test_what_a_bad_pixel_shows_does_not_matter(small_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
+def test_value_of_bad_pixel_does_not_matter(small_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
     reference, light = electrons
     bad = _pixels(small_bench, SPOTS["a cluster"])
     results = []
@@ -100,7 +100,7 @@ def test_what_a_bad_pixel_shows_does_not_matter(small_bench: SmallBench, electro
 
 
 @pytest.mark.parametrize("kind", ["saturated", "dead"])
-def test_errors_without_bad_pixels_are_as_large_as_their_covariance_says(
+def test_scatter_with_excluded_pixels_matches_covariance(
     small_bench: SmallBench, electrons: tuple[Image, Image], kind: str
 ) -> None:
     reference, light = electrons
@@ -135,7 +135,7 @@ def test_errors_without_bad_pixels_are_as_large_as_their_covariance_says(
     assert chi_square.mean() - still.chi_square[CENTER] == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_lenslet_that_has_lost_too_much_is_lost(small_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
+def test_lenslet_with_too_many_bad_pixels_is_lost(small_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
     reference, light = electrons
     half = _pixels(small_bench, [(x, y) for x in range(13) for y in range(-12, 13)])
     found = _register(small_bench, reference, np.where(half, PEAK_ELECTRONS, light).astype(np.float32), saturated=half)
@@ -148,14 +148,14 @@ def test_a_lenslet_that_has_lost_too_much_is_lost(small_bench: SmallBench, elect
     np.testing.assert_array_equal(dead.outcome, expected)
 
 
-def test_every_pixel_bad_is_no_disaster(small_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
+def test_all_pixels_bad_loses_all_lenslets(small_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
     reference, light = electrons
     found = _register(small_bench, reference, light, saturated=np.ones(light.shape, np.bool_))
     assert not found.valid.any()
 
 
 @pytest.mark.parametrize("method", ["correlation", "correlation_fft", "block_flow"])
-def test_other_methods_look_past_dead_pixels(
+def test_other_methods_tolerate_dead_pixels(
     small_bench: SmallBench, electrons: tuple[Image, Image], method: Method
 ) -> None:
     reference, light = electrons

@@ -1,4 +1,4 @@
-"""Displacements up to the dynamic range are found, from whatever start; beyond it nothing is made up."""
+"""Registration up to and beyond the dynamic range."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from simulated_devices.settings import Source
 
 RANGE_PX = (
     31.25 - 462e-9 * 46.7e-3 / 500e-6 / 16e-6
-) / 2 - 0.6e-3 * 46.7e-3 / 0.2 / 16e-6  # pitch less blur, less the field
+) / 2 - 0.6e-3 * 46.7e-3 / 0.2 / 16e-6  # half of pitch minus blur, minus the field
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def _tilted(bench: SmallBench, x_px: float, y_px: float) -> Image:
 
 
 def _every_lenslet_its_own(bench: SmallBench, shift_px: float) -> Image:
-    """A frame whose lenslets are displaced by +- shift_px along x and along y, neighbours against each other."""
+    """A frame whose neighbouring lenslets are displaced by opposite shifts, +-shift_px along x and y."""
     u, v = bench.samples()
     pitch, slope = bench.sensor.lenslet_pitch_m, bench.sensor.slope_per_px * shift_px
     x, y = np.rint(u / pitch), np.rint(v / pitch - 0.5) + 0.5
@@ -52,7 +52,7 @@ def _still(bench: SmallBench) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 @pytest.mark.parametrize(
     "shift_px", [(5.4, 0.0), (0.0, -5.4), (5.4, 5.4), (-5.3, 5.2), (-5.4, -5.4), (4.7, -3.6), (-2.5, 5.4)]
 )
-def test_tilts_up_to_the_edge_of_the_cell_are_found(
+def test_tilts_up_to_cell_edge_are_recovered(
     bench: SmallBench, estimate: RegistrationMethod, shift_px: tuple[float, float]
 ) -> None:
     displacement = estimate(_tilted(bench, *shift_px), saturated=_still(bench))
@@ -62,7 +62,7 @@ def test_tilts_up_to_the_edge_of_the_cell_are_found(
     np.testing.assert_allclose(displacement.range_used, np.abs(shift_px).max() / RANGE_PX, atol=0.015)
 
 
-def test_beyond_the_range_a_lenslet_is_lost_and_says_how_far(bench: SmallBench, estimate: RegistrationMethod) -> None:
+def test_lenslet_beyond_range_is_lost_with_range_used(bench: SmallBench, estimate: RegistrationMethod) -> None:
     displacement = estimate(_tilted(bench, 6.2, 0.0), saturated=_still(bench))
     assert set(displacement.outcome.ravel()) <= {Outcome.LEFT_CELL, Outcome.DIVERGED}
     assert np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL) > 15
@@ -72,7 +72,7 @@ def test_beyond_the_range_a_lenslet_is_lost_and_says_how_far(bench: SmallBench, 
 
 
 @pytest.mark.parametrize("shift_px", [4.5, 5.3])
-def test_light_of_a_neighbour_that_comes_close_has_no_weight(
+def test_light_of_close_neighbour_has_no_weight(
     bench: SmallBench, estimate: RegistrationMethod, shift_px: float
 ) -> None:
     displacement = estimate(_every_lenslet_its_own(bench, shift_px), saturated=_still(bench))
@@ -84,7 +84,7 @@ def test_light_of_a_neighbour_that_comes_close_has_no_weight(
 
 
 @pytest.mark.parametrize("shift_px", [(3.0, 0.0), (4.6, -4.2), (-5.3, 5.3)])
-def test_stars_that_have_moved_by_more_than_their_own_size_are_found(
+def test_stars_displaced_by_more_than_their_size_are_recovered(
     bench: SmallBench, shift_px: tuple[float, float]
 ) -> None:
     source = stars(Source())
@@ -100,7 +100,7 @@ def test_stars_that_have_moved_by_more_than_their_own_size_are_found(
     assert np.abs(displacement.coefficients[:, :, 0] - shift_px).max() < 0.03
 
 
-def test_noise_up_to_the_range(bench: SmallBench, estimate: RegistrationMethod) -> None:
+def test_noisy_frame_near_range_limit_is_recovered(bench: SmallBench, estimate: RegistrationMethod) -> None:
     light = _tilted(bench, -5.0, 4.8)
     rng = np.random.default_rng(0)
     noisy = np.asarray(light + rng.normal(0, 0.08 * light.max(), light.shape), np.float32)

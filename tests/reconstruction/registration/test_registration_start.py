@@ -1,4 +1,4 @@
-"""A start from the frame before saves time and changes nothing, whatever that frame was."""
+"""Start of the registration from an earlier frame."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _differ_px(one: Displacement, other: Displacement) -> float:
     return float(np.abs(one.coefficients - other.coefficients).max())
 
 
-def test_a_drift_is_followed(estimate: RegistrationMethod, frames: list[Image]) -> None:
+def test_start_from_previous_frame_gives_same_result(estimate: RegistrationMethod, frames: list[Image]) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     before = None
     for light in frames:
@@ -65,7 +65,7 @@ def test_a_drift_is_followed(estimate: RegistrationMethod, frames: list[Image]) 
 
 
 @pytest.mark.parametrize("spoil", ["far", "wild", "lost", "turned", "tiny"])
-def test_a_bad_frame_does_not_poison_the_next(estimate: RegistrationMethod, frames: list[Image], spoil: str) -> None:
+def test_wrong_start_does_not_change_result(estimate: RegistrationMethod, frames: list[Image], spoil: str) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     cold = estimate(frames[1], saturated=nowhere)
     rng = np.random.default_rng(1)
@@ -80,7 +80,7 @@ def test_a_bad_frame_does_not_poison_the_next(estimate: RegistrationMethod, fram
     assert _differ_px(warm, cold) < SAME_PX
 
 
-def test_a_start_of_another_warp_is_passed_over(small_bench: SmallBench, frames: list[Image]) -> None:
+def test_start_of_another_warp_is_ignored(small_bench: SmallBench, frames: list[Image]) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     affine, quadratic = (_prepared(small_bench, RegistrationSettings(warp=warp)) for warp in ("affine", "quadratic"))
     other = affine(frames[0], saturated=nowhere)
@@ -89,7 +89,7 @@ def test_a_start_of_another_warp_is_passed_over(small_bench: SmallBench, frames:
 
 
 @pytest.mark.parametrize("method", ["correlation", "block_flow"])
-def test_methods_that_search_ignore_it(small_bench: SmallBench, frames: list[Image], method: Method) -> None:
+def test_searching_methods_ignore_start(small_bench: SmallBench, frames: list[Image], method: Method) -> None:
     nowhere = np.zeros(frames[0].shape, np.bool_)
     estimate = _prepared(small_bench, RegistrationSettings(method=method))
     cold = estimate(frames[0], saturated=nowhere)

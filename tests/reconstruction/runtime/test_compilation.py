@@ -1,4 +1,4 @@
-"""Compiled code is cached on disk, and compiled again when any source file of the package changes."""
+"""On-disk cache of compiled code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ print(mean_variance(np.ones((1, 1, 2, 1, 2))))
 """
 
 
-def test_a_constant_from_another_file_is_compiled_again_when_it_changes(tmp_path: Path) -> None:
+def test_changed_constant_of_another_file_triggers_recompilation(tmp_path: Path) -> None:
     package = tmp_path / "reconstruction"
     shutil.copytree(Path(str(reconstruction.__file__)).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}

@@ -1,4 +1,4 @@
-"""BLAS in one thread, and short turns for all threads, whoever asks for it, and however they come and go."""
+"""Process-wide settings: one BLAS thread, short switch interval."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from reconstruction.runtime.threads import one_blas_thread
 
 
 def blas_threads() -> set[int]:
-    """How many threads each BLAS in this program may use."""
+    """Thread limits of the BLAS libraries in this process."""
     scipy.linalg.eigh(np.eye(2))
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
 
-def test_the_limit_lasts_until_the_last_has_left() -> None:
-    """As when refinement ends late: it began before a replay, and leaves in the middle of it."""
+def test_blas_limit_lasts_until_last_user_leaves() -> None:
+    """Overlapping users, as when refinement ends during a replay."""
     with threadpool_limits(2, user_api="blas"):
         first, second = one_blas_thread(), one_blas_thread()
         first.__enter__()
@@ -33,7 +33,7 @@ def test_the_limit_lasts_until_the_last_has_left() -> None:
         assert blas_threads() == {2}
 
 
-def test_an_error_takes_the_limit_away_too() -> None:
+def test_blas_limit_ends_after_exception() -> None:
     with threadpool_limits(2, user_api="blas"):
         with pytest.raises(ValueError, match="wrong"), one_blas_thread():
             raise ValueError("wrong")
@@ -45,7 +45,7 @@ def turns_s() -> float:
 
 
 @pytest.mark.parametrize("leaving", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
-def test_turns_are_short_until_the_last_has_left_in_whatever_order(leaving: tuple[int, ...]) -> None:
+def test_switch_interval_is_short_until_last_user_leaves(leaving: tuple[int, ...]) -> None:
     before_s = turns_s()
     wanting = [short_turns() for _ in leaving]
     for each in wanting:
@@ -61,7 +61,7 @@ def test_turns_are_short_until_the_last_has_left_in_whatever_order(leaving: tupl
     assert turns_s() == before_s
 
 
-def test_threads_that_come_and_go_leave_the_turns_as_they_were() -> None:
+def test_concurrent_users_restore_switch_interval() -> None:
     before_s = turns_s()
     all_in = threading.Barrier(8)
     seen_s: list[float] = []

@@ -21,7 +21,7 @@ GRADIENTS = MODES.gradients[1:].reshape(14, -1).T  # (lenslet x xy, pupil_mode -
 
 
 def hanging_together(generator: np.random.Generator) -> Floats:
-    """A covariance of field modes that hang together along x, and otherwise along y: (field_mode, xy, ...)."""
+    """Covariance of field modes, correlated differently along x and y: (field_mode, xy, ...)."""
     covariance = np.zeros((FIELD_MODES, 2, FIELD_MODES, 2))
     for axis in (0, 1):
         root = generator.normal(size=(FIELD_MODES, FIELD_MODES))
@@ -30,7 +30,7 @@ def hanging_together(generator: np.random.Generator) -> Floats:
 
 
 def of_unit_noise(covariance: Floats) -> Whitening:
-    """Whitening without the floor that px have."""
+    """Whitening without the systematic error."""
     return whitening(covariance * 1e6)
 
 
@@ -39,7 +39,7 @@ def made_of(coefficients: Floats) -> Floats:
     return np.asarray(np.einsum("prcx,pq->rcqx", MODES.gradients, coefficients))
 
 
-def test_weights_and_combinations_are_generalised_least_squares() -> None:
+def test_weighted_combinations_match_generalised_least_squares() -> None:
     generator = np.random.default_rng(1)
     shared = hanging_together(generator)
     strength = generator.uniform(0.2, 5, ALL.shape)  # of each lenslet's noise, as a variance
@@ -64,7 +64,7 @@ def test_weights_and_combinations_are_generalised_least_squares() -> None:
     np.testing.assert_allclose(solution.coefficients_sigma[1:], np.sqrt(variance), rtol=1e-5)
 
 
-def test_the_prior_is_a_ridge_that_its_evidence_chooses() -> None:
+def test_prior_is_ridge_regression_chosen_by_evidence() -> None:
     generator = np.random.default_rng(2)
     scale = MODES.degree[1:] ** -5.0
     truth = np.zeros((15, 1))
@@ -87,7 +87,7 @@ def test_the_prior_is_a_ridge_that_its_evidence_chooses() -> None:
     np.testing.assert_allclose(solution.coefficients[1:, 0], expected, atol=0.1 * noise * 1e-3)
 
 
-def test_modes_that_drown_fade_out_and_a_lost_lenslet_is_bridged() -> None:
+def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
     generator = np.random.default_rng(3)
     many = pupil_modes(SENSOR, "legendre", None)
     truth = np.zeros((many.degree.size, 1))
@@ -116,7 +116,7 @@ def test_modes_that_drown_fade_out_and_a_lost_lenslet_is_bridged() -> None:
 
 
 @pytest.mark.parametrize("is_smooth", [False, True])
-def test_wavefronts_scatter_as_their_sigma_says(is_smooth: bool) -> None:
+def test_scatter_of_wavefronts_matches_sigma(is_smooth: bool) -> None:
     generator = np.random.default_rng(4)
     shared = hanging_together(generator) * 100.0
     root = np.linalg.cholesky(shared.reshape(2 * FIELD_MODES, -1))
@@ -139,7 +139,7 @@ def test_wavefronts_scatter_as_their_sigma_says(is_smooth: bool) -> None:
     assert 0.9 < np.mean(chi_squares) < 1.1
 
 
-def test_too_few_lenslets_are_told_only_without_the_prior() -> None:
+def test_too_few_lenslets_are_refused_only_without_prior() -> None:
     few = np.zeros_like(ALL)
     few[0, :3] = True
     slopes = np.ones((ROWS, COLUMNS, 1, 2))
@@ -150,7 +150,7 @@ def test_too_few_lenslets_are_told_only_without_the_prior() -> None:
     assert np.isfinite(bridged[few]).all()
 
 
-def test_no_slope_at_all_is_flat() -> None:
+def test_zero_slopes_give_flat_wavefront() -> None:
     covariance = np.zeros((ROWS, COLUMNS, 1, 2, 1, 2))
     solution = ModalSolver(MODES, no_whitening(1), is_smooth=True)(np.zeros((ROWS, COLUMNS, 1, 2)), covariance, ALL)
     np.testing.assert_allclose(solution.wavefront(np.ones(1)), 0, atol=1e-12)

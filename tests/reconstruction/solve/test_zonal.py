@@ -1,4 +1,4 @@
-"""Southwell's equations against wavefronts whose slopes are known in closed form."""
+"""Southwell's equations against wavefronts with closed-form slopes."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ QUADRATIC = 0.3 * X - 0.7 * Y + 0.05 * X**2 - 0.08 * X * Y + 0.02 * Y**2
 SLOPES = np.stack([0.3 + 0.1 * X - 0.08 * Y, -0.7 - 0.08 * X + 0.04 * Y], axis=-1)
 
 
-def test_a_quadratic_wavefront_is_exact() -> None:
+def test_quadratic_wavefront_is_exact() -> None:
     wavefront = zonal_wavefront(SLOPES, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M)
     np.testing.assert_allclose(wavefront, QUADRATIC - QUADRATIC.mean(), atol=1e-10)
 
 
-def test_many_wavefronts_at_once() -> None:
+def test_leading_axes_are_integrated_at_once() -> None:
     both = np.stack([SLOPES, -2 * SLOPES])
     wavefronts = zonal_wavefront(both, np.ones((ROWS, COLUMNS), bool), pitch_m=PITCH_M)
     np.testing.assert_allclose(wavefronts[1], -2 * wavefronts[0], atol=1e-10)
 
 
-def test_a_lost_lenslet_is_nan_and_spoils_nothing() -> None:
+def test_lost_lenslet_is_nan_and_does_not_affect_others() -> None:
     valid = np.ones((ROWS, COLUMNS), bool)
     valid[2, 3] = False
     slopes = SLOPES.copy()
@@ -37,7 +37,7 @@ def test_a_lost_lenslet_is_nan_and_spoils_nothing() -> None:
     np.testing.assert_allclose(wavefront[valid], expected[valid], atol=1e-10)
 
 
-def test_islands_have_no_common_piston_and_the_largest_counts() -> None:
+def test_only_largest_connected_set_is_known() -> None:
     valid = np.ones((ROWS, COLUMNS), bool)
     valid[:, 2] = False
     wavefront = zonal_wavefront(SLOPES, valid, pitch_m=PITCH_M)
@@ -46,14 +46,14 @@ def test_islands_have_no_common_piston_and_the_largest_counts() -> None:
 
 
 @pytest.mark.parametrize("lenslets", [[], [(0, 0)], [(0, 0), (2, 2)]])
-def test_without_neighbours_nothing_is_known(lenslets: list[tuple[int, int]]) -> None:
+def test_lenslets_without_neighbours_are_unknown(lenslets: list[tuple[int, int]]) -> None:
     valid = np.zeros((ROWS, COLUMNS), bool)
     for place in lenslets:
         valid[place] = True
     assert np.isnan(zonal_wavefront(SLOPES, valid, pitch_m=PITCH_M)).all()
 
 
-def test_least_squares_against_a_dense_solution() -> None:
+def test_least_squares_matches_dense_solution() -> None:
     slopes = np.random.default_rng(0).normal(size=(ROWS, COLUMNS, 2))
     rows, data = [], []
     for r in range(ROWS):
@@ -69,7 +69,7 @@ def test_least_squares_against_a_dense_solution() -> None:
     np.testing.assert_allclose(wavefront, expected - expected.mean(), atol=1e-10)
 
 
-def test_weighted_least_squares_and_its_sigma_against_a_dense_solution() -> None:
+def test_weighted_least_squares_and_sigma_match_dense_solution() -> None:
     generator = np.random.default_rng(5)
     weights = generator.uniform(0.1, 10, (ROWS, COLUMNS))
     index = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
@@ -81,7 +81,7 @@ def test_weighted_least_squares_and_its_sigma_against_a_dense_solution() -> None
         mean[row, [a, b], axis] = PITCH_M / 2
         root.append(np.sqrt(1 / (1 / weights.flat[a] + 1 / weights.flat[b])))
     inverse = np.linalg.pinv(np.array(root)[:, None] * difference) * np.array(root)
-    by_slope = np.einsum("np,pla->nla", inverse, mean)  # of the wavefront without piston, by every slope
+    by_slope = np.einsum("np,pla->nla", inverse, mean)  # derivative of the wavefront with respect to each slope
     slopes = generator.normal(size=(ROWS, COLUMNS, 2, 2))
     spread = generator.normal(size=(ROWS, COLUMNS, 4, 4))
     covariance = (spread @ np.swapaxes(spread, 2, 3)).reshape(ROWS, COLUMNS, 2, 2, 2, 2)

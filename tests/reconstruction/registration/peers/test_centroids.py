@@ -1,4 +1,4 @@
-"""Stars followed one by one: known tilts through the forward model, and stars that cannot be followed."""
+"""Centroids of stars: known tilts through the forward model, and lost stars."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
 
 STAR_X = np.array([-1.0, 0.0, 1.0]) * 0.5 / 0.6
-STAR_Y = np.array([-0.5, 0.5]) * 0.5 / 0.6  # two rows of three: whatever mixes up rows and columns fails
+STAR_Y = np.array([-0.5, 0.5]) * 0.5 / 0.6  # two rows of three, to detect swapped rows and columns
 SOURCE = stars(Source(star_rows=2, star_columns=3))
 SHIFT_PX = (2.4, -1.3)
 Shift = Callable[[float, float], tuple[float, float]]  # of the normalised field position
 
 
 def _moved(bench: SmallBench, shift_px: Shift) -> Image:
-    """The stars, each moved by its own tilt."""
+    """The stars, each displaced by its own tilt."""
     u, v = bench.samples()
     slope, half_m = bench.sensor.slope_per_px, FIELD.half_width_m
 
@@ -43,7 +43,7 @@ def _none(light: Image) -> Mask:
 
 
 def _star_px(bench: SmallBench, row: int, column: int, star: int) -> tuple[int, int]:
-    """Nearest pixel, row and column, of a star's place in the reference."""
+    """Nearest pixel (row, column) to a star in the reference."""
     x, y = SampledModes(STAR_X, STAR_Y).nodes
     half_px = FIELD.half_width_px(bench.sensor)
     local = (np.array([column, row]) - [4, 3]) * bench.lattice.pitch_px + np.array([x[star], y[star]]) * half_px
@@ -72,9 +72,7 @@ def shifted(small_bench: SmallBench) -> Image:
 
 
 @pytest.mark.parametrize("shift_px", [SHIFT_PX, (0.5, 0.0), (-0.25, 4.1), (-3.7, -3.6)])
-def test_a_tilt_is_the_shift_of_every_star(
-    small_bench: SmallBench, centroids: Centroids, shift_px: tuple[float, float]
-) -> None:
+def test_tilt_shifts_every_star(small_bench: SmallBench, centroids: Centroids, shift_px: tuple[float, float]) -> None:
     light = _moved(small_bench, lambda _x, _y: shift_px)
     displacement = centroids(light, saturated=_none(light))
     assert displacement.valid.all()
@@ -83,7 +81,7 @@ def test_a_tilt_is_the_shift_of_every_star(
     assert np.abs(displacement.coefficients - shift_px).max() < 0.01
 
 
-def test_each_star_has_its_own_displacement(small_bench: SmallBench, centroids: Centroids) -> None:
+def test_each_star_is_displaced_independently(small_bench: SmallBench, centroids: Centroids) -> None:
     def shift_px(x: float, y: float) -> tuple[float, float]:
         return 1.5 + 0.8 * x - 0.3 * y, -0.7 + 0.5 * x + 0.9 * y
 
@@ -95,13 +93,13 @@ def test_each_star_has_its_own_displacement(small_bench: SmallBench, centroids: 
     assert np.abs(displacement.mean - [1.5, -0.7]).max() < 0.02
 
 
-def test_a_reference_against_itself_has_not_moved(centroids: Centroids, still: Image) -> None:
+def test_reference_against_itself_is_not_displaced(centroids: Centroids, still: Image) -> None:
     displacement = centroids(still, saturated=_none(still))
     assert np.abs(displacement.coefficients).max() < 5e-3
     assert displacement.residual_rms.max() < 5e-3
 
 
-def test_gain_and_offset_do_not_matter(centroids: Centroids, shifted: Image) -> None:
+def test_gain_and_offset_do_not_change_result(centroids: Centroids, shifted: Image) -> None:
     plain = centroids(shifted, saturated=_none(shifted))
     other = centroids(np.asarray(0.4 * shifted + 0.3 * shifted.max(), np.float32), saturated=_none(shifted))
     np.testing.assert_allclose(other.coefficients, plain.coefficients, atol=1e-3)
@@ -119,7 +117,7 @@ def _only_lost(displacement: Displacement, row: int, column: int, outcomes: set[
 
 
 @pytest.mark.parametrize("star", range(6))
-def test_a_lenslet_that_lost_one_star_yields_nothing(
+def test_lenslet_without_one_star_is_lost(
     small_bench: SmallBench, centroids: Centroids, still: Image, star: int
 ) -> None:
     light = still.copy()
@@ -128,20 +126,20 @@ def test_a_lenslet_that_lost_one_star_yields_nothing(
     _only_lost(centroids(light, saturated=_none(light)), 2, 5, {Outcome.DARK, Outcome.DIVERGED})
 
 
-def test_a_dark_lenslet_yields_nothing(small_bench: SmallBench, centroids: Centroids, shifted: Image) -> None:
+def test_dark_lenslet_is_lost(small_bench: SmallBench, centroids: Centroids, shifted: Image) -> None:
     light = shifted.copy()
     x, y = np.rint(small_bench.lattice.lenslet_centers_px(7, 9)[2, 5]).astype(int)
     light[y - 15 : y + 16, x - 15 : x + 16] = 0
     _only_lost(centroids(light, saturated=_none(light)), 2, 5, {Outcome.DARK})
 
 
-def test_a_saturated_star_yields_nothing(small_bench: SmallBench, centroids: Centroids, still: Image) -> None:
+def test_saturated_star_is_lost(small_bench: SmallBench, centroids: Centroids, still: Image) -> None:
     saturated = _none(still)
     saturated[_star_px(small_bench, 4, 1, 2)] = True
     _only_lost(centroids(still, saturated=saturated), 4, 1, {Outcome.SATURATED})
 
 
-def test_a_star_that_the_reference_lacks_is_not_looked_for(small_bench: SmallBench, still: Image) -> None:
+def test_star_missing_in_reference_loses_its_lenslet(small_bench: SmallBench, still: Image) -> None:
     dusty = still.copy()
     y, x = _star_px(small_bench, 3, 6, 4)
     dusty[y - 3 : y + 4, x - 3 : x + 4] = 0
@@ -150,17 +148,17 @@ def test_a_star_that_the_reference_lacks_is_not_looked_for(small_bench: SmallBen
     _only_lost(displacement, 3, 6, {Outcome.DARK, Outcome.DIVERGED})
 
 
-def test_a_star_that_strays_towards_its_neighbour_is_lost(small_bench: SmallBench, centroids: Centroids) -> None:
+def test_star_displaced_towards_neighbour_is_lost(small_bench: SmallBench, centroids: Centroids) -> None:
     light = _moved(small_bench, lambda x, _y: (5.5 if x > 0.5 else 0.0, 0.0))
     assert not centroids(light, saturated=_none(light)).valid.any()
 
 
-def test_noise_is_no_star(centroids: Centroids, still: Image) -> None:
+def test_noise_is_not_taken_for_stars(centroids: Centroids, still: Image) -> None:
     noise = np.random.default_rng(1).normal(0, 1, still.shape).astype(np.float32)
     assert not centroids(noise, saturated=_none(noise)).valid.any()
 
 
-def test_the_variance_is_that_of_the_shifts_that_noise_makes(centroids: Centroids, shifted: Image) -> None:
+def test_variance_matches_scatter_of_noisy_shifts(centroids: Centroids, shifted: Image) -> None:
     rng = np.random.default_rng(2)
     noisy = np.asarray(shifted + rng.normal(0, 0.04 * shifted.max(), shifted.shape), np.float32)
     calm, restless = (centroids(light, saturated=_none(light)) for light in (shifted, noisy))
@@ -170,7 +168,7 @@ def test_the_variance_is_that_of_the_shifts_that_noise_makes(centroids: Centroid
     assert 0.5 < scatter / restless.variance[both].mean() < 2
 
 
-def test_nonsense_is_refused(small_bench: SmallBench, reference: ReferenceSubimages) -> None:
+def test_invalid_arguments_are_refused(small_bench: SmallBench, reference: ReferenceSubimages) -> None:
     nonsense = {
         "at least one": np.array([]),
         "must lie in the field": np.array([0.0, 1.4]),
@@ -196,7 +194,7 @@ def test_nonsense_is_refused(small_bench: SmallBench, reference: ReferenceSubima
         RegistrationSettings(star_spacing_m=-1.0)
 
 
-def test_the_settings_choose_it(
+def test_settings_choose_the_method(
     small_bench: SmallBench, reference: ReferenceSubimages, still: Image, shifted: Image
 ) -> None:
     settings = RegistrationSettings(method="centroids", star_rows=2)

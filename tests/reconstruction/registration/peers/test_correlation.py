@@ -1,4 +1,4 @@
-"""One shift per lenslet: what a tilt in closed form moves, and what is no shift."""
+"""Correlation: tilts in closed form, and images that do not match."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def reference(small_bench: SmallBench) -> ReferenceSubimages:
 
 @pytest.fixture(scope="module")
 def shifted(small_bench: SmallBench) -> Image:
-    """A frame that a tilt has moved by SHIFT_PX."""
+    """A frame displaced by a tilt of SHIFT_PX."""
     return _tilted(small_bench, *SHIFT_PX)
 
 
@@ -47,7 +47,7 @@ def _none(light: Image) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("shift_px", [SHIFT_PX, (0.5, 0.0), (-0.25, 4.1), (-3.7, -3.6)])
-def test_a_tilt_is_its_shift(
+def test_tilt_is_recovered_as_shift(
     small_bench: SmallBench, reference: ReferenceSubimages, method: Mismatch, shift_px: tuple[float, float]
 ) -> None:
     light = _tilted(small_bench, *shift_px)
@@ -59,7 +59,7 @@ def test_a_tilt_is_its_shift(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_displacement_that_grows_along_the_field_gives_its_mean(
+def test_displacement_that_varies_over_field_gives_mean_shift(
     small_bench: SmallBench, reference: ReferenceSubimages, method: Mismatch
 ) -> None:
     u, v = small_bench.samples()
@@ -73,7 +73,7 @@ def test_a_displacement_that_grows_along_the_field_gives_its_mean(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_gain_and_offset_do_not_matter(reference: ReferenceSubimages, shifted: Image, method: Mismatch) -> None:
+def test_gain_and_offset_do_not_change_result(reference: ReferenceSubimages, shifted: Image, method: Mismatch) -> None:
     correlate = Correlation(reference, method=method)
     plain = correlate(shifted, saturated=_none(shifted))
     other = correlate(np.asarray(0.4 * shifted + 0.3 * shifted.max(), np.float32), saturated=_none(shifted))
@@ -82,7 +82,7 @@ def test_gain_and_offset_do_not_matter(reference: ReferenceSubimages, shifted: I
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_lenslets_without_light_or_with_too_much_yield_nothing(
+def test_dark_and_saturated_lenslets_are_lost(
     small_bench: SmallBench, reference: ReferenceSubimages, shifted: Image, method: Mismatch
 ) -> None:
     light, saturated = shifted.copy(), _none(shifted)
@@ -100,7 +100,7 @@ def test_lenslets_without_light_or_with_too_much_yield_nothing(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_what_is_out_of_reach_or_no_image_of_the_source_is_lost(
+def test_shift_out_of_reach_or_foreign_image_is_lost(
     small_bench: SmallBench, reference: ReferenceSubimages, method: Mismatch
 ) -> None:
     correlate = Correlation(reference, method=method)
@@ -111,7 +111,7 @@ def test_what_is_out_of_reach_or_no_image_of_the_source_is_lost(
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_the_variance_is_that_of_the_shifts_that_noise_makes(
+def test_variance_matches_scatter_of_noisy_shifts(
     reference: ReferenceSubimages, shifted: Image, method: Mismatch
 ) -> None:
     rng = np.random.default_rng(2)
@@ -123,7 +123,7 @@ def test_the_variance_is_that_of_the_shifts_that_noise_makes(
     assert restless.variance.mean() > 2 * calm.variance.mean()
 
 
-def test_nonsense_is_refused(small_bench: SmallBench, reference: ReferenceSubimages) -> None:
+def test_invalid_arguments_are_refused(small_bench: SmallBench, reference: ReferenceSubimages) -> None:
     with pytest.raises(ValueError, match="method must be one of square_difference, fft"):
         Correlation(reference, method=cast("Mismatch", "guess"))
     wide = Field(collimator_focal_length_m=0.2, half_width_m=0.95e-3)
@@ -134,7 +134,7 @@ def test_nonsense_is_refused(small_bench: SmallBench, reference: ReferenceSubima
         Correlation(filled)
 
 
-def test_the_settings_choose_it(small_bench: SmallBench, reference: ReferenceSubimages, shifted: Image) -> None:
+def test_settings_choose_the_method(small_bench: SmallBench, reference: ReferenceSubimages, shifted: Image) -> None:
     settings = RegistrationSettings(method="correlation")
     assert isinstance(prepare_registration(reference, settings, FIELD), Correlation)
     wavefront = small_bench.reconstructor(registration=settings, pupil_modes=3)(shifted)
