@@ -108,10 +108,6 @@ class Reconstructor:
         start : Displacement, optional
             Of an earlier frame. It saves time and does not change the result.
 
-        Returns
-        -------
-        Displacement
-
         Raises
         ------
         ReconstructionError
@@ -132,15 +128,7 @@ class Reconstructor:
     def solve(self, displacement: Displacement, *, bias: Floats | None = None) -> Wavefront:
         """Reconstruct the wavefront from displacements.
 
-        Parameters
-        ----------
-        displacement : Displacement
-        bias : (lenslet_row, lenslet_column, field_mode, xy), optional
-            Known systematic error of the displacements, px, to be subtracted.
-
-        Returns
-        -------
-        Wavefront
+        `bias` (lenslet_row, lenslet_column, field_mode, xy), px, a known systematic error, is subtracted first.
         """
         if bias is not None:
             displacement = replace(displacement, coefficients=displacement.coefficients - bias)

@@ -6,10 +6,7 @@ for all lenslets yields the coefficients c_q.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from reconstruction.arrays import Floats, Mask
@@ -50,15 +47,16 @@ class FlowToModes:
 
         `saturated` (row, column) marks pixels at full scale.
         """
-        residual_rms = misfit(self._reference, subimages, flow)
-        return classify_flow(
-            self._reference,
+        reference = self._reference
+        residual_rms, found = misfit(reference, subimages, flow)
+        return classify_lenslets(
+            reference,
             self._modes,
             np.swapaxes(self._matrix @ flow, 1, 2),
             covariance=diagonal_covariance(np.swapaxes(self._variance * residual_rms[:, None, None] ** 2, 1, 2)),
-            residual_rms=residual_rms,
+            residual_rms=residual_rms / reference.contrast.max(),
             contrast=subimages.std(axis=(1, 2)),
-            saturated=saturated,
+            faults={Outcome.DIVERGED: ~found, Outcome.SATURATED: reference.touched(saturated)},
         )
 
 
@@ -71,10 +69,10 @@ def _at_nodes(modes: SampledModes, half_width_px: float, width: int) -> Floats:
     return np.asarray(y[:, :, None] * x[:, None, :]).reshape(modes.count, -1)
 
 
-def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> Floats:
+def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> tuple[Floats, Mask]:
     """RMS of I0(x) - gain I1(x + d(x)) - offset over each window, counts, (L,), with the best gain and offset.
 
-    subimages (L, width, width); flow (L, N, xy), px, NaN where lost, as is the result.
+    subimages (L, width, width); flow (L, N, xy), px, NaN where lost, as is the RMS. Also the lenslets that match, (L,).
     """
     lenslets, width = len(subimages), reference.width
     position = flow + reference.offset_px + (width - 1) / 2
@@ -88,30 +86,4 @@ def misfit(reference: ReferenceSubimages, subimages: Floats, flow: Floats) -> Fl
     gain = np.sum(moved * still, axis=1) / np.where(power > 0, power, 1.0)
     residual_rms = np.full(lenslets, np.nan)
     residual_rms[known] = np.sqrt(np.mean((still - gain[:, None] * moved) ** 2, axis=1))
-    return residual_rms
-
-
-def classify_flow(
-    reference: ReferenceSubimages,
-    modes: FieldModes,
-    coefficients: Floats,
-    *,
-    covariance: Floats,
-    residual_rms: Floats,
-    contrast: NDArray[np.floating[Any]],
-    saturated: Mask,
-) -> Displacement:
-    """Classify each lenslet by its misfit and arrange the results on the lattice, NaN where lost.
-
-    Arguments as in `classify_lenslets`, but residual_rms (L,) in counts; NaN marks lenslets without a result.
-    """
-    found = np.isfinite(coefficients).all(axis=(1, 2)) & (residual_rms < _MISFIT * reference.contrast)
-    return classify_lenslets(
-        reference,
-        modes,
-        coefficients,
-        covariance=covariance,
-        residual_rms=residual_rms / reference.contrast.max(),
-        contrast=contrast,
-        faults={Outcome.DIVERGED: ~found, Outcome.SATURATED: reference.touched(saturated)},
-    )
+    return residual_rms, residual_rms < _MISFIT * reference.contrast

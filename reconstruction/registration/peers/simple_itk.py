@@ -22,11 +22,12 @@ from typing import Any
 import numpy as np
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.displacement import Displacement
+from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import FieldModes, LegendreModes
+from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.gauss_newton.template import prepare_template
-from reconstruction.registration.peers.flow import FlowToModes, classify_flow, misfit
+from reconstruction.registration.peers.flow import FlowToModes, misfit
 from reconstruction.registration.subimages import ReferenceSubimages
 
 _THREADS = min(2, os.cpu_count() or 1)
@@ -71,17 +72,17 @@ class ItkAffine:
         coefficients = _map_lenslets(self._align, self._windows, scaled, (2, self._modes.count))
         x, y = reference.offset_px.T / reference.half_width_px
         flow = np.swapaxes(coefficients @ self._modes.values(x, y), 1, 2)
-        residual_rms = misfit(reference, subimages, flow)
+        residual_rms, found = misfit(reference, subimages, flow)
         pixels, parameters = len(x), 2 * self._modes.count + 2
         noise = residual_rms**2 * pixels / (pixels - parameters)
-        return classify_flow(
+        return classify_lenslets(
             reference,
             self._modes,
             coefficients,
             covariance=self._covariance * noise[:, None, None, None, None],
-            residual_rms=residual_rms,
+            residual_rms=residual_rms / reference.contrast.max(),
             contrast=subimages.std(axis=(1, 2)),
-            saturated=saturated,
+            faults={Outcome.DIVERGED: ~found, Outcome.SATURATED: reference.touched(saturated)},
         )
 
     def _align(self, reference: Image, subimage: Image) -> Floats | None:
