@@ -25,7 +25,8 @@ run: setup ## the live window on the simulated bench
 PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 --dist loadfile
 
 QUICK := tests/reconstruction tests/drivers tests/simulated_devices/detector tests/app/bench \
-    --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py
+    --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py \
+    --ignore tests/reconstruction/lattice/test_lattice_refusal.py
 
 check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, about a minute
 	$(PYTEST) -q -m 'not soak' $(QUICK)

@@ -10,15 +10,34 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Sensor
+from reconstruction.geometry import Lattice, Sensor
 from support.optics import sensor_of
 
 Shape = Literal["square", "disc", "ring", "stars", "pinhole", "corner"]
 
 
 def sensor_with(rows: int, columns: int, pitch_px: float) -> Sensor:
-    """A sensor that is designed to have that pitch."""
+    """A sensor designed for that pitch."""
     return replace(sensor_of(rows, columns), lenslet_pitch_m=pitch_px * 16e-6)
+
+
+FRAME = (512, 512)
+TRUTH = Lattice(center_x_px=257.3, center_y_px=251.8, pitch_px=31.4, rotation_rad=0.017)
+SENSOR = sensor_with(15, 15, 31.25)
+
+
+def drawn(
+    shape: Shape = "square", half_width: float = 0.3, brightness: Floats | None = None, lattice: Lattice = TRUTH
+) -> Floats:
+    """A frame of 15 x 15 lenslets, or of as many as `brightness` has."""
+    return draw(
+        FRAME,
+        center_px=(lattice.center_x_px, lattice.center_y_px),
+        pitch_px=lattice.pitch_px,
+        rotation_rad=lattice.rotation_rad,
+        brightness=np.ones((15, 15)) if brightness is None else brightness,
+        image_px=image_of(shape, lattice.pitch_px, half_width, 1.2),
+    )
 
 
 def image_of(shape: Shape, pitch_px: float, half_width: float, blur_px: float) -> Floats:
