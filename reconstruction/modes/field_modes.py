@@ -73,20 +73,19 @@ class ZernikeModes:
 
 
 def gradient_basis(modes: PolynomialModes) -> Floats:
-    """Displacements within the span of some field modes that are gradients of a potential over the field.
+    """Displacements in the span of some field modes that are gradients of a potential over the field.
 
-    Layers crossed by straight rays make no others (physics.md, section 8): a subimage shears and stretches, but does
-    not rotate.
+    Straight rays through layers make no others: a subimage shears and stretches, but does not rotate.
 
     Parameters
     ----------
-    modes
-        Q polynomial field modes that span all polynomials up to a degree.
+    modes : PolynomialModes
+        Q field modes that span all polynomials up to a degree.
 
     Returns
     -------
-    Floats
-        Orthonormal coefficients (x modes, y modes), (parameter, 2Q): 2, 5, 9, 14 for Q = 1, 3, 6, 10.
+    (parameter, 2Q)
+        Orthonormal coefficients (x modes, y modes): 2, 5, 9, 14 for Q = 1, 3, 6, 10.
     """
     degree = round((math.sqrt(8 * modes.count + 1) - 3) / 2)
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)))

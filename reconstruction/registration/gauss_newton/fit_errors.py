@@ -62,10 +62,10 @@ class ErrorPropagation:
             noise = self._noise.counts_per_light, self._noise.read_noise_counts**2
         prepared = *noise, self._of_reference, self._reference_power
         _propagate(fits, np.arange(lenslets), template.per_pixel, template.per_light, *prepared, errors)
-        is_partial = np.flatnonzero(fits.is_partial)
-        if is_partial.size:
-            per_pixel, per_light, errors.known[is_partial] = template.without(is_partial, fits.excluded[is_partial])
-            _propagate(fits, is_partial, per_pixel, per_light, *prepared, errors)
+        partial = np.flatnonzero(fits.is_partial)
+        if partial.size:
+            per_pixel, per_light, errors.known[partial] = template.without(partial, fits.excluded[partial])
+            _propagate(fits, partial, per_pixel, per_light, *prepared, errors)
         return errors
 
 
