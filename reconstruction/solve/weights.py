@@ -13,11 +13,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from reconstruction.arrays import Floats
+from reconstruction.displacement import SYSTEMATIC_PX
 from reconstruction.runtime.compilation import compiled
 
 _STEP = np.log(4.0)  # of weights, in powers of 4, so that factorisations can be reused from frame to frame
-# Error of each coefficient without noise, on the screens of docs/estimator.md; taken as uncorrelated.
-SYSTEMATIC_PX = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,7 +37,7 @@ def test_changed_constant_of_another_file_triggers_recompilation(tmp_path: Path)
         with index.open("rb") as file:
             version = pickle.load(file)  # noqa: S301 - Numba wrote it
         index.write_bytes(pickle.dumps(version) + b"creconstruction\nRemoved\n.")
-    source = package / "solve" / "whitening.py"
+    source = package / "displacement.py"
     source.write_text(source.read_text().replace("SYSTEMATIC_PX = 0.01", "SYSTEMATIC_PX = 3.0"))
     assert abs(before - 1.0001) < 1e-9
     assert abs(result() - 10.0) < 1e-9

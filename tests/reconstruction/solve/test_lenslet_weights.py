@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from reconstruction.solve.weights import SYSTEMATIC_PX, lenslet_weights, mean_variance
+from reconstruction.displacement import SYSTEMATIC_PX
+from reconstruction.solve.weights import lenslet_weights, mean_variance
 
 
 def test_noisier_frame_lowers_weight_and_never_raises_it() -> None:
