@@ -17,7 +17,7 @@ class Device(ABC):
     """An open device, called by one thread only.
 
     After the first `Disconnected` the device is lost: every later call raises it again, until the device is closed and
-    opened anew. A driver's own methods raise only `DeviceError`.
+    reopened. A driver's own methods raise only `DeviceError`.
     """
 
     def __init__(self, kind: str) -> None:

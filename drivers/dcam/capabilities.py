@@ -50,7 +50,7 @@ def _modes(values: Properties, identifier: Id) -> tuple[int, ...]:
 def _pixel_pitch_m(values: Properties, wanted_m: float | None) -> float:
     pitch_m = wanted_m or 1e-6 * values.get_or(Id.IMAGEDETECTOR_PIXELWIDTH, 0.0)
     if not pitch_m:
-        raise Unsupported("this camera does not tell its pixel pitch: set camera.pixel_pitch_m")
+        raise Unsupported("this camera does not report its pixel pitch: set camera.pixel_pitch_m")
     return pitch_m
 
 

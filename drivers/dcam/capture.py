@@ -166,7 +166,7 @@ class Capture:
         status = c_int32()
         self._library.call("dcamcap_status", self._handle, byref(status))
         if status.value != _BUSY:
-            raise WrongState("the camera has stopped taking frames by itself; start it again")
+            raise WrongState("the camera has stopped taking frames on its own; start it again")
         self._seen_alive_s = now_s
 
     def _oldest(self) -> Frame | None:

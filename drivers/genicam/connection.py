@@ -26,7 +26,7 @@ T = TypeVar("T")
 class PatientCalls:
     """A daemon thread that makes calls in order, so that callers can give up waiting.
 
-    Aravis tries for 2.5 s to reach a missing camera, for each register anew.
+    Aravis tries for 2.5 s to reach a missing camera, at every register access.
     """
 
     def __init__(self, name: str) -> None:

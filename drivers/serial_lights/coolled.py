@@ -121,7 +121,7 @@ class CoolLED(LightSource):
             try:
                 self._execute("CSF", lambda channels: not any(channel.is_on for channel in channels.values()))
             except BadValue as refusal:
-                raise DeviceError(f"{self._line.where} is still on, after it was told to switch off") from refusal
+                raise DeviceError(f"{self._line.where} is still on after the command to switch off") from refusal
             return
         for letter in self._state():
             wanted = letter == self._channel
@@ -145,7 +145,7 @@ class CoolLED(LightSource):
             if is_done(channels):
                 return
             self._sleep(_PAUSE_S)
-        raise BadValue(f"{self._line.where} does not carry out “{command}”")
+        raise BadValue(f"{self._line.where} does not execute “{command}”")
 
     def _state(self) -> dict[str, Channel]:
         text = self._line.query("CSS?", _STATE)[1]

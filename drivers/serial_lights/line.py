@@ -27,7 +27,7 @@ except ImportError:  # Windows
     TerminalError = OSError  # type: ignore[misc, assignment] # the only error there
 
 _SLICE_S = 0.02  # longest wait of one call of the port
-_GRACE_S = 0.05  # end of the timeout, started anew if this computer stalled
+_GRACE_S = 0.05  # end of the timeout, restarted if this computer stalled
 _QUIET_S = 0.1  # without a byte, after which the line is silent
 _WRITE_S = 1.0
 _FAULTS = (

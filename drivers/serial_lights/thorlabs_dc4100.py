@@ -140,7 +140,7 @@ class ThorlabsDC4100(LightSource):
                 self._error()
                 if not self._is_output_on():
                     return
-            raise DeviceError(f"{self._where} is still on, after it was told to switch off; unplug its head")
+            raise DeviceError(f"{self._where} is still on after the command to switch off; unplug its head")
 
     def _close(self) -> None:
         self._line.close()

@@ -130,7 +130,7 @@ class ThorlabsDC2200(LightSource):
             self._usb.write("OUTP 0")
             self._error()
             if self._is_output_on():
-                raise DeviceError(f"{self._what} is still on, after it was told to switch off; unplug its head")
+                raise DeviceError(f"{self._what} is still on after the command to switch off; unplug its head")
 
     def _close(self) -> None:
         self._usb.close()

@@ -80,8 +80,8 @@ class Share:
                 stderr=log,
             )
         os.close(writing)
-        with open(reading, "rb") as told:  # noqa: PTH123 - it has no path
-            while len(tally := told.read(_TALLY.size)) == _TALLY.size:
+        with open(reading, "rb") as pipe:  # noqa: PTH123 - it has no path
+            while len(tally := pipe.read(_TALLY.size)) == _TALLY.size:
                 self.sequences, self.steps = _TALLY.unpack(tally)
         self.has_failed = process.wait() != 0
 
@@ -91,13 +91,13 @@ def run_here(driver: str, pipe: int) -> int:
     errors = os.fdopen(os.dup(2), "w")  # visible although pytest captures output
     over = threading.Event()
 
-    def tell() -> None:
+    def report() -> None:
         os.write(pipe, _TALLY.pack(Storm.tally.sequences, Storm.tally.steps))
 
     def watch() -> None:
         steps, moved_s = 0, time.monotonic()
         while not over.wait(1.0):
-            tell()
+            report()
             if steps != Storm.tally.steps or not steps:  # compilation comes before the first step
                 steps, moved_s = Storm.tally.steps, time.monotonic()
             elif time.monotonic() - moved_s > HANGS_S:
@@ -112,7 +112,7 @@ def run_here(driver: str, pipe: int) -> int:
         over.set()
         watcher.join()
         errors.close()
-        tell()
+        report()
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,7 +150,7 @@ def test_bench_settings_are_applied(stand_in: StandIn) -> None:
     ) as camera:
         assert (camera.readout_speed, camera.exposure_s, camera.em_gain, camera.binning) == (1, 3.8, 50.0, 2)
         assert (camera.region, camera.trigger) == (region, "external")
-        told = camera.properties()
+        properties = camera.properties()
         expected = {
             "TRIGGER ACTIVE": "LEVEL",
             "TRIGGER POLARITY": "POSITIVE",
@@ -163,7 +163,7 @@ def test_bench_settings_are_applied(stand_in: StandIn) -> None:
             "EM GAIN PROTECT AFTER FRAMES": 7,
             "EM GAIN WARNING LEVEL": 2,
         }
-        assert {name: told[name] for name in expected} == expected
+        assert {name: properties[name] for name in expected} == expected
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ def test_camera_that_stopped_itself_restarts(stand_in: StandIn, camera: DcamCame
     stand_in.stop()
     assert [camera.read(1.0).index for _ in range(2)] == [1, 2]  # those already taken
     start_s = stand_in.now()
-    with pytest.raises(WrongState, match="by itself"):
+    with pytest.raises(WrongState, match="on its own"):
         camera.read(1.0)
     assert stand_in.now() == start_s  # noticed by an event, without waiting
     assert camera.state == "stopped"

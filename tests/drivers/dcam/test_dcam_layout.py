@@ -68,13 +68,13 @@ def test_structures_match_c_compiler(tmp_path: Path) -> None:
     source.write_text(headers + "int main(void) {" + "\n".join(lines) + "}")
     with compiling():
         program = build_program(source, tmp_path)
-    told = subprocess.run([program], capture_output=True, text=True, check=True).stdout  # noqa: S603 - just made
+    output = subprocess.run([program], capture_output=True, text=True, check=True).stdout  # noqa: S603 - just made
     expected = "".join(
         f"{name} size {ctypes.sizeof(kind)}\n"
         + "".join(f"{name} {field} {offset}\n" for field, offset in layout(kind).items())
         for kind, (name, _, _) in LAYOUTS.items()
     )
-    assert told == expected
+    assert output == expected
 
 
 def test_every_function_has_a_prototype() -> None:

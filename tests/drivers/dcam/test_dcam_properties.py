@@ -109,8 +109,8 @@ def test_unprotected_camera_keeps_sending_frames(stand_in: StandIn) -> None:
 
 
 def test_every_readable_property_is_reported(camera: DcamCamera) -> None:
-    told = camera.properties()
-    assert told["exposure_s"] == told["EXPOSURE TIME"] == 0.0139
+    properties = camera.properties()
+    assert properties["exposure_s"] == properties["EXPOSURE TIME"] == 0.0139
     expected = {
         "CONVERSION FACTOR COEFF": 5.8,
         "CONVERSION FACTOR OFFSET": 500.0,
@@ -122,8 +122,8 @@ def test_every_readable_property_is_reported(camera: DcamCamera) -> None:
         "model": "C9100-23B",
         "warnings": "",
     }
-    assert {name: told[name] for name in expected} == expected
-    assert "STORE SUBTRACT IMAGE TO MEMORY" not in told  # write-only
+    assert {name: properties[name] for name in expected} == expected
+    assert "STORE SUBTRACT IMAGE TO MEMORY" not in properties  # write-only
 
 
 @pytest.mark.parametrize(
@@ -159,6 +159,6 @@ def test_unreadable_property_holds_error_message(stand_in: StandIn, camera: Dcam
     camera.properties()
     last = stand_in.calls("dcamprop_getvalue") - calls - 40
     stand_in.fail("dcamprop_getvalue", 0x8000082C, after=last)
-    told = camera.properties()
-    assert len(told) == before
-    assert sum("ACCESSDENY" in str(value) for value in told.values()) == 1
+    properties = camera.properties()
+    assert len(properties) == before
+    assert sum("ACCESSDENY" in str(value) for value in properties.values()) == 1
