@@ -1,4 +1,4 @@
-"""The simulated bench: light, mask, sample and optics as one physical thing that the three devices act on."""
+"""The simulated bench: light, mask, sample and optics, on which the three devices act."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
-from simulated_devices.background import BackgroundRendering
 from simulated_devices.clock import Clock, SystemClock
-from simulated_devices.playback import Playback
 from simulated_devices.rendering import ImageCache, Renderer, Scene
+from simulated_devices.rendering_ahead import RenderingAhead
+from simulated_devices.sample import Playback
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
 PHOTONS_PER_S_M2_A = 1.2e15
 """Photons per second that one lenslet collects from one square metre of lit mask at one ampere.
 
-Chosen so that both exposures of the paper come near 70 % of full scale at 0.35 A: the brightest pixels of the
-reference reach 60 % with the square and 150 ms, 86 % with the 50 um pinholes and 3.8 s (EM amplifier, gain 1). One
-lamp cannot give 70 % twice: optics alone makes the pinholes' exposure 1.44 times the brighter one. A lenslet is seen
-under 6.25e-6 sr, so that this is a radiance of 29 W/(m^2 sr) at 0.35 A: an LED behind a diffuser."""
+Both exposures of the paper then come near 70 % of full scale at 0.35 A (EM amplifier, gain 1): the brightest pixels of
+the reference reach 60 % with the square and 150 ms, 86 % with the 50 um pinholes and 3.8 s. A lenslet is seen under
+6.25e-6 sr, so the radiance is 29 W/(m^2 sr) at 0.35 A: an LED behind a diffuser."""
 
 _POLL_S = 0.2
-_REFERENCE_SHARE = 0.25  # of the time to prepare: one lenslet's light, but all pixels
+_REFERENCE_SHARE = 0.25  # of the time to prepare
 _Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """How the bench stands."""
+    """State of everything that the devices can change."""
 
     current_a: float
     mask: str
@@ -44,17 +43,17 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposed:
-    """What an exposure received."""
+    """Light that the camera received during an exposure."""
 
-    photons: NDArray[np.float32]  # (row, column), mean number that meets each pixel
-    state: int | None  # of the sample, None where it was out of the beam at the end
+    photons: NDArray[np.float32]  # mean number on each pixel, (row, column)
+    state: int | None  # of the sample at the end; None if it was out of the beam
 
 
 class SimulatedBench:
-    """One bench; its images are rendered once and then only played.
+    """A bench whose images are rendered once and then played; used by one thread.
 
-    The reference and the first state are rendered here, heard by `progress` (0 ... 1 over both), unless the cache holds
-    them; the other states by a process in the background. Used by one thread.
+    The constructor renders the reference and the first state, unless they are cached; `progress` receives 0 ... 1 over
+    both. A child process renders the other states.
     """
 
     def __init__(  # noqa: PLR0913 - one section of the bench's TOML each
@@ -89,7 +88,7 @@ class SimulatedBench:
         self._references: dict[str, NDArray[np.float32]] = {}
         self._films: dict[str, list[NDArray[np.float32]]] = {}
         self._playbacks: dict[str, Playback] = {}
-        self._background: BackgroundRendering | None = None
+        self._ahead: RenderingAhead | None = None
         self._next_poll_s = self.clock.now()
         condition = Condition(current_a=light_settings.current_a, mask=simulation.source.mask)
         self._history: deque[tuple[float, Condition]] = deque([(self.clock.now(), condition)], maxlen=256)
@@ -97,11 +96,11 @@ class SimulatedBench:
 
     @property
     def condition(self) -> Condition:
-        """How the bench stands now."""
+        """The present condition."""
         return self._history[-1][1]
 
     def change(self, **changes: float | bool | str) -> None:
-        """Change one or more fields of `condition`, from now on."""
+        """Change fields of `condition` from now on."""
         condition = dataclasses.replace(self.condition, **changes)  # type: ignore[arg-type] # fields by name
         if condition.mask != self.condition.mask:
             self._prepare(condition.mask, None)
@@ -118,8 +117,8 @@ class SimulatedBench:
         return self._references[mask]
 
     def current_state(self, time_s: float) -> int:
-        """Which state the sample is in at that time of the bench's clock."""
-        self._look_for_states()
+        """State of the sample at that time of the bench's clock."""
+        self._load_rendered()
         return self._playbacks[self.condition.mask].state_at(time_s)
 
     def truth_wavefront(self, state: int) -> Floats:
@@ -128,12 +127,12 @@ class SimulatedBench:
 
     @property
     def states_rendered(self) -> int:
-        """How many states of the sample can be seen so far with the present mask."""
+        """Number of states of the sample that are rendered so far for the present mask."""
         return len(self._films[self.condition.mask])
 
     def expose(self, start_s: float, end_s: float) -> Exposed:
-        """Photons on the camera from `start_s` to `end_s`; a change in between counts for its part of the time."""
-        self._look_for_states()
+        """Photons on the camera from `start_s` to `end_s`; a change in between counts from its moment."""
+        self._load_rendered()
         photons = np.zeros((self._scene.rows, self._scene.columns), np.float32)
         state = None
         for begin_s, finish_s, condition in self._pieces(start_s, end_s):
@@ -144,13 +143,13 @@ class SimulatedBench:
         return Exposed(photons=photons, state=state)
 
     def close(self) -> None:
-        """End the rendering in the background; closing twice is allowed."""
-        if self._background is not None:
-            self._background.close()
-            self._background = None
+        """End the rendering ahead; closing twice is allowed."""
+        if self._ahead is not None:
+            self._ahead.close()
+            self._ahead = None
 
     def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, float, Condition]]:
-        """Return the stretches of the interval over which nothing was changed, in order; at least one."""
+        """Return the parts of the interval during which nothing changed, in order; at least one."""
         begins = [begin for begin, _ in self._history]
         ends = [*begins[1:], float("inf")]
         begins[0] = -float("inf")
@@ -167,7 +166,7 @@ class SimulatedBench:
         return self._films[condition.mask][state], state
 
     def _prepare(self, mask: str, progress: _Progress | None) -> None:
-        """See that there is something to show for `mask`, and that the rest is on its way."""
+        """Render the reference and the first state of `mask`, and start to render its other states."""
         self.render_reference(mask, _part(progress, 0.0, _REFERENCE_SHARE))
         if mask not in self._films:
             first = self._cache.load(mask, 0)
@@ -183,13 +182,13 @@ class SimulatedBench:
             progress(1.0)
         self.close()
         if len(self._films[mask]) < self._scene.states:
-            self._background = BackgroundRendering(self._scene, mask, self._cache_folder)
+            self._ahead = RenderingAhead(self._scene, mask, self._cache_folder)
 
-    def _look_for_states(self) -> None:
+    def _load_rendered(self) -> None:
         mask = self.condition.mask
         if len(self._films[mask]) < self._scene.states and self.clock.now() >= self._next_poll_s:
             self._next_poll_s = self.clock.now() + _POLL_S
-            self._load_states(mask, 2)  # a few at a time, to keep the frames coming
+            self._load_states(mask, 2)  # few at a time: frames must not wait
 
     def _load_states(self, mask: str, at_most: int) -> None:
         film = self._films[mask]
@@ -202,5 +201,5 @@ class SimulatedBench:
 
 
 def _part(progress: _Progress | None, start: float, end: float) -> _Progress | None:
-    """Return what maps a step's own 0 ... 1 to its part of the whole."""
+    """Map the 0 ... 1 of one step to its part of the whole."""
     return progress and (lambda fraction: progress(start + fraction * (end - start)))

@@ -1,4 +1,4 @@
-"""Time, as the simulated devices see it: the machine's own, or one that a test turns by hand."""
+"""Clocks of the simulated devices: the machine's own, and one that a test moves on."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """What tells the time and lets it pass."""
+    """Tells the time and waits."""
 
     def now(self) -> float:
-        """Seconds since some moment."""
+        """Seconds since a fixed moment."""
 
     def sleep(self, duration_s: float) -> None:
         """Return after that time."""
 
 
 class SystemClock:
-    """The machine's own time, that of `time.perf_counter()`."""
+    """The machine's time, `time.perf_counter()`."""
 
     def now(self) -> float:
-        """Seconds since some moment."""
+        """Seconds since a fixed moment."""
         return time.perf_counter()
 
     def sleep(self, duration_s: float) -> None:
@@ -29,7 +29,7 @@ class SystemClock:
 
 
 class ManualClock:
-    """Stands still until it is told to sleep, then jumps: a test needs no real time."""
+    """Stands still and jumps when it is told to sleep, so that a test needs no real time."""
 
     def __init__(self) -> None:
         self._now = 0.0

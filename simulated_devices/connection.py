@@ -1,4 +1,4 @@
-"""What may happen between the program and a simulated device: a pulled plug, no answer, a setting that is refused."""
+"""Faults on the way to a simulated device: a pulled plug, a missing answer, a refused setting."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from drivers.interface import BadValue, Device, DeviceTimeout, Disconnected
 
 
 class Plugged(Device):
-    """Mixed into a simulated device, before what kind of a device it is."""
+    """Mixin for a simulated device; stands before the kind of device among its bases."""
 
     _is_unplugged = False
     _refuses_next = False
     _fails_next = False
 
     def unplug(self) -> None:
-        """Pull the plug, as a fault."""
+        """Pull the plug."""
         self._is_unplugged = True
 
     def refuse_next(self) -> None:
-        """Let it refuse the next setting, as a fault."""
+        """Refuse the next setting."""
         self._refuses_next = True
 
     def fail_next(self) -> None:
-        """Let its next answer never come, as a fault."""
+        """Leave the next request without an answer."""
         self._fails_next = True
 
     def _reach(self) -> None:
-        """Raise `Disconnected` where the plug was pulled."""
+        """Raise `Disconnected` if the plug was pulled."""
         if self._is_unplugged:
             raise Disconnected(f"the {self._kind} does not answer; is it plugged in and switched on?")
 
     def _answer(self) -> None:
-        """Raise `DeviceTimeout` if the next answer is not to come."""
+        """Raise `DeviceTimeout` if this answer is to be missing."""
         self._reach()
         if self._fails_next:
             self._fails_next = False
             raise DeviceTimeout(f"the {self._kind} did not answer in time")
 
     def _accept(self, what: str) -> None:
-        """Raise `BadValue` if the next setting is to be refused."""
+        """Raise `BadValue` if this setting is to be refused."""
         self._answer()
         if self._refuses_next:
             self._refuses_next = False
@@ -48,7 +48,7 @@ class Plugged(Device):
 
 
 class PluggedThroughout(Plugged):
-    """The same, for a device that is spoken to by whatever is asked of it."""
+    """The same for a device that every request must reach."""
 
     @contextmanager
     def _access(self) -> Iterator[None]:

@@ -1,7 +1,7 @@
-"""Images of the bench: of the reference and of every state of the sample, kept in a cache on disk.
+"""Rendered images of the bench, the reference and every state of the sample, and their cache on disk.
 
-An image is named by everything it depends on, so that it can be kept for ever. It appears under its name only when it
-is complete; a file that is not a complete image is treated as if it were not there.
+The name of an image contains a hash of everything it depends on. Files are written atomically; a damaged one counts
+as missing.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """Everything that an image depends on, but the light."""
+    """Everything that an image depends on, except the light."""
 
     sensor: Sensor
     lattice: Lattice
@@ -49,13 +49,13 @@ class Scene:
 
     @property
     def states(self) -> int:
-        """How many positions of the screen there are."""
+        """Number of positions of the screen."""
         return self.simulation.drifting_states if self.simulation.screen.is_drifting else 1
 
     def fingerprint(self) -> str:
-        """SHA-256 of all parameters, of the screen's and the mask's file if there are any, and of the format."""
+        """SHA-256 of all parameters, of the files of screen and mask, and of the format."""
         parameters = {"format": _FORMAT, **dataclasses.asdict(self)}
-        del parameters["simulation"]["source"]["mask"]  # which one is in at first changes none of the images
+        del parameters["simulation"]["source"]["mask"]  # the initial mask changes no image
         digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
         for file in (self.simulation.screen.file, self.simulation.source.file):
             if file:
@@ -64,7 +64,7 @@ class Scene:
 
 
 class Renderer:
-    """Renders one scene; the optics and the screen are prepared when first needed."""
+    """Renders one scene; prepares optics and screen when first needed."""
 
     def __init__(self, scene: Scene, *, threads: int = 2) -> None:
         self.scene = scene
@@ -92,7 +92,7 @@ class Renderer:
         )
 
     def points(self, mask: str) -> SourcePoints:
-        """Return the points of a mask."""
+        """Object points of a mask."""
         simulation = self.scene.simulation
         return source_points(mask, simulation.source, object_samples=simulation.object_samples)
 
@@ -106,7 +106,7 @@ class Renderer:
 
     def check_rays(self) -> None:
         """Raise `ValueError` if a ray of any state would leave the screen."""
-        for state in (0, self.scene.states - 1):  # the drift is straight: the ends reach farthest
+        for state in (0, self.scene.states - 1):  # the ends of a straight drift reach farthest
             self.phase(state)
 
     def truth_wavefront(self, state: int) -> Floats:
@@ -121,32 +121,32 @@ class Renderer:
 
 
 class ImageCache:
-    """The images of one scene on disk: `folder / fingerprint / mask-state.npy`; where none can be kept, it is empty."""
+    """Images of one scene on disk, `folder / fingerprint / mask-state.npy`; stays empty if it cannot be written."""
 
     def __init__(self, cache_folder: Path, scene: Scene) -> None:
         self._shape = scene.rows, scene.columns
         self._folder = cache_folder / scene.fingerprint()
-        with suppress(OSError):  # a folder that cannot be written keeps nothing, and that is all
+        with suppress(OSError):  # not writable: nothing is cached
             self._folder.mkdir(parents=True, exist_ok=True)
-            os.utime(self._folder)  # used now: the last to be cleared away
+            os.utime(self._folder)  # the least recently used is deleted first
             _keep_newest(cache_folder)
 
     def path(self, mask: str, state: int | str) -> Path:
-        """Where an image is, or will be; `state` may be "reference"."""
+        """Path of an image; `state` may be "reference"."""
         return self._folder / f"{mask}-{state}.npy"
 
     def load(self, mask: str, state: int | str) -> NDArray[np.float32] | None:
         """Return the image, or None if there is no complete one."""
         try:
             image = np.load(self.path(mask, state), allow_pickle=False)
-        except (OSError, ValueError, EOFError):  # absent, truncated, or not an array: all cured by rendering
+        except (OSError, ValueError, EOFError):  # missing or damaged: render it
             return None
         if not isinstance(image, np.ndarray) or image.dtype != np.float32 or image.shape != self._shape:
             return None
         return image
 
     def save(self, mask: str, state: int | str, image: NDArray[np.float32]) -> bool:
-        """Write the image, complete or not at all; return whether it is kept."""
+        """Write the image atomically; return False if that fails."""
         path = self.path(mask, state)
         part = path.with_name(f"{path.stem}-{uuid.uuid4().hex}.part")
         try:
@@ -157,7 +157,7 @@ class ImageCache:
             return False
         finally:
             with suppress(OSError):
-                part.unlink()  # of what came to nothing
+                part.unlink()  # remains after an error
         return True
 
 
@@ -169,7 +169,7 @@ def _content(path: Path) -> bytes:
 
 
 def _keep_newest(cache_folder: Path) -> None:
-    """Clear away all but the scenes used last: a full disk is no use to anybody."""
+    """Delete all but the most recently used scenes."""
     folders = sorted((path for path in cache_folder.iterdir() if len(path.name) == 64), key=_age)
     for folder in folders[_FOLDERS_KEPT:]:
         shutil.rmtree(folder, ignore_errors=True)
@@ -178,5 +178,5 @@ def _keep_newest(cache_folder: Path) -> None:
 def _age(folder: Path) -> float:
     try:
         return -folder.stat().st_mtime
-    except OSError:  # another process cleared it away
+    except OSError:  # another process deleted it
         return 0.0

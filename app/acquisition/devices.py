@@ -21,8 +21,7 @@ from drivers.usb_lights.settings import DC2200Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock
-from simulated_devices.light import SimulatedLight
-from simulated_devices.stage import SimulatedStage
+from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 
 _PITCH_TOLERANCE = 0.01
 

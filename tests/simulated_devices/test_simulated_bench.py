@@ -15,10 +15,10 @@ import pytest
 from support.patience import HANG_S, wait_until
 from support.simulated_scene import DRIFTING, LATTICE, STILL, open_bench
 
-from simulated_devices.background import BackgroundRendering, render_missing
 from simulated_devices.bench import SimulatedBench
-from simulated_devices.playback import Playback
 from simulated_devices.rendering import ImageCache
+from simulated_devices.rendering_ahead import RenderingAhead, render_missing
+from simulated_devices.sample import Playback
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
 
 
@@ -59,7 +59,7 @@ def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
 def test_the_background_process_ends_at_once(tmp_path: Path) -> None:
     slow = replace(DRIFTING, object_samples=101, drifting_states=50)
     bench = open_bench(tmp_path, replace(slow, object_samples=5))
-    process = bench._background
+    process = bench._ahead
     assert process is not None
     assert process._process.poll() is None
     start = time.monotonic()
@@ -73,7 +73,7 @@ def test_the_background_process_comes_to_a_quiet_end(
     bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     scene = replace(bench._scene, simulation=DRIFTING)
-    process = BackgroundRendering(scene, "square", tmp_path)
+    process = RenderingAhead(scene, "square", tmp_path)
     assert process._process.wait(HANG_S) == 0
     process.close()
     assert capfd.readouterr().err == ""
@@ -86,8 +86,8 @@ def test_a_cache_that_cannot_be_written_keeps_nothing_and_the_bench_goes_on(
 ) -> None:
     (tmp_path / "file").write_text("no folder")
     bench = open_bench(tmp_path / "file", DRIFTING)
-    assert bench._background is not None
-    assert bench._background._process.wait(HANG_S) == 0
+    assert bench._ahead is not None
+    assert bench._ahead._process.wait(HANG_S) == 0
     bench.clock.sleep(10.0)
     bench.change(is_light_on=True, is_sample_in=True)
     bench.clock.sleep(1.0)

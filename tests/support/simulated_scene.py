@@ -10,7 +10,7 @@ from reconstruction.geometry import Field, Lattice
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall
 from simulated_devices.clock import ManualClock
-from simulated_devices.light import SimulatedLight
+from simulated_devices.light_and_stage import SimulatedLight
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
 from support.optics import sensor_of
 

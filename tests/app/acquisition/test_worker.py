@@ -23,7 +23,7 @@ from app.measurement.measurement import PASSED_OVER
 from app.measurement.routines.frames import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
-from simulated_devices.light import SimulatedLight
+from simulated_devices.light_and_stage import SimulatedLight
 
 
 class Running:

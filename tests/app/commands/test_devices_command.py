@@ -22,7 +22,7 @@ from drivers.interface import Camera, LightSource
 from drivers.serial_lights.settings import DC4100Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
-from simulated_devices.light import SimulatedLight
+from simulated_devices.light_and_stage import SimulatedLight
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.pseudo_terminal import PtyServer
 

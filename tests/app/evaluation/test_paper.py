@@ -90,7 +90,8 @@ def test_circular_field_counts_only_views_inside(monkeypatch: pytest.MonkeyPatch
 def test_bench_unable_to_run_the_experiment_is_rejected(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, sentence: str
 ) -> None:
-    settings = [word for each in (change, *COARSE) for word in ("--set", each)]
+    quick = "simulation.screen.sample_spacing_m=20e-6"  # rendering the preset's screen takes seconds
+    settings = [word for each in (change, quick, *COARSE) for word in ("--set", each)]
     assert run(monkeypatch, "paper", "table2", "--out", tmp_path, *settings) == 2
     assert sentence in capsys.readouterr().err
 

@@ -20,8 +20,7 @@ from drivers.interface import BadValue, Devices, Frame, Range
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 from simulated_devices.exposure_bench import PITCH_PX, SIDE_PX, Scene, exposure_bench, spots, squares
-from simulated_devices.light import SimulatedLight
-from simulated_devices.stage import SimulatedStage
+from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 
 FULL_SCALE = 65535
 C9100 = {  # the property sheet's exposures: EM amplifier at speed 3 and 2, normal amplifier

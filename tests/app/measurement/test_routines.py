@@ -32,8 +32,7 @@ from drivers.interface import (
 )
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
-from simulated_devices.light import SimulatedLight
-from simulated_devices.stage import SimulatedStage
+from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 
 PITCH_PX = 31.25
 EXPOSURE_S = 0.03
