@@ -30,26 +30,19 @@ class Acquisition(AcquisitionLoop):
 
     def take_dark(self, frames: int) -> Future[None]:
         """Average `frames` frames into the dark."""
-        return self._routine(
-            f"taking the dark, {frames} frames", lambda instrument, **how: instrument.take_dark(frames, **how)
-        )
+        return self._routine(f"taking the dark, {frames} frames", Instrument.take_dark, frames)
 
     def take_reference(self, frames: int) -> Future[None]:
         """Average `frames` frames into the reference."""
-        return self._routine(
-            f"taking the reference, {frames} frames", lambda instrument, **how: instrument.take_reference(frames, **how)
-        )
+        return self._routine(f"taking the reference, {frames} frames", Instrument.take_reference, frames)
 
     def auto_expose(self) -> Future[AutoExposure]:
         """Find and set exposure and current; a `RoutineError` says why there are none."""
-        return self._routine("finding the exposure", lambda instrument, **how: instrument.auto_expose(**how))
+        return self._routine("finding the exposure", Instrument.auto_expose)
 
     def check_background(self, frames: int = 8) -> Future[BackgroundCheck]:
         """Compare the background with the dark."""
-        return self._routine(
-            f"checking the background, {frames} frames",
-            lambda instrument, **how: instrument.check_background(frames, **how),
-        )
+        return self._routine(f"checking the background, {frames} frames", Instrument.check_background, frames)
 
     def cancel(self) -> None:
         """End the current routine, if any; it restores the devices."""
@@ -110,7 +103,7 @@ class Acquisition(AcquisitionLoop):
         """State of the recording that `keep_recent` writes or wrote last."""
         return self._recorder.kept_state
 
-    def _routine(self, text: str, routine: Callable[..., T]) -> Future[T]:
+    def _routine(self, text: str, routine: Callable[..., T], *arguments: int) -> Future[T]:
         def show_progress(frame: Frame, fraction: float) -> None:
             self.activity = Activity(text, fraction)
             self._path.show(frame, text, self._light())
@@ -121,6 +114,7 @@ class Acquisition(AcquisitionLoop):
             try:
                 return routine(
                     instrument,
+                    *arguments,
                     progress=show_progress,
                     should_stop=lambda: self._stopping.is_set() or self._cancelling.is_set(),
                 )

@@ -24,13 +24,9 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 def print_views(wavefront: Wavefront) -> None:
     """Print RMS and PV of every view, arranged as in the field, and the numbers of valid and lost lenslets."""
-    field = wavefront.field
-    table = _view_table(field, "RMS / PV (rad) of the wavefront at each field position")
-    for y_m, row in zip(field.view_y_m, wavefront.views, strict=True):
-        table.add_row(f"{y_m * 1e3:+.2f}", *(f"{rms(view):.3f} / {peak_to_valley(view):.2f}" for view in row))
-    console = Console()
-    console.print(table)
-    console.print(lenslet_summary(wavefront))
+    cells = ((f"{rms(view):.3f} / {peak_to_valley(view):.2f}" for view in row) for row in wavefront.views)
+    _print_by_view(wavefront.field, "RMS / PV (rad) of the wavefront at each field position", cells)
+    Console().print(lenslet_summary(wavefront))
 
 
 def print_refinement(changes_rad: Sequence[float]) -> None:
@@ -46,12 +42,10 @@ def print_refinement(changes_rad: Sequence[float]) -> None:
 
 def print_measurement(measured: Measured, out: Path) -> None:
     """Print mean and scatter of every view's RMS over the frames, and the folder of the results."""
-    field = measured.bench.field
-    table = _view_table(field, f"RMS (rad) of the wavefront, mean +- scatter of {measured.reconstructed} frames")
-    for y_m, means, scatters in zip(field.view_y_m, measured.mean_rms_rad, measured.scatter_rms_rad, strict=True):
-        cells = (f"{mean:.3f} +- {scatter:.3f}" for mean, scatter in zip(means, scatters, strict=True))
-        table.add_row(f"{y_m * 1e3:+.2f}", *cells)
-    Console().print(table)
+    title = f"RMS (rad) of the wavefront, mean +- scatter of {measured.reconstructed} frames"
+    rows = zip(measured.mean_rms_rad, measured.scatter_rms_rad, strict=True)
+    cells = ((f"{mean:.3f} +- {scatter:.3f}" for mean, scatter in zip(*row, strict=True)) for row in rows)
+    _print_by_view(measured.bench.field, title, cells)
     failed = measured.recorded - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     Console().print(f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}")
@@ -71,15 +65,13 @@ def print_replay(made: Replay) -> None:
     """Print whether the frames were reproduced, or how much another bench's wavefronts differ."""
     console, compared = Console(), made.comparison
     if compared is not None and compared.field is not None:
-        field = compared.field
-        table = _view_table(field, f"RMS (rad) as recorded > with this bench, mean of {compared.frames} frames")
         rows = zip(compared.recorded_rms_rad, compared.rms_rad, compared.difference_rms_rad, strict=True)
-        for y_m, row in zip(field.view_y_m, rows, strict=True):
-            cells = (
-                f"{then:.3f} > {now:.3f}\n{difference:.3f} apart" for then, now, difference in zip(*row, strict=True)
-            )
-            table.add_row(f"{y_m * 1e3:+.2f}", *cells)
-        console.print(table)
+        cells = (
+            (f"{then:.3f} > {now:.3f}\n{apart:.3f} apart" for then, now, apart in zip(*row, strict=True))
+            for row in rows
+        )
+        title = f"RMS (rad) as recorded > with this bench, mean of {compared.frames} frames"
+        _print_by_view(compared.field, title, cells)
     elif compared is not None and made.reconstructed:
         console.print(
             "this bench has other views or lenslets than the recorded one: nothing to compare", soft_wrap=True
@@ -95,11 +87,8 @@ def print_replay(made: Replay) -> None:
 
 def print_residual(residual: Residual) -> None:
     """Print the RMS difference of two recordings' mean wavefronts at every view, and the paper's three numbers."""
-    field = residual.field
-    table = _view_table(field, f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames")
-    for y_m, row in zip(field.view_y_m, residual.rms_rad, strict=True):
-        table.add_row(f"{y_m * 1e3:+.2f}", *(f"{value:.3f}" for value in row))
-    Console().print(table)
+    title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
+    _print_by_view(residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad))
     Console().print(residual.sentence, highlight=False, soft_wrap=True)
 
 
@@ -126,13 +115,15 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield lambda text, fraction: progress.update(task, description=text or "waiting", completed=fraction)
 
 
-def _view_table(field: Field, title: str) -> Table:
-    """Empty table with a row and a column for each row and column of views."""
+def _print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> None:
+    """Print a table with a cell (view_row, view_column) for each view."""
     table = Table(title=title)
     table.add_column("y \\ x (mm)", justify="right")
     for x_m in field.view_x_m:
         table.add_column(f"{x_m * 1e3:+.2f}", justify="right")
-    return table
+    for y_m, row in zip(field.view_y_m, cells, strict=True):
+        table.add_row(f"{y_m * 1e3:+.2f}", *row)
+    Console().print(table)
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:
