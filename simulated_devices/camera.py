@@ -1,11 +1,11 @@
-"""The camera of the simulated bench: frames at their own pace, whether or not somebody reads them."""
+"""The camera of the simulated bench; frames come at their own pace, read or not."""
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,29 +25,9 @@ _REGION_STEP_PX = 16
 _STATES_REMEMBERED = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class Unplug:
-    """Fault: the camera is gone from now on."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stall:
-    """Fault: no further frame comes until the camera is started again."""
-
-
-@dataclass(frozen=True, slots=True)
-class LoseFrames:
-    """Fault: the next `count` frames never arrive."""
-
-    count: int
-
-
-Fault: TypeAlias = Unplug | Stall | LoseFrames
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Run:
-    """A stretch of frames with the same settings: frame i ends at start_s + (i + 1 - first_index) * exposure_s."""
+    """Frames with the same settings; frame i ends at start_s + (i + 1 - first_index) * exposure_s."""
 
     first_index: int
     start_s: float
@@ -56,15 +36,15 @@ class _Run:
 
     def complete(self, time_s: float) -> int:
         """Index of the first frame that is not complete at `time_s`."""
-        # A whole number of periods must not lose a frame to rounding.
+        # 1e-6: rounding must not cost a frame.
         return self.first_index + max(0, math.floor((time_s - self.start_s) / self.exposure_s + 1e-6))
 
 
 class SimulatedCamera(PluggedThroughout, Camera):
-    """An EMCCD in frame transfer: the next exposure runs while a frame is read out, so that the period is the exposure.
+    """An EMCCD with frame transfer: it exposes during the readout, so that the period is the exposure.
 
-    A frame that is complete waits in a ring of eight; a reader who comes later than that finds a gap in `Frame.index`.
-    A part of the sensor is read out in steps of 16 pixels, as long as all of it.
+    Complete frames wait in a ring of eight; a slower reader finds a gap in `Frame.index`. A region lies in steps of
+    16 pixels and takes as long to read out as the whole sensor.
     """
 
     def __init__(self, bench: SimulatedBench) -> None:
@@ -77,7 +57,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         self._em_readout_speed = settings.readout_speed
         self._chosen_exposure_s = _rounded(settings.exposure_s)
         self._chosen_em_gain = settings.em_gain
-        self._runs: list[_Run] = []  # the last is the present one; earlier ones until their frames are read
+        self._runs: list[_Run] = []  # the last is the present one; earlier ones have unread frames
         self._next_index = 0
         self._starts = 0
         self._is_stalled = False
@@ -85,22 +65,20 @@ class SimulatedCamera(PluggedThroughout, Camera):
 
     @property
     def name(self) -> str:
-        """What it is."""
+        """Name of the device."""
         return "Simulated C9100-23B"
 
     def state_of_frame(self, index: int) -> int | None:
-        """State of the sample that a frame shows, None without the sample; of the last 1000 frames since the start."""
+        """State of the sample in one of the last 1000 frames since the start; None without the sample."""
         return self._states[index]
 
-    def inject(self, fault: Fault) -> None:
-        """Let a fault happen now."""
-        match fault:
-            case Unplug():
-                self.unplug()
-            case Stall():
-                self._is_stalled = True
-            case LoseFrames(count):
-                self._next_index += count
+    def stall(self) -> None:
+        """Deliver no further frame until the camera is started again, as a fault."""
+        self._is_stalled = True
+
+    def lose_frames(self, count: int) -> None:
+        """Lose the next `count` frames, as a fault."""
+        self._next_index += count
 
     def _read_capabilities(self) -> CameraCapabilities:
         settings, has_multiplier = self._settings, self._chosen_amplifier == "em"
@@ -121,7 +99,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         return self._chosen_exposure_s
 
     def _set_exposure(self, exposure_s: float) -> float:
-        """Round to 10 us; while running, the frame that is being exposed begins anew."""
+        """Round to 10 us; while running, restart the present exposure."""
         self._accept("the exposure time")
         self._chosen_exposure_s = _rounded(exposure_s)
         if self._runs:
@@ -133,7 +111,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         return self._chosen_em_gain
 
     def _set_em_gain(self, em_gain: float) -> float:
-        """While running, from the frame that is being exposed."""
+        """Takes effect in the frame that is being exposed."""
         self._accept("the gain")
         self._chosen_em_gain = em_gain
         if self._runs:
@@ -146,7 +124,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         return self._chosen_amplifier
 
     def _set_amplifier(self, amplifier: str) -> None:
-        """Exposure and gain are moved into the new ranges."""
+        """Move exposure and gain into the new ranges."""
         self._accept("the amplifier")
         self._chosen_amplifier = "normal" if amplifier == "normal" else "em"
         self._move_into_ranges()
@@ -155,7 +133,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         return self._em_readout_speed if self._chosen_amplifier == "em" else 1
 
     def _set_readout_speed(self, readout_speed: int) -> None:
-        """The exposure is moved into the new range."""
+        """Move the exposure into the new range."""
         self._accept("the readout speed")
         if self._chosen_amplifier == "em":
             self._em_readout_speed = readout_speed
@@ -209,7 +187,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         self._chosen_em_gain = _clamped(self._chosen_em_gain, allowed.em_gain_range)
 
     def _continue(self, run: _Run, now_s: float) -> None:
-        """Go on with other settings, from the first frame that is not complete."""
+        """Use other settings from the first incomplete frame on."""
         complete = self._runs[-1].complete(now_s)
         self._runs = [past for past in self._runs if past.first_index < complete]
         self._runs.append(replace(run, first_index=complete))
@@ -229,7 +207,7 @@ class SimulatedCamera(PluggedThroughout, Camera):
         while len(self._states) > _STATES_REMEMBERED:
             self._states.popitem(last=False)
         exposure = Exposure(
-            index=(self._starts << 40) + index,  # no two starts share their noise
+            index=(self._starts << 40) + index,  # each start has its own noise
             exposure_s=run.exposure_s,
             amplifier=self._chosen_amplifier,
             readout_speed=self._read_readout_speed(),

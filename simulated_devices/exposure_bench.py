@@ -1,6 +1,6 @@
-"""A bench as small as it can be, for routines that are tried thousands of times: any range, any lamp, no waiting.
+"""Minimal bench for routines that run thousands of times: any range, any lamp, no waiting.
 
-Its frames are drawn, not propagated; light, noise, saturation and rounding are those of a camera.
+Frames are drawn, not propagated; light, noise, saturation and rounding are those of a camera.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SIDE_PX = 160
 
 
 def squares(width_px: float = 8.0, background: float = 0.0) -> Floats:
-    """Subimages of a square source, smoothed, (row, column), the brightest 1."""
+    """Smoothed subimages of a square source, (row, column), maximum 1."""
     position = np.abs((np.arange(SIDE_PX) + 0.5) % PITCH_PX - PITCH_PX / 2)
     profile = 1 / (1 + np.exp((position - width_px / 2) / 0.7))
     image = np.outer(profile, profile)
@@ -26,7 +26,7 @@ def squares(width_px: float = 8.0, background: float = 0.0) -> Floats:
 
 
 def spots(first_zero_px: float = 2.7, pitch_px: float = 16.25) -> Floats:
-    """Diffraction images of points, at all places between the pixels, (row, column); the brightest could be 1."""
+    """Diffraction images of points at all positions between the pixels, (row, column), maximum at most 1."""
     position = (np.arange(SIDE_PX) + pitch_px / 2) % pitch_px - pitch_px / 2
     profile = np.sinc(position / first_zero_px) ** 2
     return np.asarray(np.outer(profile, profile))
@@ -34,13 +34,13 @@ def spots(first_zero_px: float = 2.7, pitch_px: float = 16.25) -> Floats:
 
 @dataclass(kw_only=True)
 class Scene:
-    """What there is: light, camera, noise."""
+    """Light, camera and noise."""
 
     counts_per_a_s: float  # of the brightest pixel
     exposure_range_s: Range
     image: Floats = field(default_factory=squares)
     current_range_a: Range = Range(0.0, 1.0)
-    droop: float = 1.0  # the light goes as the current to that power
+    droop: float = 1.0  # light ~ current to this power
     exposure_step_s: float = 1e-5
     bits: int = 16
     offset_counts: float = 500.0
@@ -55,7 +55,7 @@ class Scene:
 
 
 class ManyFramesCamera:
-    """Gives a frame whenever it is asked for one."""
+    """A camera that returns a frame at once."""
 
     def __init__(self, scene: Scene, lamp: Lamp, exposure_s: float) -> None:
         self.scene, self.lamp, self.exposure_s = scene, lamp, exposure_s
@@ -66,7 +66,7 @@ class ManyFramesCamera:
 
     @property
     def capabilities(self) -> CameraCapabilities:
-        """What it can do."""
+        """Capabilities of the camera."""
         return CameraCapabilities(
             rows=SIDE_PX,
             columns=SIDE_PX,
@@ -78,24 +78,24 @@ class ManyFramesCamera:
         )
 
     def set_exposure(self, exposure_s: float) -> float:
-        """Set the exposure, in steps; return the one in force."""
+        """Set the exposure, rounded to its step, and return it."""
         self.scene.exposure_range_s.check(exposure_s, "exposure_s")
         step_s = self.scene.exposure_step_s
         self.exposure_s = round(exposure_s / step_s) * step_s
         return self.exposure_s
 
     def start(self) -> None:
-        """Begin to acquire."""
+        """Start to acquire."""
         if self.is_running:
             raise WrongState("the camera is acquiring already")
         self.is_running, self.frames = True, 0
 
     def stop(self) -> None:
-        """Acquire no more."""
+        """Stop acquiring."""
         self.is_running = False
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the next frame, at once."""
+        """Return the next frame at once."""
         if not self.is_running or timeout_s <= 0:
             raise WrongState("the camera is not acquiring, or there is no time to wait for it")
         scene, random = self.scene, self.random
@@ -117,25 +117,25 @@ class ManyFramesCamera:
 
 @dataclass
 class Lamp:
-    """A light that does what it is told."""
+    """A light without faults."""
 
     current_range_a: Range
     current_a: float
     is_on: bool
 
     def set_current(self, current_a: float) -> float:
-        """Set the current; return the one in force."""
+        """Set the current and return it."""
         self.current_a = self.current_range_a.check(current_a, "current_a")
         return self.current_a
 
     def set_on(self, on: bool) -> None:
-        """Switch it."""
+        """Switch the light."""
         self.is_on = on
 
 
 @dataclass
 class Table:
-    """A stage that stands where it stands."""
+    """A stage without masks to choose from."""
 
     is_sample_in: bool = True
     mask: str = "square"
@@ -148,7 +148,7 @@ class Table:
 def exposure_bench(
     scene: Scene, *, exposure_s: float, current_a: float = 0.35, is_on: bool = False
 ) -> tuple[Devices, ManyFramesCamera, Lamp]:
-    """Devices that stand as told, and two of them by their own names."""
+    """The devices of a scene, then its camera and its lamp under their own types."""
     lamp = Lamp(scene.current_range_a, current_a, is_on)
     camera = ManyFramesCamera(scene, lamp, exposure_s)
     return Devices(cast("Camera", camera), cast("LightSource", lamp), cast("Stage", Table())), camera, lamp

@@ -1,6 +1,6 @@
-"""What a bench's TOML says to the simulated devices: `[simulation]`, `[camera]` and `[light]` with driver "simulated".
+"""Settings of the simulated devices: `[simulation]`, and `[camera]` and `[light]` with driver "simulated".
 
-Each class checks itself; the sentence of a `ValueError` begins with the name of the key that is wrong.
+Each class checks itself; the sentence of a `ValueError` begins with the name of the wrong key.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ Amplifier = Literal["normal", "em"]
 Mask = Literal["square", "stars", "circle", "ellipse", "octagon", "peaks", "image"]
 MASKS: tuple[Mask, ...] = get_args(Mask)
 
-# The camera's own property sheet (Hamamatsu propC9100-23B_en.html): the shortest exposure is the time it takes to
-# read the frame out; only the fastest read-out limits the longest one.
+# From Hamamatsu's property sheet (propC9100-23B_en.html): the shortest exposure is the time of the read-out; only the
+# fastest read-out limits the longest one.
 _EXPOSURE_RANGE_S: dict[tuple[Amplifier, int], Range] = {
     ("em", 3): Range(0.0139, 1.0),
     ("em", 2): Range(0.02713, 7200.0),
@@ -28,18 +28,18 @@ _EXPOSURE_RANGE_S: dict[tuple[Amplifier, int], Range] = {
 
 
 def exposure_range_s(amplifier: Amplifier, readout_speed: int) -> Range:
-    """Exposure times (s) that the C9100-23B allows; its normal amplifier has read-out speed 1, whatever is asked."""
+    """Exposure times (s) that the C9100-23B allows; its normal amplifier always has read-out speed 1."""
     return _EXPOSURE_RANGE_S["normal", 1] if amplifier == "normal" else _EXPOSURE_RANGE_S["em", readout_speed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Screen:
-    """The sample: a thin phase screen, and where it stands."""
+    """The sample: a thin phase screen and its place."""
 
     correlation_length_m: float = 2.0e-3  # sigma of the Gaussian that smooths white noise
     rms_rad: float = 4.2  # mean over the views of the wavefront's RMS; of the screen itself where pv_rad is given
     pv_rad: float | None = None  # peak to valley of the screen itself, with rms_rad as its RMS
-    file: str = ""  # a .npy or .tif array of phases in rad, used as it is
+    file: str = ""  # a .npy or .tif array of phases in rad, used unchanged
     sample_spacing_m: float = 25e-6
     samples: int = 385  # along each axis; a larger footprint or a drift makes the generated screen larger
     placement: Literal["pupil", "source"] = "pupil"
@@ -65,22 +65,22 @@ class Screen:
 
     @property
     def is_drifting(self) -> bool:
-        """Whether the screen moves."""
+        """True if the screen moves."""
         return self.drift_x_m_per_s != 0 or self.drift_y_m_per_s != 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """The masks in front of the light: openings, an array of pinholes (the stars), and grey transparencies."""
+    """Masks in front of the light: openings, an array of pinholes (the stars) and grey transparencies."""
 
-    mask: Mask = "square"  # that is in at first
+    mask: Mask = "square"  # the initial one
     half_width_m: float = 0.6e-3  # of the square, the circle and the octagon; along x, of the ellipse
     ellipse_ratio: float = 0.6  # the ellipse's width along y over that along x
     file: str = ""  # a grey image (TIFF, NPY, PNG) that fills the square: the mask "image"
     star_rows: int = 3
     star_columns: int = 3
     star_spacing_m: float = 0.5e-3
-    pinhole_diameter_m: float = 50e-6  # 0 makes each star one point, with the light of a 50 um pinhole
+    pinhole_diameter_m: float = 50e-6  # 0: each star is one point with the light of a 50 um pinhole
 
     def __post_init__(self) -> None:
         require(
@@ -98,20 +98,20 @@ class Source:
 
     @property
     def masks(self) -> tuple[Mask, ...]:
-        """The masks that can be put in: "image" only where there is a file."""
+        """Available masks; "image" only with a file."""
         return tuple(mask for mask in MASKS if mask != "image" or self.file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simulation:
-    """How finely the bench is computed, and what stands in it."""
+    """Accuracy of the simulation, its sample and its source."""
 
     seed: int = 1
     object_samples: int = 37  # points along a side of the square source
     pupil_samples: int = 20  # across a lenslet
-    border_lenslets: int = 0  # rings of lenslets around those that are evaluated, lit and imaged as well
-    drifting_states: int = 48  # positions of a drifting screen that are computed, and played back and forth
-    state_duration_s: float = 0.1  # how long each of them is shown
+    border_lenslets: int = 0  # rings of lenslets around the evaluated ones, lit and imaged too
+    drifting_states: int = 48  # positions of a drifting screen, played back and forth
+    state_duration_s: float = 0.1  # time for which each is shown
     screen: Screen = field(default_factory=Screen)
     source: Source = field(default_factory=Source)
 
@@ -130,7 +130,7 @@ class Simulation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedCameraSettings:
-    """An electron-multiplying camera; the defaults are typical of a Hamamatsu C9100-23B, cooled by air to -65 degC."""
+    """Electron-multiplying camera; the defaults are typical of a Hamamatsu C9100-23B, air-cooled to -65 degC."""
 
     driver: Literal["simulated"] = "simulated"
     rows: int = 512
@@ -150,7 +150,7 @@ class SimulatedCameraSettings:
     electrons_per_count: float = 5.8
     offset_counts: float = 500.0
     bits: int = 16
-    pixel_fill_factor: float = 1.0  # width of the sensitive square over the pixel pitch; 0 samples at the centres
+    pixel_fill_factor: float = 1.0  # width of the sensitive square over the pitch; 0: the image at the centres
 
     def __post_init__(self) -> None:
         speed_is_known = self.readout_speed in {1, 2, 3}

@@ -2,8 +2,8 @@
 
 photons -> quantum efficiency, shot noise, dark current and clock-induced charge -> full well -> multiplication
 register, when its gain is above 1 -> read noise -> offset -> converter.
-Every pixel of every frame has its own random numbers, found by hashing (seed, frame, pixel): a frame is the same
-whatever thread computed it, and whichever frames were computed before.
+The random numbers of a pixel are hashes of (seed, frame, pixel): a frame does not depend on threads or on the frames
+before it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exposure:
-    """How one frame is taken."""
+    """Settings of one frame."""
 
     index: int
     exposure_s: float
@@ -34,7 +34,7 @@ class Exposure:
 
 
 class Detector:
-    """The sensor chip and its read-out, with two threads that share the rows of a frame."""
+    """The sensor chip and its read-out; two threads share the rows of a frame."""
 
     _THREADS = 2
 
@@ -48,13 +48,13 @@ class Detector:
         self._pool.shutdown()
 
     def read_noise_e(self, amplifier: Amplifier, readout_speed: int) -> float:
-        """Standard deviation of the read-out, in electrons behind the multiplication."""
+        """Standard deviation of the read-out noise in electrons after the multiplication."""
         if amplifier == "normal":
             return self._settings.normal_read_noise_e
         return self._settings.em_read_noise_e[readout_speed - 1]
 
     def counts(self, photons: NDArray[np.float32], exposure: Exposure) -> NDArray[np.uint16]:
-        """Counts of one frame, (row, column), from the mean photons that meet each pixel during the exposure."""
+        """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
         settings = self._settings
         background_e = settings.dark_current_e_per_s * exposure.exposure_s + settings.clock_induced_charge_e
         counts = np.empty(photons.shape, np.uint16)

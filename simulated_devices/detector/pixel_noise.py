@@ -1,8 +1,7 @@
-"""The random life of the electrons of one pixel, compiled: the inner loop of the detector.
+"""Random numbers of electrons in one pixel: the compiled inner loop of the detector.
 
-Large numbers of electrons follow Cornish-Fisher expansions, which turn one normal deviate z into a deviate with the
-right mean, variance and skewness (and, for Poisson, the next order): a few operations instead of a
-thousand. Small numbers are drawn one by one.
+Large numbers follow Cornish-Fisher expansions, which turn one normal deviate z into a deviate with the right mean,
+variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _LOW = np.uint64(0xFFFFFFFF)
 
 _CELLS = 4096
 _TAIL = 16
-"""Cells at either end of the table where the quantile bends too much for a straight line."""
+"""Cells at either end of the table in which the quantile is not linear enough."""
 _QUANTILE = special.ndtri(np.concatenate([[0.5 / _CELLS], np.arange(1, _CELLS) / _CELLS, [1 - 0.5 / _CELLS]])).astype(
     np.float32
 )
@@ -54,7 +53,7 @@ def uniform(bits: np.uint64) -> float:
 
 @compiled
 def normal(bits: np.uint64) -> float:
-    """Normal deviate from the lower 32 bits: tabulated quantiles, straight lines between them, exact in the tails."""
+    """Normal deviate from the lower 32 bits: tabulated quantiles, linear interpolation, exact tails."""
     position = uniform(bits) * _CELLS
     cell = int(position)
     if cell < _TAIL or cell >= _CELLS - _TAIL:
@@ -96,7 +95,7 @@ def poisson(mean: float, bits: np.uint64) -> float:
 
 @compiled
 def multiplied(electrons: float, em_gain: float, key: np.uint64) -> float:
-    """Electrons behind the multiplication register, for a whole number before it.
+    """Electrons after the multiplication register, from a whole number before it.
 
     One electron becomes a geometrically distributed number of mean G (a pure birth process), variance G (G - 1); n of
     them are drawn as n (G - t) plus a gamma deviate of shape n and scale t = sqrt(G (G - 1)): same mean and variance.

@@ -1,4 +1,4 @@
-"""Numba's compiler with a type: its own decorators have none that strict checking accepts."""
+"""Numba's compiler, with types for strict checking."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(function: _Function) -> _Function:
-    """Compile on first call, to run free of the interpreter's lock; the result is kept on disk for the next process."""
+    """Compile on the first call, without the interpreter's lock at run time, and cache the result on disk."""
     return cast("_Function", numba.njit(nogil=True, fastmath=True, cache=True)(function))

@@ -1,12 +1,12 @@
-r"""The exact image of an incoherent object behind a phase screen, as a lenslet array casts it on a camera.
+r"""Exact image of an incoherent object through a phase screen and a lenslet array.
 
 For one object point x_o the field behind a lenslet is exp(i (phi(u) + k u.x_o / f1)), sampled at n x n cell centres u;
 its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2. Points add up by their area.
 
-What makes it fast: the image of n samples is exactly a trigonometric polynomial with 2n - 1 terms a side and period
-lambda f n / D, so that 2n positions a side carry all of it, whatever the camera's pixels are. Every object
-point is therefore accumulated on one grid, symmetric about the lenslet's axis; the camera's pixels, wherever they lie,
-turned or not, are evaluated once, at the end. On symmetric grids the transform splits into real cosines and sines.
+The image of n samples is exactly a trigonometric polynomial with 2n - 1 terms a side and period lambda f n / D, so
+that 2n positions a side define it. All object points are therefore summed on one grid, symmetric about the lenslet's
+axis, and the camera's pixels are evaluated once at the end. On symmetric grids the transform splits into real cosines
+and sines.
 """
 
 from __future__ import annotations
@@ -32,18 +32,17 @@ Images: TypeAlias = NDArray[np.float32]
 PointPhase: TypeAlias = Callable[[float, float], Images]
 """Phase that the light of the object point (x_m, y_m) has at the pupil samples: (sample_row, sample_column), rad."""
 
-
 _Share = TypeVar("_Share")
 
 
 class ForwardModel:
-    """The optics of one sensor, lattice and field, prepared once; thread-safe.
+    """Optics of one sensor, lattice and field, prepared once; thread-safe.
 
     `pixel_fill_factor` is the width of a pixel's sensitive square over the pixel pitch; 0 samples the image at the
     pixels' centres. `border_lenslets` rings of lenslets around the sensor's own are lit and imaged, too.
     """
 
-    def __init__(  # noqa: PLR0913 - the camera, the accuracy and the threads have good defaults or no meaning together
+    def __init__(  # noqa: PLR0913 - independent parameters, most with defaults
         self,
         sensor: Sensor,
         lattice: Lattice,
@@ -82,8 +81,8 @@ class ForwardModel:
         center_x_m = centered_steps(self._lenslet_columns) * sensor.lenslet_pitch_m
         center_y_m = centered_steps(self._lenslet_rows) * sensor.lenslet_pitch_m
         self._tilt_per_m = sensor.wavenumber_rad_per_m / field.collimator_focal_length_m
-        # The order that the even-odd transform wants: lower half mirrored, then upper half; within a half, columns
-        # run lenslet by lenslet, rows sample by sample.
+        # Order of the even-odd transform: lower half mirrored, then upper half; within a half, columns run lenslet by
+        # lenslet, rows sample by sample.
         half = pupil_samples // 2
         halves_m = np.stack([local_m[:half][::-1], local_m[half:]])
         self._local_x_m = np.broadcast_to(halves_m[:, None, :], (2, self._lenslet_columns, half)).ravel()
@@ -96,7 +95,7 @@ class ForwardModel:
     ) -> PointPhase:
         """Phase of each object point through `screen`, moved by `shift_m` (x, y), at this model's pupil samples.
 
-        Raises `ValueError` here and now if a ray of the field's whole square would leave the screen.
+        Raises `ValueError` at once if a ray of the field's square would leave the screen.
         """
         reach = (-self._field.half_width_m, self._field.half_width_m)
         for edge_m in reach:
@@ -124,22 +123,21 @@ class ForwardModel:
     ) -> Images:
         """Image of `source` on the camera, (row, column), float32, in m^2; without `phase` it is the reference.
 
-        A pixel's value is the emitting area (m^2) whose light, out of what one lenslet collects, ends in that pixel:
-        over one lenslet's whole diffraction pattern the values add up to `source.area_m2.sum()`. Times photons per
-        second and m^2 of mask that one lenslet collects, it is photons per second. `phase` may be any function of
-        the object point that gives the phase at `sample_y_m` x `sample_x_m`. `progress` hears 0 ... 1, from one thread
-        or another but never from two at once; what it raises ends the rendering and comes out here.
+        A pixel's value is the emitting area (m^2) whose light, collected by one lenslet, reaches that pixel: over one
+        lenslet's diffraction pattern the values add up to `source.area_m2.sum()`. Multiplied by the photons that one
+        lenslet collects per second and m^2 of mask, it is photons per second. `phase` is any function of the object
+        point that returns the phase at `sample_y_m` x `sample_x_m`. `progress` receives 0 ... 1, from any thread but
+        one at a time; an exception that it raises ends the rendering and is raised here.
         """
-        alone = phase is None  # without a screen all lenslets see the same: one is enough
+        alone = phase is None  # without a screen all lenslets see the same
         folded = self._accumulate(source, phase, progress or (lambda _: None))
         shape = (1, 1) if alone else (self._lenslet_rows, self._lenslet_columns)
         return self._pixels.evaluate(unfold(folded, *shape))
 
     def point_irradiances(self, position_m: Floats, phase: PointPhase | None = None) -> Images:
-        """Image of each object point on its own, (point, row, column), float32: `irradiance` for 1 m^2 of area each.
+        """Image of each object point (point, xy): (point, row, column), float32, `irradiance` for 1 m^2 of area each.
 
-        `position_m` is (point, xy). The pixels are evaluated for all points at once, one matrix product a
-        lenslet; 16 points on 465 x 465 pixels take about 40 MB.
+        One matrix product per lenslet evaluates all points; 16 points on 465 x 465 pixels take about 40 MB.
         """
         lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
         n = self._samples
@@ -165,8 +163,8 @@ class ForwardModel:
         phase: PointPhase | None,
         progress: Callable[[float], None],
     ) -> Images:
-        # Points of one object column share work along x, so a thread takes whole columns.
-        lit = np.flatnonzero(source.area_m2)  # an opening that is no square leaves dark points on its grid
+        # Points of one object column share the work along x: a thread takes whole columns.
+        lit = np.flatnonzero(source.area_m2)  # grids of openings contain dark points
         order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]
         columns = np.split(order, np.flatnonzero(np.diff(source.position_m[order, 0])) + 1)
         done, one_at_a_time = 0, Lock()
@@ -191,7 +189,7 @@ class ForwardModel:
         return np.asarray(np.sum(parts, axis=0), np.float32)
 
     def _share_out(self, work: Callable[[int, Event], _Share], pool: ThreadPoolExecutor) -> list[_Share]:
-        """Do `work(first, ended)` once a thread; an exception in one, or here (Ctrl-C), tells the others to end."""
+        """Run `work(first, ended)` in every thread; an exception in one, or Ctrl-C here, sets `ended`."""
         ended = Event()
 
         def share(first: int) -> _Share:
@@ -208,7 +206,7 @@ class ForwardModel:
             raise
 
     def _field_phase(self, phase: PointPhase | None, x_m: float, y_m: float) -> Images:
-        """Screen phase plus the tilt of the object point over each lenslet, at the pupil samples."""
+        """Screen phase plus the object point's tilt over each lenslet, at the pupil samples."""
         local_x_m, local_y_m = self._local_x_m, self._local_y_m
         if phase is None:
             half = self._samples // 2

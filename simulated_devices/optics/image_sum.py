@@ -1,6 +1,6 @@
-"""The sum over object points of the images behind every lenslet, on the grid that carries them exactly.
+"""Sum over object points of the images behind every lenslet, on the grid that defines them exactly.
 
-"Folded" images are held as four sums from which the four mirror-symmetric positions (+-y, +-x) follow at the end.
+"Folded" images are four sums, from which the four mirror-symmetric positions (+-y, +-x) follow at the end.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ImageSum:
         self._along_y = tuple(np.ascontiguousarray(matrix.T) for matrix in self._along_x)  # each (y, u)
         lenslets = lenslet_rows * lenslet_columns
         self.folded: Images = np.zeros((4, n * lenslets * n), np.float32)
-        # Work space, kept from point to point: making it anew costs more than the arithmetic.
+        # Work space: allocating it for every point would cost more than the arithmetic.
         width = lenslet_columns * half
         self._field = np.empty((2, 2, half * lenslet_rows, 2 * width), np.float32)  # (re|im, y half, row, column)
         self._parity_y = np.empty_like(self._field[:, 0])

@@ -20,7 +20,7 @@ _CUBIC = 3
 
 
 class PhaseScreen:
-    """Phases with a spline through them, prepared once; a position outside the screen is an error, never a guess.
+    """Phases with an interpolating spline; a position outside the screen raises `ValueError`.
 
     `samples_rad` is (row, column), rad, centred on the axis; `sample_spacing_m` is the same along x and y.
     """
@@ -90,16 +90,15 @@ def smooth_screen(
 ) -> Floats:
     """White noise smoothed by a Gaussian of standard deviation `correlation_length_m`: (samples, samples), mean 0.
 
-    Margins of four standard deviations are computed and cut off, so that the edge is like the middle. This is the
-    recipe of the project's ensemble, number for number: `numpy.random.default_rng(seed)` is the generator.
+    Margins of four standard deviations are computed and cut off, so that the edge is like the middle. With the
+    generator `numpy.random.default_rng(seed)` this reproduces the project's ensemble to the last bit.
 
-    `enlarged_by` adds that many samples on each of the four sides and leaves the middle the screen that it is without
-    them: the middle's noise is drawn first, and its mean is the one that is subtracted. (Where 4 sigma is no whole
-    number of samples, the recipe's margin can be one sample less than the smoothing reaches; the middle's
-    outermost ring then differs, by the Gaussian's last tap: up to 2.5e-4 of the RMS in what was tried.)
+    `enlarged_by` adds that many samples on each side and keeps the middle: its noise is drawn first, and its mean is
+    subtracted. If 4 sigma is no whole number of samples, the middle's outermost ring can differ by the Gaussian's last
+    tap, at most 2.5e-4 of the RMS in trials.
     """
     sigma = correlation_length_m / sample_spacing_m
-    # Not int(4 * sigma), which rounds differently now and then: the ensemble divides last.
+    # The ensemble divides last; int(4 * sigma) can round differently.
     margin = int(4 * correlation_length_m / sample_spacing_m)
     noise = generator.standard_normal((samples + 2 * margin, samples + 2 * margin))
     if enlarged_by:
@@ -114,17 +113,16 @@ def smooth_screen(
 
 
 def _middle(samples_rad: Floats, enlarged_by: int) -> Floats:
-    """Return the screen as it is without `enlarged_by` samples on each side."""
+    """Cut `enlarged_by` samples off each side."""
     return samples_rad[enlarged_by : len(samples_rad) - enlarged_by, enlarged_by : samples_rad.shape[1] - enlarged_by]
 
 
 def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, enlarged_by: int = 0) -> Floats:
-    """Give a screen a prescribed peak-to-valley and RMS (rad, about its mean), by one monotone pointwise map.
+    """Give a screen a prescribed peak-to-valley and RMS (rad, about its mean) by a smooth monotone pointwise map.
 
-    Scaling alone reaches only one of the two. With z the screen in units of its RMS, z -> sinh(b z)/b stretches the
-    extremes (b > 0) and z -> asinh(b z)/b compresses them; b is chosen so that the ratio PV/RMS is as asked, and the
-    result is scaled. Contours stay where they are and the map is smooth, so the screen keeps its character.
-    Of a screen that was `enlarged_by` samples on each side, the middle has that PV and RMS.
+    With z the screen in units of its RMS, z -> sinh(b z)/b stretches the extremes (b > 0) and z -> asinh(b z)/b
+    compresses them; b sets the ratio PV/RMS, and the result is scaled. Contours keep their places. If the screen is
+    `enlarged_by` samples on each side, its middle has that PV and RMS.
     """
     middle = _middle(samples_rad, enlarged_by)
     z = (samples_rad - middle.mean()) / middle.std()
@@ -148,7 +146,7 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
 
 
 def read_screen(path: Path) -> NDArray[np.float64]:
-    """Phases (row, column) in rad from a .npy or .tif file; a bad file is a `ValueError` of one sentence."""
+    """Phases (row, column) in rad from a .npy or .tif file; a bad file raises a `ValueError` of one sentence."""
     try:
         values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path)
         samples_rad = np.asarray(values, np.float64)

@@ -1,4 +1,4 @@
-"""The camera's pixels behind the lenslets, and the exact evaluation there of images known on the lenslets' own grid."""
+"""The camera's pixels behind the lenslets, and the exact values there of images on the lenslets' grid."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Images = NDArray[np.float32]
 
 
 class PixelGrid:
-    """Which pixel lies behind which lenslet, and where; prepared once.
+    """Lenslet of each pixel and position of the pixel behind it; prepared once.
 
-    A pixel belongs to the lenslet in whose cell its centre falls; pixels outside the lattice stay dark.
+    A pixel belongs to the lenslet whose cell contains its centre; pixels outside the lattice stay dark.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class PixelGrid:
     def evaluate(self, images: Images) -> Images:
         """Values at every pixel, (row, column), from images on the 2n x 2n grid, (lenslet_row, lenslet_column, y, x).
 
-        One single image stands for all lenslets.
+        A single image is used for all lenslets.
         """
         n = self._samples
         waves = np.broadcast_to(self.waves(images), (len(self._ends), 2 * n - 1, 2 * n - 1))
@@ -67,11 +67,11 @@ class PixelGrid:
             along_y, along_x = self._waves_at_pixels(start, end)
             values[start:end] = np.einsum("yp,yp->p", along_y, waves[lenslet] @ along_x)
         image = np.zeros(self._shape, np.float32)
-        image.ravel()[self._pixel] = np.maximum(values, 0)  # rounding can leave -1e-7 where there is no light
+        image.ravel()[self._pixel] = np.maximum(values, 0)  # rounding can leave -1e-7
         return image
 
     def waves(self, images: Images) -> Images:
-        """Amplitudes of the waves that make up images on the 2n x 2n grid, as a pixel sees them.
+        """Amplitudes of the waves of images on the 2n x 2n grid, averaged over a pixel.
 
         (lenslet, y wave, x wave), each the cosines 0 ... n-1 and then the sines 1 ... n-1.
         """
@@ -84,7 +84,7 @@ class PixelGrid:
     ) -> Images:
         """Images of many object points, (point, row, column), from their `waves`, (lenslet, point, wave).
 
-        One single lenslet stands for all. `run` maps a function over lenslets, several at a time if it likes.
+        A single lenslet is used for all. `run` maps a function over lenslets, in parallel if wanted.
         """
         images = np.zeros((waves.shape[1], self._shape[0] * self._shape[1]), np.float32)
         bounds = list(pairwise([0, *self._ends]))
@@ -110,8 +110,8 @@ class PixelGrid:
     def _blurred(self, waves: Floats) -> Floats:
         """Average over the pixels' area: multiply each plane wave by the transfer at its own frequency.
 
-        The waves are products of cosines and sines; each is a sum of the plane waves (m_x, m_y) and (m_x, -m_y),
-        on which a turned pixel acts differently.
+        A product of cosines or sines is a sum of the plane waves (m_x, m_y) and (m_x, -m_y); a turned pixel averages
+        them differently.
         """
         n = self._samples
         mean, difference = self._transfer

@@ -1,7 +1,7 @@
-"""Where the ray from an object point through a pupil point meets the phase screen, and the truth that follows from it.
+"""Intersection of rays with the phase screen, and the true wavefronts that follow.
 
-The map is linear: s = pupil_scale * u + field_scale * x_o, with u the position in the pupil (on the lenslets), x_o
-that of the object point, s that on the screen; all (x, y) in m.
+The map is linear: s = pupil_scale * u + field_scale * x_o, with positions u in the pupil (on the lenslets), x_o of the
+object point and s on the screen; all (x, y) in m.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class RayMap:
         return cls(pupil_scale=ratio, field_scale=1.0 - ratio)
 
     def footprint_half_width_m(self, pupil_half_width_m: tuple[float, float], field_half_width_m: float) -> Floats:
-        """Half the width (x, y) of the patch of screen that rays meet."""
+        """Half the width (x, y) of the part of the screen that rays meet."""
         pupil_m = abs(self.pupil_scale) * np.asarray(pupil_half_width_m)
         return np.asarray(pupil_m + abs(self.field_scale) * field_half_width_m, np.float64)
 
@@ -49,7 +49,7 @@ def truth_wavefront(
 ) -> Floats:
     """Wavefront of every view at the lenslet centres: (view_row, view_column, lenslet_row, lenslet_column), rad.
 
-    The piston of each view is removed. `shift_m` (x, y) is how far the screen has been moved.
+    Each view has no piston. `shift_m` (x, y) is the displacement of the screen.
     """
     x_m = _meeting_points(ray_map, sensor.pupil_x_m, field.view_x_m) - shift_m[0]  # (view_column, lenslet_column)
     y_m = _meeting_points(ray_map, sensor.pupil_y_m, field.view_y_m) - shift_m[1]  # (view_row, lenslet_row)

@@ -1,10 +1,9 @@
-"""What shines: the openings of the mask, as weighted points of the front focal plane of the collimator.
+"""Sources: the openings of the mask as weighted points of the collimator's front focal plane.
 
-Every mask but the stars lies on one and the same grid of object_samples x object_samples points from edge to edge of
-the field's square, y slowest, so that one measurement matrix serves them all; where a mask is dark, the area is 0.
-37 points over 1.2 mm make 36 steps, as in the paper. A point on the edge stands for half the piece that one
-inside does (the trapezoidal rule): with equal weights the square would be 3 % wider than it is, and whatever grows
-along the field would seem 3 % smaller.
+All masks but the stars share one grid of object_samples x object_samples points from edge to edge of the field's
+square, y slowest, so that one measurement matrix serves them all; dark points have area 0. 37 points over 1.2 mm make
+36 steps, as in the paper. Points on the edge have half the weight of the others (trapezoidal rule): with equal weights
+the square would be 3 % wider.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ _ROWS_PER_CELL = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SourcePoints:
-    """Points of the object plane that emit independently of one another."""
+    """Mutually incoherent points of the object plane."""
 
     position_m: Floats  # (point, xy)
-    area_m2: Floats  # (point,): the piece of the opening that each point stands for; light is proportional to it
+    area_m2: Floats  # (point,), the part of the opening that a point represents; light is proportional to it
 
 
 def source_points(mask: str, source: Source, *, object_samples: int) -> SourcePoints:
@@ -80,14 +79,14 @@ def peaks(source: Source, *, object_samples: int) -> SourcePoints:
     surface -= 10 * (x / 5 - x**3 - y**5) * np.exp(-(x**2) - y**2)
     surface -= np.exp(-((x + 1) ** 2) - y**2) / 3
     brightness = (surface - _PEAKS_LOWEST) / (_PEAKS_HIGHEST - _PEAKS_LOWEST)
-    return _with_brightness(source, np.clip(brightness, 0, 1))  # the constants are rounded
+    return _with_brightness(source, np.clip(brightness, 0, 1))  # its two constants are rounded
 
 
 def image(source: Source, *, object_samples: int) -> SourcePoints:
     """Return the square with the brightness of the grey image in `source.file`, its brightest point 1.
 
-    The image's longer side fills the square, the pixels stay square, and what it does not cover is dark. Each point
-    gets the mean over its own cell of the grid, so that no detail is skipped. Row 0 is at the lowest y.
+    The image's longer side fills the square; the rest is dark. Each point gets the mean over its cell of the grid.
+    Row 0 is at the lowest y.
     """
     pixels = read_grey_image(Path(source.file))
     pixel_m = 2 * source.half_width_m / max(pixels.shape)
@@ -98,12 +97,11 @@ def image(source: Source, *, object_samples: int) -> SourcePoints:
 
 
 def stars(source: Source) -> SourcePoints:
-    """Return the array of pinholes, each a disc of finite diameter in seven points, or one point of no size.
+    """Return the array of pinholes, each a disc in seven points, or a single point if the diameter is 0.
 
     The seven-point rule for a disc of radius r (Abramowitz & Stegun 25.4.61; weights 1/4 at the middle and 1/8 at six
-    points on the radius r sqrt(2/3)) integrates polynomials up to the fifth degree exactly; a pinhole is
-    much smaller than what a lenslet resolves, so that its blur needs no more. A star of diameter 0 has no area of
-    its own; it is given that of the paper's 50 um pinhole, so that the same exposure suits both.
+    points on the radius r sqrt(2/3)) is exact up to the fifth degree, enough for a pinhole far below a lenslet's
+    resolution. A star of diameter 0 gets the area of the paper's 50 um pinhole, so that the same exposure suits both.
     """
     radius_m = source.pinhole_diameter_m / 2
     if radius_m == 0:
@@ -124,9 +122,9 @@ def stars(source: Source) -> SourcePoints:
 
 
 def read_grey_image(path: Path) -> Floats:
-    """Brightness (row, column), 0 or more, from a TIFF, NPY, PNG or any file OpenCV reads; colours become grey.
+    """Brightness (row, column), 0 or more, from a TIFF, NPY, PNG or other file that OpenCV reads; colours become grey.
 
-    A bad file is a `ValueError` of one sentence.
+    A bad file raises a `ValueError` of one sentence.
     """
     try:
         pixels = _decoded(path)
@@ -149,22 +147,19 @@ def _decoded(path: Path) -> NDArray[Any] | None:
     content = np.frombuffer(path.read_bytes(), np.uint8)
     decoded: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if decoded is None:
-        raise ValueError("no format that is known")
+        raise ValueError("unknown format")
     return decoded
 
 
 def _cell_edges(source: Source, object_samples: int) -> Floats:
-    """Where the cells of the grid's points end along one axis, (object_samples + 1,), m; the first and last are half.
-
-    The points lie in the middle of the cells but for those on the edge.
-    """
+    """Edges of the cells of the grid's points along one axis, (object_samples + 1,), m; the outer cells are half."""
     half_m = source.half_width_m
     along_m = np.linspace(-half_m, half_m, object_samples)
     return np.concatenate([[-half_m], (along_m[1:] + along_m[:-1]) / 2, [half_m]])
 
 
 def _with_brightness(source: Source, brightness: Floats) -> SourcePoints:
-    """Put brightness (row, column) on the points of the grid."""
+    """Points of the grid with that brightness (row, column)."""
     object_samples = len(brightness)
     width_m = np.diff(_cell_edges(source, object_samples))
     along_m = np.linspace(-source.half_width_m, source.half_width_m, object_samples)
@@ -176,9 +171,9 @@ def _with_brightness(source: Source, brightness: Floats) -> SourcePoints:
 
 
 def _opening(source: Source, half_chord_m: Callable[[Floats], Floats], object_samples: int) -> SourcePoints:
-    """Return an opening from -half_chord(y) to half_chord(y) along x (0 or less where there is none).
+    """Return an opening from -half_chord(y) to half_chord(y) along x; empty where that is 0 or less.
 
-    A point's brightness is the part of its cell that is open: exact along x, in many thin rows along y.
+    A point's brightness is the open part of its cell: exact along x, in thin rows along y.
     """
     edges_m = _cell_edges(source, object_samples)
     fraction = (np.arange(_ROWS_PER_CELL) + 0.5) / _ROWS_PER_CELL

@@ -14,7 +14,7 @@ from support.simulated_scene import CAMERA, STILL, SimulatedCameraFaults, Simula
 
 from drivers.interface import BadValue, DeviceTimeout, Range, Region
 from simulated_devices.bench import PHOTONS_PER_S_M2_A, SimulatedBench
-from simulated_devices.camera import SimulatedCamera, Stall
+from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 from simulated_devices.settings import exposure_range_s
 
@@ -170,7 +170,7 @@ def test_a_change_during_an_exposure_counts_for_its_part(
 
 def test_a_stalled_camera_times_out_until_it_is_started_again(camera: SimulatedCamera) -> None:
     camera.start()
-    camera.inject(Stall())
+    camera.stall()
     with pytest.raises(DeviceTimeout):
         camera.read(1.0)
     camera.stop()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from reconstruction.geometry import Field, Lattice
 from simulated_devices.bench import SimulatedBench
-from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall
+from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 from simulated_devices.light_and_stage import SimulatedLight
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
@@ -54,10 +54,10 @@ class SimulatedCameraFaults:
         self._camera._is_unplugged = False
 
     def stall(self) -> None:
-        self._camera.inject(Stall())
+        self._camera.stall()
 
     def lose_frames(self, count: int) -> None:
-        self._camera.inject(LoseFrames(count))
+        self._camera.lose_frames(count)
 
     def refuse_next(self) -> None:
         self._camera.refuse_next()

@@ -23,7 +23,7 @@ from app.recording.recorder import RecordingState
 from app.recording.recover import recover
 from app.recording.reprocess import reprocess
 from drivers.interface import Devices, Frame
-from simulated_devices.camera import LoseFrames, SimulatedCamera, Unplug
+from simulated_devices.camera import SimulatedCamera
 
 
 class Live:
@@ -132,7 +132,7 @@ def test_gaps_and_skipped_frames_are_recorded(
 ) -> None:
     live = make_live("camera.exposure_s=0.0139")
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
-    live.camera.inject(LoseFrames(5))
+    live.camera.lose_frames(5)
     wait_until(lambda: live.recording.frames > 5)
     measure_slowly(monkeypatch)
     wait_until(lambda: live.recording.frames > 50)
@@ -174,7 +174,7 @@ def test_lost_camera_leaves_readable_recording(make_live: Callable[..., Live], t
     live = make_live()
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     wait_until(lambda: live.recording.frames > 5)
-    live.camera.inject(Unplug())
+    live.camera.unplug()
     wait_until(lambda: not live.acquisition.is_alive)
     recording = Recording(tmp_path / "r")
     assert recording.is_complete

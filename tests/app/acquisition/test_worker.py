@@ -22,7 +22,7 @@ from app.errors import InputError
 from app.measurement.measurement import PASSED_OVER
 from app.measurement.routines.frames import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
-from simulated_devices.camera import LoseFrames, SimulatedCamera, Stall, Unplug
+from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light_and_stage import SimulatedLight
 
 
@@ -198,7 +198,7 @@ def test_stale_dark_or_reference_is_a_warning(
 
 def test_lost_frames_are_counted(running: Running) -> None:
     running.begin()
-    running.camera.inject(LoseFrames(5))
+    running.camera.lose_frames(5)
     wait_until(lambda: running.measurements[-1].counts.lost >= 5)  # a busy computer loses more
     last = running.measurements[-1]
     assert last.counts.acquired + last.counts.lost == last.frame.index + 1
@@ -206,7 +206,7 @@ def test_lost_frames_are_counted(running: Running) -> None:
 
 def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
     running.begin()
-    running.camera.inject(Unplug())
+    running.camera.unplug()
     wait_until(lambda: not running.acquisition.is_alive)
     assert isinstance(running.acquisition.error, Disconnected)
     assert "camera" in running.acquisition.failure
@@ -220,7 +220,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
 def test_stalled_camera_ends_loop(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     running.begin()
     monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", 0.3)
-    running.camera.inject(Stall())
+    running.camera.stall()
     wait_until(lambda: not running.acquisition.is_alive)
     assert "no frame" in running.acquisition.failure
 

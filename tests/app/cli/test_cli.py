@@ -36,7 +36,7 @@ from drivers.interface import Devices, Frame
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights.settings import DC2200Settings
 from reconstruction.wavefront import rms
-from simulated_devices.camera import SimulatedCamera, Unplug
+from simulated_devices.camera import SimulatedCamera
 
 FRAMES = FOREIGN_FRAMES
 
@@ -207,7 +207,7 @@ def test_unplugged_camera_keeps_measured_frames(
         def read_while_plugged(timeout_s: float) -> Frame:
             frame = read(timeout_s)
             if next(left) == 0:
-                camera.inject(Unplug())
+                camera.unplug()
             return frame
 
         monkeypatch.setattr(camera, "read", read_while_plugged)

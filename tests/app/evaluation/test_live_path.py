@@ -39,7 +39,7 @@ from app.recording.recorder import RecordingState
 from app.signals import ended_by
 from app.timing import Stage, Timings
 from drivers.interface import Devices, Disconnected, Frame
-from simulated_devices.camera import LoseFrames, SimulatedCamera
+from simulated_devices.camera import SimulatedCamera
 
 LOST = 24
 
@@ -84,7 +84,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
             frames.append(frame)
             if not is_lost and reports and reports[-1][0] == "unseen window: measuring":
                 is_lost = True
-                camera.inject(LoseFrames(LOST))
+                camera.lose_frames(LOST)
             return frame
 
         camera.read = watch  # type: ignore[method-assign] # every frame goes through here
