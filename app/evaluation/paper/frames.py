@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -13,12 +14,13 @@ from app.acquisition.devices import simulated_bench
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.noise_free import NoiseFreeFrames
-from app.evaluation.paper.methods import Mask
 from drivers.interface import BadValue
 from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import nominal_lattice
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
+
+Mask = Literal["square", "stars"]
 
 _CROP, _RESIZED = 469, 465  # px; the paper's frames end with 31 pixels per lenslet
 _DARKS = 8

@@ -12,9 +12,8 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import seeded
-from app.evaluation.paper.frames import Frames, exposed_frames, noise_free_frames, resized
-from app.evaluation.paper.methods import METHODS, PAPER_TABLE_1, PAPER_TABLE_2, Mask, Method
-from app.evaluation.paper.reconstructed import Reconstructed, reconstructed
+from app.evaluation.paper.frames import Frames, Mask, exposed_frames, noise_free_frames, resized
+from app.evaluation.paper.methods import METHODS, PAPER_TABLE_1, PAPER_TABLE_2, Method, Reconstructed, reconstructed
 from app.evaluation.study_kinds import LENSLETS, VIEWS, ComparisonTable
 from app.progress import Progress, part
 from reconstruction.arrays import Floats

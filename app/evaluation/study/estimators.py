@@ -111,8 +111,9 @@ class WarpEstimators:
                     wavefront, _ = estimator.rounds(displacement)[-1]
                     yield compared(curve, at, wavefront, truth, views=views)
             except ReconstructionError:
-                sensor = estimator.reconstructor.sensor
-                yield _result(curve, at, math.nan, lost=sensor.lenslet_rows * sensor.lenslet_columns)
+                lenslets = estimator.reconstructor.sensor.lenslet_rows * estimator.reconstructor.sensor.lenslet_columns
+                values = {"rms_rad": math.nan, "lost": lenslets, "left_cell": 0, "seconds": math.nan}
+                yield CaseResult(at={"curve": curve, "at": at}, values=values)
 
 
 def compared(
@@ -139,13 +140,7 @@ def with_rms(
     """Return an RMS with the counts of lost lenslets of a wavefront."""
     outcome = wavefront.displacement.outcome
     lost, left_cell = np.sum(outcome != Outcome.CONVERGED), np.sum(outcome == Outcome.LEFT_CELL)
-    return _result(curve, at, rms_rad, lost=int(lost), left_cell=int(left_cell), seconds=seconds)
-
-
-def _result(
-    curve: str, at: Position, rms_rad: float, *, lost: int, left_cell: int = 0, seconds: float = math.nan
-) -> CaseResult:
-    values = {"rms_rad": rms_rad, "lost": lost, "left_cell": left_cell, "seconds": seconds}
+    values = {"rms_rad": rms_rad, "lost": float(lost), "left_cell": float(left_cell), "seconds": seconds}
     return CaseResult(at={"curve": curve, "at": at}, values=values)
 
 

@@ -1,4 +1,4 @@
-"""The live benchmark: its figures against the frames that the camera gave and what the recording holds, and its end."""
+"""The live-path benchmark: figures against camera and recording, limits, plan, and early ends."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def no_report(_text: str, _fraction: float) -> None:
 
 @dataclass
 class Seen:
-    """What the camera gave, and what of the recording was there before it was removed."""
+    """The frames of the camera, and facts of the recording before its removal."""
 
     figures: LiveFigures
     frames: list[Frame]
@@ -66,7 +66,7 @@ class Seen:
 
 @pytest.fixture(scope="module")
 def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPathFactory) -> Seen:
-    """One run on the simulated bench, with a window that nobody sees; frames are lost in the middle of it."""
+    """One run on the simulated bench with an offscreen window, and with lost frames."""
     assert qapp is QApplication.instance()
     folder, kept = tmp_path_factory.mktemp("disk"), dict[str, Any]()
     frames, reports, cameras = list[Frame](), list[tuple[str, float]](), list[SimulatedCamera]()
@@ -90,7 +90,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
         camera.read = watch  # type: ignore[method-assign] # every frame goes through here
         return devices
 
-    def look_before_removing(path: Path) -> None:
+    def inspect_and_remove(path: Path) -> None:
         recording = Recording(path / "recording")
         kept.update(
             lines=len(recording),
@@ -104,7 +104,7 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("QT_QPA_PLATFORM", "offscreen")
         patch.setattr(course, "open_devices", open_watched)
-        patch.setattr(shutil, "rmtree", look_before_removing)
+        patch.setattr(shutil, "rmtree", inspect_and_remove)
         figures = benchmark_acquisition(
             LivePlan(bench=load_bench(small_toml), seconds=2.0, record_in=folder, warm_up_s=0.5),
             lambda text, fraction: reports.append((text, fraction)),
@@ -158,8 +158,8 @@ def test_bare_run_draws_and_records_nothing(seen: Seen) -> None:
 def test_progress_increases(seen: Seen) -> None:
     texts = [text for text, _ in seen.reports]
     stages = ["unseen window: warming up", "unseen window: measuring", "unseen window: removing the recording"]
-    told = [text for text in dict.fromkeys(texts) if text in stages]
-    assert told in (stages, stages[1:])  # a busy computer's window may look for the first time when the warm-up is over
+    stages_seen = [text for text in dict.fromkeys(texts) if text in stages]
+    assert stages_seen in (stages, stages[1:])  # on a busy computer the first poll may come after the warm-up
     assert texts[-1] == "no window: measuring"
     fractions = [fraction for _, fraction in seen.reports]
     assert fractions == sorted(fractions)
@@ -206,7 +206,7 @@ def test_tally_counts_frames_by_outcome() -> None:
 
 
 def span_of(*, redraws: int = 200, late_s: float = 0.02, rate_hz: float = 70.0, **changes: Any) -> Span:
-    """Ten seconds as they are to be, but for the changes."""
+    """Return ten good seconds, with changes."""
     timings = Timings()
     for count, stage, seconds in ((redraws, "draw", 0.01), (1000, "to_result", late_s), (1000, "record", 0.01)):
         for _ in range(count):

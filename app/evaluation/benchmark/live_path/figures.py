@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from operator import ge, le, lt
 from typing import Any
 
 from app.bench.config import write_bench
@@ -51,18 +53,18 @@ class LiveFigures:
         window = self.window
         times = window.timings.summary()
         verdicts = {
-            "share": _at_least(window.frames.share, 0.999, ">= 99.9 %"),
-            "lost": _at_most(window.frames.lost, 0, "none"),
-            "to_result_p99_s": _below(times["to_result"].p99_s, 0.030, "99 % < 30 ms"),
-            "redrawn_hz": _at_least(window.redrawn_hz, 20.0, ">= 20 /s"),
-            "rate_ratio": _at_least(self.rate_ratio, 0.95, ">= 95 %"),
-            "first_wavefront_s": _below(window.first_wavefront_s, 15.0, "< 15 s, warm"),
+            "share": _verdict(window.frames.share, ge, 0.999, ">= 99.9 %"),
+            "lost": _verdict(window.frames.lost, le, 0, "none"),
+            "to_result_p99_s": _verdict(times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms"),
+            "redrawn_hz": _verdict(window.redrawn_hz, ge, 20.0, ">= 20 /s"),
+            "rate_ratio": _verdict(self.rate_ratio, ge, 0.95, ">= 95 %"),
+            "first_wavefront_s": _verdict(window.first_wavefront_s, lt, 15.0, "< 15 s, warm"),
         }
         if self.memory_growth is not None:
-            verdicts["memory_growth"] = _below(self.memory_growth, 0.02, "< 2 %")
+            verdicts["memory_growth"] = _verdict(self.memory_growth, lt, 0.02, "< 2 %")
         if self.recording is not None:
-            verdicts["record_p99_s"] = _below(times["record"].p99_s, 0.015, "99 % < 15 ms")
-            verdicts["recording_problems"] = _at_most(bool(self.recording.problem), 0, "all frames")
+            verdicts["record_p99_s"] = _verdict(times["record"].p99_s, lt, 0.015, "99 % < 15 ms")
+            verdicts["recording_problems"] = _verdict(bool(self.recording.problem), le, 0, "all frames")
         return verdicts
 
     def missed(self) -> list[str]:
@@ -171,13 +173,5 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _at_least(value: float, limit: float, asked: str) -> Verdict:
-    return Verdict(value, limit, asked, value >= limit)
-
-
-def _at_most(value: float, limit: float, asked: str) -> Verdict:
-    return Verdict(value, limit, asked, value <= limit)
-
-
-def _below(value: float, limit: float, asked: str) -> Verdict:
-    return Verdict(value, limit, asked, value < limit)
+def _verdict(value: float, holds: Callable[[float, float], bool], limit: float, asked: str) -> Verdict:
+    return Verdict(value, limit, asked, holds(value, limit))
