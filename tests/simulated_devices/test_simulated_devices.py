@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.device_contract import CameraFaultContract, LightFaultContract, StageContract
+from support.camera_contract import CameraFaultContract
+from support.light_contract import LightFaultContract, StageContract
 from support.simulated_scene import CAMERA, STILL, SimulatedCameraFaults, SimulatedLightFaults, open_bench
 
 from drivers.interface import BadValue, DeviceTimeout, Range, Region

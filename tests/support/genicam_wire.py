@@ -93,7 +93,7 @@ def _answers() -> bool:
 
 
 class GigeWire:
-    """Proxy between driver and camera, with the faults of `device_contract.CameraFaults`."""
+    """Proxy between driver and camera, with the faults of `camera_contract.CameraFaults`."""
 
     def __init__(self, peer: Peer) -> None:
         self._peer = peer

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.device_contract import StageContract
 from support.gui_bench import BENCH, FakeCamera, opener
+from support.light_contract import StageContract
 from support.manual_bench import MANUAL, Person
 
 from app.acquisition.start_up import start_up

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.device_contract import CameraContract, CameraFaultContract, CameraFaults, LightContract, StageContract
+from support.camera_contract import CameraContract, CameraFaultContract, CameraFaults
+from support.light_contract import LightContract, StageContract
 from support.recordings import edit_line, record
 
 from app.recording.camera import RecordedCamera

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from support.camera_contract import CameraContract, CameraFaultContract
 from support.dcam_tools import dcam_stand_in, library, open_camera
-from support.device_contract import CameraContract, CameraFaultContract
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id

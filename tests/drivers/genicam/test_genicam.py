@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
+from support.camera_contract import CameraFaultContract
 from support.camera_storm import CameraStorm
-from support.device_contract import CameraFaultContract
 from support.genicam_wire import FAKE_CAMERA, HERE, SERIAL, GigeWire, Peer
 from support.patience import HANG_S, own_time
 from support.storm import storm_settings

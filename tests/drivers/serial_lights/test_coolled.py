@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from hypothesis.stateful import rule
-from support.device_contract import LightFaultContract
+from support.light_contract import LightFaultContract
 from support.serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to
 from support.storm import storm_settings
 

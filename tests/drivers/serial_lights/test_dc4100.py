@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import serial
-from support.device_contract import LightFaultContract
+from support.light_contract import LightFaultContract
 from support.light_storm import HeatStorm
 from support.patience import own_time
 from support.serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to

@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 import pytest
 from hypothesis import strategies as st
-from support.device_contract import LightFaultContract
+from support.light_contract import LightFaultContract
 from support.light_storm import HeatStorm
 from support.storm import storm_settings
 from support.usb_stand_in import Bus, Plug
