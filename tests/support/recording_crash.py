@@ -32,12 +32,12 @@ from app.recording.recover import recover
 from drivers.interface import Devices, Frame
 from support.patience import HANG_S
 
-_TOLD = struct.Struct("<qId")  # the camera's index of a frame, checksum of its pixels, time of arrival in s
+_MESSAGE = struct.Struct("<qId")  # camera index, checksum of the pixels, time of arrival in s
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What a killed program has left."""
+    """State of a recording after its program was killed."""
 
     acquired: int  # since the recording began
     missing: int  # of those, without a line in frames.jsonl
@@ -46,7 +46,7 @@ class Left:
 
 
 def kill_one(bench: str, settings: tuple[str, ...], folder: Path, *, after_s: float) -> Left:
-    """Start a program that records into `folder`, kill it so long after its first line, and look."""
+    """Start a program that records into `folder`, kill it some time after its first line, and check the recording."""
     reading, writing = os.pipe()
     program_itself = [sys.executable, "-m", "support.recording_crash"]
     command = [*program_itself, "--record", str(folder), "--pipe", str(writing), "--bench", bench, *settings]
@@ -71,11 +71,13 @@ def kill_one(bench: str, settings: tuple[str, ...], folder: Path, *, after_s: fl
         while piece := os.read(reading, 1 << 16):
             told += piece
         os.close(reading)
-    return look(folder, [_TOLD.unpack_from(told, at) for at in range(0, len(told) - _TOLD.size + 1, _TOLD.size)])
+    return look(
+        folder, [_MESSAGE.unpack_from(told, at) for at in range(0, len(told) - _MESSAGE.size + 1, _MESSAGE.size)]
+    )
 
 
 def look(folder: Path, told: list[tuple[int, int, float]]) -> Left:
-    """Compare a recording with the frames that were acquired, in their order."""
+    """Compare a recording with the acquired frames."""
     recording = Recording(folder)
     assert not recording.is_complete
     lines = [recording.line(index) for index in range(len(recording))]
@@ -88,7 +90,7 @@ def look(folder: Path, told: list[tuple[int, int, float]]) -> Left:
 
 
 def record(bench: Bench, folder: Path, pipe: int) -> None:
-    """Record until killed, telling of every frame."""
+    """Record until killed; send a message for every frame."""
 
     def open_telling(bench: Bench, progress: Callable[[float], None]) -> Devices:
         devices = open_devices(bench, progress)
@@ -96,10 +98,10 @@ def record(bench: Bench, folder: Path, pipe: int) -> None:
 
         def tell(timeout_s: float) -> Frame:
             frame = read(timeout_s)
-            os.write(pipe, _TOLD.pack(frame.index, zlib.crc32(frame.pixels.data), frame.host_time_s))
+            os.write(pipe, _MESSAGE.pack(frame.index, zlib.crc32(frame.pixels.data), frame.host_time_s))
             return frame
 
-        devices.camera.read = tell  # type: ignore[method-assign] # so that it is told before anybody else has it
+        devices.camera.read = tell  # type: ignore[method-assign] # the message comes first
         return devices
 
     acquisition = Acquisition(bench, open_telling)
@@ -110,7 +112,7 @@ def record(bench: Bench, folder: Path, pipe: int) -> None:
 
 
 def main() -> None:
-    """Record, as the program that is killed, or kill it so many times."""
+    """Record, as the program to be killed, or kill it some times."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--record", type=Path)
     parser.add_argument("--pipe", type=int)

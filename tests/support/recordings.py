@@ -1,7 +1,4 @@
-"""Recordings of the small simulated bench, for tests of what is done with them afterwards.
-
-They are made in one thread, without an acquisition: on a busy computer that would pass frames over.
-"""
+"""Recordings of the small simulated bench, made in one thread so that no frame is skipped on a busy computer."""
 
 from __future__ import annotations
 
@@ -31,10 +28,7 @@ from support.patience import HANG_S
 def record(
     toml: Path, folder: Path, *settings: str, frames: int = 12, before: int = 0, passed_over: Collection[int] = ()
 ) -> Recording:
-    """Record `frames` frames, from the first that is refined on if they are; return the finished recording.
-
-    So many frames `before` are measured and not recorded; of those recorded, some are `passed_over`.
-    """
+    """Record some frames, after `before` unrecorded ones; if the bench refines, from the first refined frame on."""
     bench = load_bench(toml, settings)
     with (
         one_blas_thread(),
@@ -77,7 +71,7 @@ def record(
 
 
 def edit_line(recording: Recording, index: int, **changes: Any) -> None:
-    """Change what a recording says of a frame."""
+    """Change the line of a frame."""
     path = recording.folder / "frames.jsonl"
     lines = path.read_text().splitlines()
     lines[index] = json.dumps({**json.loads(lines[index]), **changes})
@@ -85,12 +79,12 @@ def edit_line(recording: Recording, index: int, **changes: Any) -> None:
 
 
 def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16]) -> None:
-    """Change what the camera has seen."""
+    """Change the pixels of a frame."""
     frames = zarr.open_group(recording.folder / STORE, mode="r+")[PIXELS]
     assert isinstance(frames, zarr.Array)
     frames[index] = pixels
 
 
 def remove_coefficients(recording: Recording, index: int) -> None:
-    """Lose a result of the first calibration."""
+    """Remove the coefficients of a frame with the first calibration."""
     FrameArray(recording.folder / STORE / "results" / "0" / "coefficients").remove(index)

@@ -1,4 +1,4 @@
-"""Recordings of noise, quickly made, for tests of how they are written and read."""
+"""Recordings of noise for tests of writing and reading."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def make_frame(index: int, shape: tuple[int, int] = SHAPE) -> Frame:
 
 
 def make_record(index: int, calibration: Calibration | None = None, **changes: Any) -> Record:
-    """A record of noise; with a calibration it has results."""
+    """Return a record of noise, with results if it has a calibration."""
     has = calibration is not None
     record = Record(
         frame=make_frame(index),
@@ -51,7 +51,7 @@ def make_record(index: int, calibration: Calibration | None = None, **changes: A
 
 
 def make_chain(calibration: Calibration, count: int) -> list[Record]:
-    """Records of which each was registered from the one before."""
+    """Return records that each start from the one before."""
     records: list[Record] = []
     for index in range(count):
         records.append(make_record(index, calibration, start=records[-1].displacement if records else None))
@@ -77,7 +77,7 @@ def wait(recording: BackgroundRecording | Recorder, stages: set[str]) -> Recordi
 
 
 def noisy_calibration(small_bench: SmallBench) -> Calibration:
-    """A calibration with noise in its averages, so that every bit of them counts."""
+    """Return a calibration with noise in its averages, so that every bit matters."""
     random = np.random.default_rng(1)
 
     def average(mean: Floats, frames: int) -> Average:

@@ -1,4 +1,4 @@
-"""The recorder: from when to when it records, what it keeps in memory, and into which folders."""
+"""Recorder: beginning and end of recordings, recent frames, folders."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def measurement(index: int, *, host_time_s: float, lost: int = 0) -> Measurement
     return Measurement(frame, None, "dark", Counts(index + 1, 0, lost), host_time_s, 0.01)
 
 
-def test_a_recorder_ends_by_itself_after_so_many_frames(tmp_path: Path) -> None:
+def test_recording_ends_after_the_requested_frames(tmp_path: Path) -> None:
     recorder_ = Recorder(Timings())
     recorder_.take(measurement(0, host_time_s=0.0, lost=2))
     recorder_.start(tmp_path / "r", FACTS, frames=3)
@@ -45,7 +45,7 @@ def test_a_recorder_ends_by_itself_after_so_many_frames(tmp_path: Path) -> None:
     assert len(Recording(tmp_path / "again")) == 0
 
 
-def test_the_last_seconds_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recent_frames_can_be_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recorder_ = Recorder(Timings())
     with pytest.raises(InputError, match="no frame yet"):
         recorder_.keep_recent(tmp_path / "none", FACTS)
@@ -63,7 +63,7 @@ def test_the_last_seconds_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert recorder_.recent_frames == 10
 
 
-def test_free_space_is_told_in_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_space_is_given_in_minutes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Path] = []
 
     def usage(path: Path) -> SimpleNamespace:
@@ -79,7 +79,7 @@ def test_free_space_is_told_in_minutes(tmp_path: Path, monkeypatch: pytest.Monke
     assert asked == [tmp_path]
 
 
-def test_another_size_of_frames_ends_the_recording(tmp_path: Path) -> None:
+def test_changed_frame_size_ends_the_recording(tmp_path: Path) -> None:
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
     recording.take(make_record(0))
     recording.take(make_record(1, frame=make_frame(1, (8, 8))))
@@ -89,9 +89,7 @@ def test_another_size_of_frames_ends_the_recording(tmp_path: Path) -> None:
     assert len(Recording(tmp_path / "r")) == 1
 
 
-def test_a_folder_that_cannot_be_is_refused_before_anything_is_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_impossible_folder_is_refused_before_measuring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("in the way")
     for folder, said in (
         (tmp_path / "file" / "deep" / "er", "file: not a folder"),
@@ -99,13 +97,13 @@ def test_a_folder_that_cannot_be_is_refused_before_anything_is_measured(
     ):
         with pytest.raises(InputError, match=said):
             Recorder(Timings()).start(folder, FACTS)
-    monkeypatch.setattr("os.access", lambda *_: False)  # as for anybody but root in somebody else's folder
+    monkeypatch.setattr("os.access", lambda *_: False)  # as in another user's folder
     with pytest.raises(InputError, match="no permission to write there"):
         Recorder(Timings()).start(tmp_path / "new" / "er", FACTS)
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
-def test_a_folder_that_holds_a_recording_is_refused(tmp_path: Path) -> None:
+def test_folder_with_a_recording_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(0)])
     recorder_ = Recorder(Timings())
     for begin in (recorder_.start, recorder_.keep_recent):
@@ -118,7 +116,7 @@ def test_a_folder_that_holds_a_recording_is_refused(tmp_path: Path) -> None:
     recorder_.close("")
 
 
-def test_recordings_of_one_second_are_beside_one_another(tmp_path: Path) -> None:
+def test_recordings_started_in_one_second_get_numbered_folders(tmp_path: Path) -> None:
     recorder_ = Recorder(Timings())
     wanted, seconds = tmp_path / "here" / "20261121-093000", 3
     for index in range(seconds):
@@ -137,7 +135,7 @@ def test_recordings_of_one_second_are_beside_one_another(tmp_path: Path) -> None
     assert len(Recording(wanted.parent / names[3])) == seconds
 
 
-def test_programs_that_ask_for_one_name_at_once_get_a_folder_each(tmp_path: Path) -> None:
+def test_concurrent_programs_get_different_folders(tmp_path: Path) -> None:
     asks = "import sys; from pathlib import Path; from app.recording.folder import new_folder\n"
     asks += "for _ in range(40): print(new_folder(Path(sys.argv[1])).name)"
     command = [sys.executable, "-c", asks, str(tmp_path / "r")]
@@ -149,10 +147,8 @@ def test_programs_that_ask_for_one_name_at_once_get_a_folder_each(tmp_path: Path
     )
 
 
-def test_of_two_writers_that_find_a_folder_free_at_once_the_second_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(writer, "check_free", lambda _: None)  # both have looked before either began
+def test_second_of_two_concurrent_writers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "check_free", lambda _: None)  # both check before either begins
     first = RecordingWriter(tmp_path / "r", FACTS)
     before = (tmp_path / "r" / "run.json").read_bytes()
     with pytest.raises(InputError, match="r: holds a recording already"):
@@ -163,7 +159,7 @@ def test_of_two_writers_that_find_a_folder_free_at_once_the_second_is_refused(
     assert len(Recording(tmp_path / "r")) == 1
 
 
-def test_a_recording_that_could_not_begin_is_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_beginning_leaves_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise RunError("the disk is full")
 

@@ -1,4 +1,4 @@
-"""A recording's folder: what is written can be read, by Zarr's own library, too."""
+"""Writing and reading of a recording, also by the Zarr library."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def calibration(small_bench: SmallBench) -> Calibration:
     return noisy_calibration(small_bench)
 
 
-def test_what_is_written_can_be_read(tmp_path: Path, calibration: Calibration) -> None:
+def test_written_recording_is_read_back(tmp_path: Path, calibration: Calibration) -> None:
     other, bias = replace(calibration), RANDOM.normal(size=(7, 9, 3, 2))
     before = RANDOM.normal(size=(7, 9, 3, 2))
     first = make_record(50, calibration, start=before, lost=3)
@@ -70,7 +70,7 @@ def test_what_is_written_can_be_read(tmp_path: Path, calibration: Calibration) -
     assert lines[0].rms_rad == pytest.approx(views.std(axis=(2, 3)).mean())
 
 
-def test_zarrs_own_library_and_ome_readers_find_the_same(
+def test_zarr_library_and_ome_readers_read_the_same(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_array, "_STEP", 4)  # so that the arrays grow
@@ -94,7 +94,7 @@ def test_zarrs_own_library_and_ome_readers_find_the_same(
     assert scales["datasets"][0]["path"] == "0"
 
 
-def test_a_calibration_comes_back_bit_for_bit(tmp_path: Path, calibration: Calibration) -> None:
+def test_calibration_is_read_back_bit_for_bit(tmp_path: Path, calibration: Calibration) -> None:
     write(tmp_path / "r", [make_record(0, calibration)])
     found = Recording(tmp_path / "r").calibration(0)
     assert found.lattice == calibration.lattice
@@ -111,7 +111,7 @@ def test_a_calibration_comes_back_bit_for_bit(tmp_path: Path, calibration: Calib
     np.testing.assert_array_equal(ours.views, theirs.views)
 
 
-def test_it_can_be_read_while_it_grows(tmp_path: Path, calibration: Calibration) -> None:
+def test_growing_recording_can_be_read(tmp_path: Path, calibration: Calibration) -> None:
     records = make_chain(calibration, 3)
     writer = RecordingWriter(tmp_path / "r", FACTS)
     recording = Recording(tmp_path / "r")
@@ -130,7 +130,7 @@ def test_it_can_be_read_while_it_grows(tmp_path: Path, calibration: Calibration)
     assert recover(tmp_path / "r").was_complete
 
 
-def test_lines_are_json_that_any_program_reads(tmp_path: Path, calibration: Calibration) -> None:
+def test_lines_are_standard_json(tmp_path: Path, calibration: Calibration) -> None:
     dark = make_record(0, calibration, views=np.full((3, 3, 7, 9), np.nan))
     write(tmp_path / "r", [dark, make_record(1)])
 

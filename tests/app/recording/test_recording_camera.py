@@ -1,4 +1,4 @@
-"""A recording in place of devices: its own frames, pace, losses, dark and reference, as any camera would give them."""
+"""Camera that plays a recording: frames, pace, losses, dark and reference."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from simulated_devices.clock import ManualClock
 
 FRAMES = 6
 GAPS_S = (0.05, 0.05, 30.0, 0.1, 0.05)  # between arrivals
-PLAYED_S = (0.05, 0.05, 1.02, 0.1, 0.05)  # the half minute in which nothing was recorded is made a second
+PLAYED_S = (0.05, 0.05, 1.02, 0.1, 0.05)  # the long gap is shortened to a second
 WITH_LOSSES = (0, 1, 2, 5, 6, 7)  # two were lost before the fourth
 EXPOSURE_S = 0.02
 
@@ -85,7 +85,7 @@ def copied(recording: Recording, folder: Path) -> Recording:
 
 
 def ignore(_what: object, _fraction: float) -> None:
-    """Report nothing."""
+    """Progress callback that does nothing."""
 
 
 def never() -> bool:
@@ -96,7 +96,7 @@ def read(camera: Camera) -> Frame:
     return camera.read(10.0)
 
 
-def test_frames_come_at_their_own_pace_and_again_after_the_last(
+def test_frames_play_at_recorded_pace_and_repeat(
     camera: RecordedCamera, recording: Recording, clock: ManualClock
 ) -> None:
     camera.start()
@@ -113,9 +113,7 @@ def test_frames_come_at_their_own_pace_and_again_after_the_last(
     np.testing.assert_allclose([frame.camera_time_s for frame in frames], came_s)
 
 
-def test_what_was_lost_before_the_first_frame_is_not_lost_again_when_it_comes_again(
-    steady: Recording, clock: ManualClock, tmp_path: Path
-) -> None:
+def test_loss_before_the_first_frame_is_not_repeated(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
     edited = copied(steady, tmp_path / "run")
     edit_line(edited, 0, lost=3)
     with player(Recording(edited.folder), clock) as camera:
@@ -123,8 +121,8 @@ def test_what_was_lost_before_the_first_frame_is_not_lost_again_when_it_comes_ag
         assert [read(camera).index for _ in range(FRAMES + 2)] == list(range(FRAMES + 2))
 
 
-def test_at_the_fastest_pace_frames_come_when_they_are_waited_for(recording: Recording, clock: ManualClock) -> None:
-    """None lies in the camera unread, so that whoever is slow has not to pass any over."""
+def test_fastest_pace_returns_frames_as_they_are_read(recording: Recording, clock: ManualClock) -> None:
+    """No frame waits in the camera, so that a slow reader skips none."""
     with player(recording, clock, pace="fastest", repeat=False) as camera:
         camera.start()
         frames = []
@@ -142,7 +140,9 @@ def test_at_the_fastest_pace_frames_come_when_they_are_waited_for(recording: Rec
 
 
 @pytest.mark.parametrize("pace", ["own", "fastest"])
-def test_at_its_end_no_frame_comes_and_it_says_why(recording: Recording, clock: ManualClock, pace: Pace) -> None:
+def test_read_after_the_last_frame_times_out_with_the_reason(
+    recording: Recording, clock: ManualClock, pace: Pace
+) -> None:
     with player(recording, clock, pace=pace, repeat=False) as camera:
         camera.start()
         for _ in range(FRAMES):
@@ -155,10 +155,10 @@ def test_at_its_end_no_frame_comes_and_it_says_why(recording: Recording, clock: 
             camera.stop()
             camera.start()
         camera.see(is_lit=False, is_sample_in=True)
-        assert read(camera).index == 0  # its dark is still there
+        assert read(camera).index == 0  # its dark still comes
 
 
-def test_it_goes_on_where_it_was_stopped(camera: RecordedCamera, recording: Recording) -> None:
+def test_restart_continues_at_the_same_frame(camera: RecordedCamera, recording: Recording) -> None:
     camera.start()
     read(camera)
     read(camera)
@@ -171,7 +171,7 @@ def test_it_goes_on_where_it_was_stopped(camera: RecordedCamera, recording: Reco
     np.testing.assert_array_equal(frame.pixels, recording.pixels(2))
 
 
-def test_no_frame_comes_before_its_time(camera: RecordedCamera, clock: ManualClock) -> None:
+def test_read_before_the_next_frame_times_out(camera: RecordedCamera, clock: ManualClock) -> None:
     camera.start()
     before_s = clock.now()
     with pytest.raises(DeviceTimeout):
@@ -184,8 +184,8 @@ def test_no_frame_comes_before_its_time(camera: RecordedCamera, clock: ManualClo
     assert clock.now() == pytest.approx(before_s + 0.02)
 
 
-def test_who_was_away_misses_little(camera: RecordedCamera, clock: ManualClock) -> None:
-    """After an hour the recording has waited: it is a second behind, not an hour."""
+def test_late_reader_misses_at_most_a_second(camera: RecordedCamera, clock: ManualClock) -> None:
+    """After an hour without a read, the recording is a second behind."""
     camera.start()
     read(camera)
     clock.sleep(3600)
@@ -196,8 +196,8 @@ def test_who_was_away_misses_little(camera: RecordedCamera, clock: ManualClock) 
     assert clock.now() > before_s
 
 
-def test_dark_and_reference_are_the_recorded_ones(recording: Recording) -> None:
-    """And taking them does not move the recording on."""
+def test_dark_and_reference_have_the_recorded_averages(recording: Recording) -> None:
+    """Reading them does not advance the recording."""
     kept = recording.calibration(0)
     assert kept.dark is not None
     with recorded_devices(recording, range(FRAMES), pace="fastest") as devices:
@@ -226,21 +226,23 @@ def test_dark_and_reference_are_the_recorded_ones(recording: Recording) -> None:
     ("level", "spread", "tolerance"),
     [(500.3, 6.0, 0.02), (3000.0, 50.0, 0.02), (0.4, 0.6, 0.3), (65534.0, 3.0, 0.6), (65535.0, 0.0, 0.0)],
 )
-def test_frames_have_the_average_that_was_kept(frames: int, level: float, spread: float, tolerance: float) -> None:
-    """At both ends of the scale, too, where there is no room to go up and down: then the mean comes first."""
+def test_averaged_frames_reproduce_mean_and_variance(
+    frames: int, level: float, spread: float, tolerance: float
+) -> None:
+    """At the ends of the scale, where the variance has no room, the mean is still exact."""
     rng = np.random.default_rng(frames)
     seen = np.clip(np.rint(rng.normal(level, spread, (frames, 60, 70))), 0, 65535)
     variance = seen.var(axis=0, ddof=min(frames - 1, 1)).astype(np.float32)
     kept = Average(seen.mean(axis=0).astype(np.float32), variance, frames, EXPOSURE_S, 1.0, "em")
     made = AveragedFrames(kept, 65535)
-    for first in (0, 3 * frames, 7):  # any so many in a row
+    for first in (0, 3 * frames, 7):  # starting anywhere
         shown = np.array([made.pixels(first + index) for index in range(frames)], np.float64)
         np.testing.assert_array_equal(shown.mean(axis=0).astype(np.float32), kept.mean)
         scatter = shown.var(axis=0, ddof=min(frames - 1, 1)).mean()
         assert scatter == pytest.approx(variance.mean(), rel=tolerance, abs=1e-6)
 
 
-def test_all_of_a_frame_does_not_flicker_together() -> None:
+def test_pixels_alternate_independently() -> None:
     kept = Average(np.full((90, 80), 500.5, np.float32), np.full((90, 80), 36, np.float32), 20, 0.02, 1.0, "em")
     made = AveragedFrames(kept, 65535)
     levels = [made.pixels(index).mean() for index in range(20)]
@@ -249,14 +251,14 @@ def test_all_of_a_frame_does_not_flicker_together() -> None:
 
 @pytest.fixture(scope="module")
 def two_references(steady: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """A recording in which a longer reference was taken half-way, with no dark for it."""
+    """A recording with a longer reference, without a dark, in its second half."""
     kept = steady.calibration(0)
     longer = replace(kept.reference, mean=kept.reference.mean + 100, exposure_s=0.04)
     return written(steady, tmp_path_factory.mktemp("two") / "run", (kept, replace(kept, reference=longer, dark=None)))
 
 
 def written(source: Recording, folder: Path, calibrations: tuple[Calibration | None, ...]) -> Recording:
-    """The frames of a recording again, each so many with the next of some calibrations."""
+    """Copy a recording, dividing its frames among some calibrations."""
     with closing(RecordingWriter(folder, {"command": "live", "bench": write_bench(source.bench)})) as writer:
         for index in range(FRAMES):
             calibration = calibrations[index * len(calibrations) // FRAMES]
@@ -266,7 +268,7 @@ def written(source: Recording, folder: Path, calibrations: tuple[Calibration | N
     return Recording(folder)
 
 
-def test_dark_and_reference_belong_to_the_next_frame(two_references: Recording, clock: ManualClock) -> None:
+def test_dark_and_reference_are_those_of_the_next_frame(two_references: Recording, clock: ManualClock) -> None:
     with player(two_references, clock, pace="fastest") as camera:
         for half, exposure_s in enumerate((0.02, 0.04)):
             kept = two_references.calibration(half)
@@ -280,7 +282,7 @@ def test_dark_and_reference_belong_to_the_next_frame(two_references: Recording, 
             camera.stop()
 
 
-def test_what_is_allowed_follows_what_is_seen(two_references: Recording, clock: ManualClock) -> None:
+def test_allowed_exposure_follows_the_view(two_references: Recording, clock: ManualClock) -> None:
     with player(two_references, clock, pace="fastest") as camera:
         camera.start()
         for exposure_s in (0.02, 0.02, 0.02, 0.04, 0.04):
@@ -297,7 +299,9 @@ def test_what_is_allowed_follows_what_is_seen(two_references: Recording, clock: 
             assert camera.capabilities.exposure_range_s == Range(exposure_s, exposure_s)
 
 
-def test_what_was_not_recorded_is_not_made_up(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+def test_missing_dark_or_reference_times_out_with_the_reason(
+    steady: Recording, clock: ManualClock, tmp_path: Path
+) -> None:
     kept = steady.calibration(0)
     without_dark = written(steady, tmp_path / "bright", (replace(kept, dark=None),))
     without_any = written(steady, tmp_path / "bare", (None,))
@@ -314,7 +318,7 @@ def test_what_was_not_recorded_is_not_made_up(steady: Recording, clock: ManualCl
             np.testing.assert_array_equal(read(camera).pixels, steady.pixels(0))
 
 
-def test_a_damaged_frame_is_lost_and_the_others_come(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+def test_damaged_frame_counts_as_lost(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
     recording = copied(steady, tmp_path / "run")
     chunk = recording.folder / "frames.zarr" / "0" / "c" / "1" / "0" / "0"
     chunk.write_bytes(chunk.read_bytes()[:1000])
@@ -329,7 +333,7 @@ def test_a_damaged_frame_is_lost_and_the_others_come(steady: Recording, clock: M
         np.testing.assert_array_equal(frame.pixels, steady.pixels(2))
 
 
-def test_it_can_be_opened_though_its_first_frame_is_damaged(steady: Recording, tmp_path: Path) -> None:
+def test_recording_with_damaged_first_frame_opens(steady: Recording, tmp_path: Path) -> None:
     recording = copied(steady, tmp_path / "run")
     (recording.folder / "frames.zarr/0/c/0/0/0").unlink()
     with player(recording, ManualClock(), pace="fastest") as camera:
@@ -341,7 +345,7 @@ def test_it_can_be_opened_though_its_first_frame_is_damaged(steady: Recording, t
         np.testing.assert_array_equal(frame.pixels, steady.pixels(1))
 
 
-def test_a_damaged_calibration_is_a_lost_device(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+def test_damaged_calibration_counts_as_disconnected(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
     recording = copied(steady, tmp_path / "run")
     (recording.folder / "calibrations" / "0" / "reference.npz").write_bytes(b"PK")
     with player(recording, clock, shows="reference") as camera:
@@ -350,8 +354,8 @@ def test_a_damaged_calibration_is_a_lost_device(steady: Recording, clock: Manual
         assert camera.state == "lost"
 
 
-def test_an_unfinished_recording_plays_what_is_there(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
-    """As a program leaves it that dies in the middle of a line."""
+def test_unfinished_recording_plays_its_frames(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
+    """The program died in the middle of a line."""
     folder = copied(steady, tmp_path / "run").folder
     facts = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps({**facts, "complete": False}))
@@ -367,11 +371,11 @@ def test_an_unfinished_recording_plays_what_is_there(steady: Recording, clock: M
 
 def bench_text(toml: Path, folder: Path, **settings: object) -> str:
     """The bench of a TOML file with a recording as its camera."""
-    camera = RecordingSettings(folder=str(folder), **settings)  # type: ignore[arg-type] # they are checked when read
+    camera = RecordingSettings(folder=str(folder), **settings)  # type: ignore[arg-type] # checked when read
     return write_bench(replace(load_bench(toml), camera=camera))
 
 
-def test_a_bench_names_a_recording(small_toml: Path, steady: Recording) -> None:
+def test_bench_with_a_recording_opens_its_devices(small_toml: Path, steady: Recording) -> None:
     bench = parse_bench(bench_text(small_toml, steady.folder, repeat=True), "bench")
     assert bench.camera == RecordingSettings(folder=str(steady.folder), repeat=True)
     with open_devices(bench, lambda _: None) as devices:
@@ -404,7 +408,7 @@ def test_a_bench_names_a_recording(small_toml: Path, steady: Recording) -> None:
         ("camera.exposure_s=0.1", "camera: unknown key exposure_s"),
     ],
 )
-def test_what_cannot_be_is_one_line(small_toml: Path, steady: Recording, override: str, sentence: str) -> None:
+def test_unusable_setting_is_one_line(small_toml: Path, steady: Recording, override: str, sentence: str) -> None:
     text = bench_text(small_toml, steady.folder)
     if override.startswith("light"):
         text = text[: text.index("[light]")] + text[text.index("[simulation]") :]
@@ -413,15 +417,13 @@ def test_what_cannot_be_is_one_line(small_toml: Path, steady: Recording, overrid
     assert "\n" not in str(refused.value)
 
 
-def test_a_recording_must_be_named(small_toml: Path) -> None:
+def test_recording_camera_needs_a_folder(small_toml: Path) -> None:
     text = bench_text(small_toml, Path("run")).replace('folder = "run"\n', "")
     with pytest.raises(InputError, match=r"camera\.folder: is missing"):
         parse_bench(text, "bench")
 
 
-def test_a_recording_that_cannot_be_is_refused_when_it_is_opened(
-    small_toml: Path, steady: Recording, tmp_path: Path
-) -> None:
+def test_unusable_recording_is_refused_on_opening(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     with closing(RecordingWriter(empty, {"command": "live", "bench": write_bench(steady.bench)})) as writer:
         writer.finish("", acquired=0, facts={})
@@ -440,8 +442,8 @@ def test_a_recording_that_cannot_be_is_refused_when_it_is_opened(
         open_devices(other, lambda _: None)
 
 
-def test_measuring_it_gives_what_it_holds(small_toml: Path, tmp_path: Path) -> None:
-    """Dark and reference to the last bit, the displacements but for the noise of the average, told by its variance."""
+def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path: Path) -> None:
+    """Dark and reference agree exactly, the displacements within the noise of the averages."""
     measure(load_bench(small_toml), 12, tmp_path / "run", ignore)
     again = parse_bench(bench_text(small_toml, tmp_path / "run", pace="fastest"), "bench")
     made = measure(again, 12, tmp_path / "again", ignore)
@@ -465,7 +467,7 @@ def test_measuring_it_gives_what_it_holds(small_toml: Path, tmp_path: Path) -> N
         assert now.line(index).light_current_a == then.line(index).light_current_a
 
 
-def test_measuring_more_than_it_holds_keeps_all_of_it(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
+def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
     bench = parse_bench(bench_text(small_toml, steady.folder), "bench")
     with pytest.raises(RunError, match=f"recording run has ended: its {FRAMES} frames have been shown"):
         measure(bench, FRAMES + 1, tmp_path / "again", ignore)
@@ -476,10 +478,10 @@ def test_measuring_more_than_it_holds_keeps_all_of_it(small_toml: Path, steady: 
     assert (tmp_path / "again" / "results.nc").exists()
 
 
-def test_the_window_opens_on_it(
+def test_window_opens_on_a_recording(
     small_toml: Path, steady: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the command, unseen; what it leaves is the wavefront of one of the frames."""
+    """Offscreen; the result is the wavefront of one of the frames."""
     bench, out = tmp_path / "bench.toml", tmp_path / "out"
     bench.write_text(bench_text(small_toml, steady.folder, repeat=True))
     assert run(monkeypatch, "live", "--bench", bench, "--seconds", "0.5", "--out", out) == 0

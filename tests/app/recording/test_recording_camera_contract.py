@@ -1,4 +1,4 @@
-"""A recording in place of devices keeps the contracts of all devices, also when its disk is pulled out."""
+"""Device contracts for the devices of a recording, also when its disk is removed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIGHT_A = 0.25
 
 
 class YieldingClock(ManualClock):
-    """Jumps, and lets other threads have their turn meanwhile."""
+    """Clock that jumps and yields to other threads."""
 
     def sleep(self, duration_s: float) -> None:
         super().sleep(duration_s)
@@ -60,7 +60,7 @@ class TestRecordedCamera(CameraContract):
 
 
 class Stick:
-    """A copy of a recording on something that can be pulled out; it holds no dark."""
+    """A copy of a recording without a dark, on a removable disk."""
 
     def __init__(self, recording: Path, folder: Path) -> None:
         self.path, self._away = folder / "run", folder / "away"
@@ -79,12 +79,12 @@ class Stick:
         self._away.rename(self.path)
 
     def stall(self) -> None:
-        """Switch off the light, of which nothing was recorded."""
+        """Switch the light off: there is no dark."""
         assert self._camera is not None
         self._camera.see(is_lit=False, is_sample_in=True)
 
     def lose_frames(self, count: int) -> None:
-        """Damage those that come next: one is cut short, the others are missing."""
+        """Damage the next frames: one is cut short, the others are missing."""
         assert self._camera is not None
         first = self._camera.next_frame
         for index in range(first, first + count):
@@ -95,7 +95,7 @@ class Stick:
                 chunk.unlink()
 
     def refuse_next(self) -> None:
-        """Nothing to do: it refuses every setting but the recorded one, at all times."""
+        """Do nothing: only the recorded setting is ever accepted."""
 
 
 class TestRecordedCameraOnAStick(CameraFaultContract):
@@ -108,7 +108,7 @@ class TestRecordedCameraOnAStick(CameraFaultContract):
         return faults.open
 
     def test_refused_exposure_changes_nothing(self, camera: Camera, faults: CameraFaults) -> None:
-        """There is none that is taken one time and refused another."""
+        """No setting is accepted at one time and refused at another."""
         before_s = camera.exposure_s
         for exposure_s in (0.5 * before_s, 2 * before_s):
             faults.refuse_next()

@@ -1,4 +1,4 @@
-"""A recording as a camera, in storms of commands while its folder is damaged, taken away and brought back."""
+"""Random commands to a recorded camera while its folder is damaged, removed and restored."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FRAMES = 6
 
 @functools.cache
 def original() -> Path:
-    """Make one recording for all sequences, which is never touched."""
+    """Make one recording for all sequences; it is never changed."""
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     toml = folder / "small.toml"
@@ -36,7 +36,7 @@ def original() -> Path:
 
 
 class Folder:
-    """A copy of it, in somebody's hands."""
+    """A copy that can be damaged."""
 
     def __init__(self) -> None:
         self._keeper = tempfile.TemporaryDirectory()
@@ -55,7 +55,7 @@ class Folder:
         shutil.copytree(original(), self.path)
 
     def truncate(self, index: int) -> None:
-        """Leave half a frame of one."""
+        """Cut one frame in half."""
         chunk = self.path / f"frames.zarr/0/c/{index}/0/0"
         if chunk.exists():
             chunk.write_bytes(chunk.read_bytes()[:100])
@@ -75,7 +75,7 @@ class RecordedCameraStorm(CameraStorm):
         try:
             recording = Recording(self.device.path)
             return RecordedCamera(recording, range(FRAMES), now=clock.now, sleep=clock.sleep)
-        except InputError as error:  # as the program tells it: there is no camera yet
+        except InputError as error:  # there is no camera yet
             raise Disconnected(str(error)) from error
 
     def now(self) -> float:

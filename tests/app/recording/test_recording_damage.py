@@ -1,4 +1,4 @@
-"""Recordings with something missing or damaged: one sentence names it."""
+"""Messages for missing or damaged parts of a recording."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def calibration(small_bench: SmallBench) -> Calibration:
         (lambda folder: (folder.mkdir(), (folder / "run.json").write_text("[]")), "not the file of"),
     ],
 )
-def test_a_folder_that_is_no_recording_is_told(tmp_path: Path, make: Callable[[Path], object], said: str) -> None:
+def test_folder_without_a_recording_is_reported(tmp_path: Path, make: Callable[[Path], object], said: str) -> None:
     make(tmp_path / "r")
     for use in (Recording, recover):
         with pytest.raises(InputError, match=said):
@@ -61,7 +61,7 @@ def test_a_folder_that_is_no_recording_is_told(tmp_path: Path, make: Callable[[P
         (lambda r: (r / "frames.zarr/0/zarr.json").unlink(), lambda r: r.pixels(0), "pixels of frame 0 are missing"),
     ],
 )
-def test_whatever_is_missing_or_damaged_is_told_by_its_name(
+def test_missing_or_damaged_file_is_named(
     tmp_path: Path,
     calibration: Calibration,
     damage: Callable[[Path], object],
@@ -75,7 +75,7 @@ def test_whatever_is_missing_or_damaged_is_told_by_its_name(
         use(Recording(tmp_path / "r"))
 
 
-def test_lines_in_another_order_are_not_taken_for_right(tmp_path: Path) -> None:
+def test_misplaced_line_is_detected(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(0), make_record(1)])
     path = tmp_path / "r" / "frames.jsonl"
     path.write_text("".join(reversed(path.read_text().splitlines(keepends=True))))

@@ -1,4 +1,4 @@
-"""A recording on a disk that is full, fails or cannot follow: it ends, with all that was acknowledged."""
+"""Recording to a disk that is full, fails or is too slow."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def calibration(small_bench: SmallBench) -> Calibration:
 
 
 @pytest.mark.parametrize("partly", [False, True])
-def test_a_full_disk_ends_the_recording_with_all_that_was_acknowledged(
+def test_full_disk_keeps_all_acknowledged_frames(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch, partly: bool
 ) -> None:
     put = FrameArray.write
@@ -55,14 +55,14 @@ def test_a_full_disk_ends_the_recording_with_all_that_was_acknowledged(
     assert (len(read), read.is_complete, read.ended_early) == (5, True, state.problem)
     np.testing.assert_array_equal(read.pixels(4), records[4].frame.pixels)
     assert read.run["frames"]["acquired"] == 12
-    assert not read.is_whole(5)  # what was begun has made room to finish
+    assert not read.is_whole(5)  # the unfinished frame was removed
 
 
-def test_a_line_that_finds_half_the_room_it_needs_is_taken_back(
+def test_half_written_line_is_removed(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Filling:
-        """A file on a disk that is full after so many bytes."""
+        """A file on a disk with room for so many bytes."""
 
         def __init__(self, file: Any, room: int) -> None:
             self._file, self._room = file, room
@@ -92,7 +92,7 @@ def test_a_line_that_finds_half_the_room_it_needs_is_taken_back(
     assert (tmp_path / "r" / "frames.jsonl").read_text().endswith("}\n")
 
 
-def test_a_disk_that_takes_nothing_at_all_leaves_what_recover_finishes(
+def test_recover_finishes_after_a_disk_without_any_space(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
@@ -115,7 +115,7 @@ def test_a_disk_that_takes_nothing_at_all_leaves_what_recover_finishes(
     assert Recording(tmp_path / "r").is_complete
 
 
-def test_a_disk_that_cannot_follow_ends_the_recording_and_nobody_waits_for_it(
+def test_slow_disk_ends_the_recording_without_blocking(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "_QUEUED_FRAMES", 8)
@@ -133,13 +133,11 @@ def test_a_disk_that_cannot_follow_ends_the_recording_and_nobody_waits_for_it(
     assert state.stage == "finishing"
     assert "cannot follow: 8 frames" in state.problem
     is_free.set()
-    assert wait(recording, {"ended early"}).frames in {8, 9}  # what was in the queue, and perhaps in the writer's hand
+    assert wait(recording, {"ended early"}).frames in {8, 9}  # in the queue, and perhaps one in the writer
     assert Recording(tmp_path / "r").ended_early == state.problem
 
 
-def test_the_queue_is_bounded_in_bytes_too(
-    tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_queue_is_bounded_in_bytes(tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     record = make_record(0, calibration)
     monkeypatch.setattr(recorder, "_QUEUED_BYTES", 2.5 * record.nbytes)
     is_free = threading.Event()
@@ -152,7 +150,7 @@ def test_the_queue_is_bounded_in_bytes_too(
     recording.join()
 
 
-def test_a_sync_that_fails_is_not_swallowed(
+def test_failed_sync_ends_the_recording(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: RecordingWriter) -> None:
@@ -167,8 +165,8 @@ def test_a_sync_that_fails_is_not_swallowed(
     assert "Input/output error" in wait(recording, {"ended early"}).problem
 
 
-def test_a_sync_is_asked_of_the_operating_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else a power cut would take lines that had long been acknowledged."""
+def test_sync_calls_fsync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without fsync, a power failure would lose acknowledged lines."""
     synced: list[int] = []
     monkeypatch.setattr("os.fsync", lambda number: synced.append(os.fstat(number).st_ino))
     with closing(RecordingWriter(tmp_path / "r", FACTS)) as writer:

@@ -1,4 +1,4 @@
-"""What a program that died, or a power cut, leaves of a recording: it is finished, and nothing is thrown away."""
+"""Recovery of recordings after a crash or power failure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def calibration(small_bench: SmallBench) -> Calibration:
     return noisy_calibration(small_bench)
 
 
-def test_recovering_twice_and_a_half_line(tmp_path: Path, calibration: Calibration) -> None:
+def test_recovery_removes_a_half_line_and_can_be_repeated(tmp_path: Path, calibration: Calibration) -> None:
     records = make_chain(calibration, 5)
     write(tmp_path / "r", [replace(records[0], lost=4), *records[1:]], finish=False)
     path = tmp_path / "r" / "frames.jsonl"
@@ -47,7 +47,7 @@ def test_recovering_twice_and_a_half_line(tmp_path: Path, calibration: Calibrati
     assert "recovered" in Recording(tmp_path / "r").ended_early
 
 
-def test_a_recording_that_had_just_begun_is_recovered(tmp_path: Path) -> None:
+def test_recording_without_frames_is_recovered(tmp_path: Path) -> None:
     write(tmp_path / "r", [], finish=False)
     (tmp_path / "r" / "frames.jsonl").unlink()
     assert recover(tmp_path / "r").frames == 0
@@ -55,9 +55,7 @@ def test_a_recording_that_had_just_begun_is_recovered(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frames", [None, 5, [], {}, {"recorded": None}, {"recorded": -3}, {"recorded": True}])
-def test_a_complete_recording_that_does_not_say_how_many_frames_it_has_is_counted(
-    tmp_path: Path, frames: object
-) -> None:
+def test_complete_recording_without_frame_count_is_counted(tmp_path: Path, frames: object) -> None:
     write(tmp_path / "r", [make_record(index) for index in range(3)])
     path = tmp_path / "r" / "run.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "frames": frames}))
@@ -65,7 +63,7 @@ def test_a_complete_recording_that_does_not_say_how_many_frames_it_has_is_counte
     assert (found.frames, list(found.whole), found.damage) == (3, [0, 1, 2], ())
 
 
-def test_a_line_without_its_end_acknowledges_nothing(tmp_path: Path) -> None:
+def test_unterminated_line_does_not_count(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(index) for index in range(3)], finish=False)
     path = tmp_path / "r" / "frames.jsonl"
     whole = path.read_bytes()
@@ -73,13 +71,13 @@ def test_a_line_without_its_end_acknowledges_nothing(tmp_path: Path) -> None:
     assert (recover(tmp_path / "r").frames, path.read_bytes()) == (2, b"".join(whole.splitlines(keepends=True)[:2]))
 
 
-def test_each_gap_counts_also_of_one_frame(tmp_path: Path) -> None:
+def test_each_gap_is_counted(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(index, lost=lost) for index, lost in enumerate((1, 0, 3))])
     found = recover(tmp_path / "r")
     assert (found.lost, found.gaps) == (4, 2)
 
 
-def test_a_complete_recording_needs_only_be_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_complete_recording_may_be_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write(tmp_path / "r", [make_record(0)])
     really_open = Path.open
 
@@ -92,9 +90,7 @@ def test_a_complete_recording_needs_only_be_readable(tmp_path: Path, monkeypatch
     assert recover(tmp_path / "r").frames == 1
 
 
-def test_a_frame_without_pixels_is_told_once_although_its_results_are_missing_too(
-    tmp_path: Path, calibration: Calibration
-) -> None:
+def test_frame_without_pixels_and_results_is_listed_once(tmp_path: Path, calibration: Calibration) -> None:
     write(tmp_path / "r", make_chain(calibration, 4))
     _lose_pixels(tmp_path / "r", 2)
     for found_live in (tmp_path / "r/frames.zarr/results/0").glob("*/c"):
@@ -141,7 +137,7 @@ NO_LINE, NO_PIXELS = "there is no line that can be read", "the pixels are missin
         (_fill_with_brackets, f"frame 3: {NO_LINE}", True),
     ],
 )
-def test_a_damaged_frame_in_the_middle_is_told_and_all_others_stay(
+def test_damaged_frame_in_the_middle_keeps_the_others(
     tmp_path: Path, calibration: Calibration, damage: Callable[[Path], None], said: str, is_changed: bool, finish: bool
 ) -> None:
     records = make_chain(calibration, 6)
@@ -162,7 +158,7 @@ def test_a_damaged_frame_in_the_middle_is_told_and_all_others_stay(
     for index in found.whole:
         np.testing.assert_array_equal(recording.frame(index).pixels, records[index].frame.pixels)
         np.testing.assert_array_equal(recording.displacement(index), records[index].displacement)
-    np.testing.assert_array_equal(recording.start(4), records[3].displacement)  # whatever became of its line
+    np.testing.assert_array_equal(recording.start(4), records[3].displacement)  # although its line was damaged
     again = recover(tmp_path / "r")
     assert (again.damage, again.was_complete, again.put_aside) == (found.damage, True, "")
     assert _everything(tmp_path / "r") == after
@@ -170,9 +166,7 @@ def test_a_damaged_frame_in_the_middle_is_told_and_all_others_stay(
         assert after["run.json"] == before["run.json"]
 
 
-def test_after_a_power_cut_lines_that_outlived_their_frames_are_put_aside(
-    tmp_path: Path, calibration: Calibration
-) -> None:
+def test_lines_without_frames_are_put_aside(tmp_path: Path, calibration: Calibration) -> None:
     write(tmp_path / "r", make_chain(calibration, 8), finish=False)
     _lose_pixels(tmp_path / "r", 2, 5, 7)
     shutil.rmtree(tmp_path / "r/frames.zarr/0/c/6")
@@ -187,7 +181,7 @@ def test_after_a_power_cut_lines_that_outlived_their_frames_are_put_aside(
 
 
 def _block_lost(text: bytes) -> bytes:
-    """A block of the disk is full of zeros: three lines have lost their ends, and with them two their places."""
+    """A disk block is zero: three lines lose their newlines, and two of them their places."""
     ends = [at for at, byte in enumerate(text) if byte == ord("\n")]
     return text[: ends[2] + 9] + b"\0" * (ends[5] - ends[2] - 20) + text[ends[5] - 11 :]
 
@@ -212,7 +206,7 @@ def _said_twice(text: bytes) -> bytes:
         (lambda text: b"".join(reversed(text.splitlines(keepends=True))), set(), ""),
     ],
 )
-def test_lines_are_brought_back_to_where_they_belong(
+def test_misplaced_lines_return_to_their_places(
     tmp_path: Path, calibration: Calibration, spoil: Callable[[bytes], bytes], without: set[int], said: str
 ) -> None:
     records = make_chain(calibration, 10)
@@ -237,13 +231,13 @@ def test_lines_are_brought_back_to_where_they_belong(
             assert recording.line(index) == lines[index]
             np.testing.assert_array_equal(recording.pixels(index), records[index].frame.pixels)
     for text in path.read_text().splitlines():
-        json.loads(text)  # so that any program reads them
+        json.loads(text)  # standard JSON
     before = _everything(tmp_path / "r")
     assert recover(tmp_path / "r") == replace(found, put_aside="")
     assert _everything(tmp_path / "r") == before
 
 
-def test_what_follows_the_lines_of_a_complete_recording_is_left_alone(tmp_path: Path) -> None:
+def test_bytes_after_a_complete_recording_stay(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(index) for index in range(4)])
     path = tmp_path / "r" / "frames.jsonl"
     path.write_bytes(path.read_bytes() + path.read_bytes().splitlines(keepends=True)[0] + b"and half a line")
@@ -253,7 +247,7 @@ def test_what_follows_the_lines_of_a_complete_recording_is_left_alone(tmp_path: 
     assert _everything(tmp_path / "r") == before
 
 
-def test_what_was_put_aside_is_never_written_over(tmp_path: Path) -> None:
+def test_put_aside_lines_are_never_overwritten(tmp_path: Path) -> None:
     write(tmp_path / "r", [make_record(index) for index in range(6)])
     path = tmp_path / "r" / "frames.jsonl"
     spoilt = []
@@ -267,7 +261,7 @@ def test_what_was_put_aside_is_never_written_over(tmp_path: Path) -> None:
     assert list(recover(tmp_path / "r").whole) == [0, 3, 5]
 
 
-def test_results_calibrations_and_biases_that_are_missing_are_told(tmp_path: Path, calibration: Calibration) -> None:
+def test_missing_results_calibrations_and_biases_are_listed(tmp_path: Path, calibration: Calibration) -> None:
     bias = RANDOM.normal(size=(7, 9, 3, 2))
     passed_over = make_record(2, calibration, displacement=None, coefficients=None, problem="passed over")
     records = [*make_chain(calibration, 2), passed_over, make_record(3, calibration, bias=bias, bias_age_s=0.1)]
@@ -288,7 +282,7 @@ def test_results_calibrations_and_biases_that_are_missing_are_told(tmp_path: Pat
     assert _everything(tmp_path / "r") == before
 
 
-def test_what_recover_says_can_be_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recover_suggests_a_usable_selection(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(tmp_path / "r", [make_record(index) for index in range(9)])
     _lose_pixels(tmp_path / "r", 1, 2, 8)
     print_recovered(recover(tmp_path / "r"), Path("r"))
@@ -316,5 +310,5 @@ def test_what_recover_says_can_be_typed(tmp_path: Path, capsys: pytest.CaptureFi
         (range(0, 100, 2), f"frames {', '.join(str(frame) for frame in range(0, 40, 2))} and 30 more"),
     ],
 )
-def test_frames_are_named_as_people_do(frames: Sequence[int], words: str) -> None:
+def test_frame_numbers_are_joined_in_words(frames: Sequence[int], words: str) -> None:
     assert frames_in_words(frames) == words

@@ -1,4 +1,4 @@
-"""Results as others read them: names, dimensions, units, and the numbers themselves."""
+"""Names, dimensions, units and values of result files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def dataset(small_bench: SmallBench) -> xr.Dataset:
     return result_dataset(small_bench.reconstructor()(frame))
 
 
-def test_the_contract_of_names_dimensions_and_units(dataset: xr.Dataset, tmp_path: Path) -> None:
+def test_names_dimensions_and_units_of_results(dataset: xr.Dataset, tmp_path: Path) -> None:
     write_results(tmp_path / "r.nc", dataset, bench=BENCH, inputs={"frame": "f.tif", "reference": "r.tif"})
     with xr.open_dataset(tmp_path / "r.nc") as read:
         read.load()
@@ -74,7 +74,7 @@ def test_the_contract_of_names_dimensions_and_units(dataset: xr.Dataset, tmp_pat
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_lost_lenslet_is_marked_and_holds_no_number(dataset: xr.Dataset) -> None:
+def test_lost_lenslet_is_invalid_and_nan(dataset: xr.Dataset) -> None:
     valid = dataset["valid"].to_numpy()
     assert not valid[2, 5]
     assert np.count_nonzero(~valid) == 1
@@ -82,7 +82,7 @@ def test_a_lost_lenslet_is_marked_and_holds_no_number(dataset: xr.Dataset) -> No
     assert np.isnan(dataset["residual_rms"].to_numpy()[2, 5])
 
 
-def test_frames_are_stacked_along_a_new_first_dimension(dataset: xr.Dataset) -> None:
+def test_frames_stack_along_a_first_dimension(dataset: xr.Dataset) -> None:
     stacked = stack_frames([dataset, dataset * 2], [4, 7], [0.1, 0.2], [np.nan, 0.5])
     assert stacked["wavefront"].dims[0] == "frame"
     np.testing.assert_array_equal(stacked["frame_index"], [4, 7])
@@ -90,7 +90,7 @@ def test_frames_are_stacked_along_a_new_first_dimension(dataset: xr.Dataset) -> 
     assert stacked["view_x"].dims == ("view_column",)
 
 
-def test_pieces_make_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: Path) -> None:
+def test_pieces_write_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: Path) -> None:
     frames = [
         dataset.assign(rms=dataset["rms"] * factor, valid=dataset["valid"] ^ bool(factor % 2)) for factor in range(5)
     ]
@@ -105,7 +105,7 @@ def test_pieces_make_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: P
         xr.testing.assert_identical(other["valid"].drop_attrs(), whole["valid"].drop_attrs())
 
 
-def test_pieces_of_another_shape_are_refused_and_leave_nothing(dataset: xr.Dataset, tmp_path: Path) -> None:
+def test_pieces_of_another_shape_leave_no_file(dataset: xr.Dataset, tmp_path: Path) -> None:
     whole = stack_frames([dataset], [0], [0.0], [0.0])
     fewer = whole.isel(pupil_mode=slice(0, 10))
     with pytest.raises(InputError, match="the settings changed"):
@@ -113,7 +113,7 @@ def test_pieces_of_another_shape_are_refused_and_leave_nothing(dataset: xr.Datas
     assert not list(tmp_path.iterdir())
 
 
-def test_a_flat_wavefront_is_as_good_as_light_allows(small_bench: SmallBench) -> None:
+def test_flat_wavefront_is_diffraction_limited(small_bench: SmallBench) -> None:
     flat = result_dataset(small_bench.reconstructor()(small_bench.reference), with_psf=True)
     np.testing.assert_allclose(flat["strehl"], 1, atol=1e-4)
     np.testing.assert_allclose(flat["mtf_x"], flat["mtf_limit_x"], atol=1e-3)

@@ -1,4 +1,4 @@
-"""Exports read back by other programs' libraries, against the recording."""
+"""Exported files, read back and compared with the recording."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def names_of(table: NDArray[np.void]) -> tuple[str, ...]:
     return table.dtype.names
 
 
-def test_tiff_is_a_film_for_imagej(recording: Recording, tmp_path: Path) -> None:
+def test_tiff_is_an_imagej_film(recording: Recording, tmp_path: Path) -> None:
     with tifffile.TiffFile(exported(recording, "tiff", tmp_path / "run.tif")) as file:
         assert file.is_bigtiff
         assert file.is_imagej
@@ -80,15 +80,15 @@ def test_tiff_is_a_film_for_imagej(recording: Recording, tmp_path: Path) -> None
     assert parse_bench(metadata["Info"], "Info").lattice == recording.calibration(0).lattice
 
 
-def test_some_frames_and_a_single_one(recording: Recording, tmp_path: Path) -> None:
+def test_selected_frames_are_exported(recording: Recording, tmp_path: Path) -> None:
     some = tifffile.imread(exported(recording, "tiff", tmp_path / "some.tif", frames="2:5"))
     np.testing.assert_array_equal(some, [recording.pixels(index) for index in (2, 3, 4)])
     one = tifffile.imread(exported(recording, "tiff", tmp_path / "one.tif", frames="-1:"))
     np.testing.assert_array_equal(one, recording.pixels(8))
 
 
-def test_a_stack_is_written_image_by_image(tmp_path: Path) -> None:
-    """However many there are, few are in memory."""
+def test_stack_holds_one_image_in_memory(tmp_path: Path) -> None:
+    """Memory does not grow with the number of images."""
     alive: list[weakref.ref[NDArray[Any]]] = []
     most = 0
 
@@ -104,11 +104,11 @@ def test_a_stack_is_written_image_by_image(tmp_path: Path) -> None:
     write_stack(tmp_path / "s.tif", images(), labels=labels, information="", pixel_um=16.0)
     assert most <= 3
     with tifffile.TiffFile(tmp_path / "s.tif") as file:
-        assert file.series[0].axes == "ZYX"  # without an interval it is no film
+        assert file.series[0].axes == "ZYX"  # no film without an interval
         np.testing.assert_array_equal(file.asarray()[:, 3, 4], range(50))
 
 
-def test_csv_is_what_was_recorded_to_the_last_bit(recording: Recording, tmp_path: Path) -> None:
+def test_csv_equals_the_recorded_results_bit_for_bit(recording: Recording, tmp_path: Path) -> None:
     table = read_table(exported(recording, "csv", tmp_path / "run.csv"))
     expected = recording.calibration(0).reconstructor()
     assert len(table) == 9
@@ -129,13 +129,13 @@ def test_csv_is_what_was_recorded_to_the_last_bit(recording: Recording, tmp_path
     assert not any(np.isnan(table[name]).any() for name in names_of(table))
 
 
-def test_csv_of_the_zonal_method_has_no_coefficients(zonal: Recording, tmp_path: Path) -> None:
+def test_csv_of_zonal_method_has_no_coefficients(zonal: Recording, tmp_path: Path) -> None:
     table = read_table(exported(zonal, "csv", tmp_path / "run.csv"))
     assert list(names_of(table))[6:] == [f"rms_{row}_{column}_rad" for row in range(3) for column in range(3)]
     assert table["rms_0_0_rad"].mean() > 0.1
 
 
-def test_a_frame_without_a_wavefront_has_no_numbers_but_a_row(tmp_path: Path, small_toml: Path) -> None:
+def test_frame_without_wavefront_is_a_row_of_nan(tmp_path: Path, small_toml: Path) -> None:
     folder = tmp_path / "run"
     dark = record(small_toml, folder, frames=4)
     too_dark = np.full_like(dark.pixels(0), 500)
@@ -156,7 +156,9 @@ def test_a_frame_without_a_wavefront_has_no_numbers_but_a_row(tmp_path: Path, sm
     assert not (tmp_path / "nothing").exists()
 
 
-def test_netcdf_is_what_was_recorded(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_netcdf_equals_the_recorded_results(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(dataset, "_PIECE", 2)
     with xr.open_dataset(exported(recording, "netcdf", tmp_path / "run.nc", frames=":5")) as results:
         for index in range(5):
@@ -166,8 +168,8 @@ def test_netcdf_is_what_was_recorded(recording: Recording, tmp_path: Path, monke
         assert results.attrs["recording"] == "run"
 
 
-def test_the_psf_of_a_flat_pupil_is_known_in_closed_form() -> None:
-    """A rectangle's is sinc^2 along x times sinc^2 along y, and so is the part of the light within a square."""
+def test_psf_of_a_flat_pupil_equals_closed_form() -> None:
+    """Closed form for a rectangle: sinc^2 along x times sinc^2 along y, also for the light within a square."""
     flat = np.zeros((1, 1, 7, 9))
     unit_rad = diffraction_rad(SENSOR)  # wavelength over the wider side
     grid = psf_grid([flat, flat], SENSOR, 6 * unit_rad)
@@ -180,8 +182,8 @@ def test_the_psf_of_a_flat_pupil_is_known_in_closed_form() -> None:
     assert grid.light[0, 0] == pytest.approx(light, rel=3e-3)
 
 
-def test_a_long_exposure_is_the_mean_of_the_frames_psf() -> None:
-    """Two frames tilted to opposite sides make two spots, of equal light, where geometry says."""
+def test_psf_is_the_mean_over_frames() -> None:
+    """Two frames with opposite tilt give two equal spots at the angles of the tilt."""
     angle_rad = 4 * diffraction_rad(SENSOR)
     tilt = SENSOR.wavenumber_rad_per_m * angle_rad * SENSOR.pupil_x_m * np.ones((1, 1, 7, 1))
     grid = psf_grid([tilt, -tilt], SENSOR, psf_reach([tilt, np.full_like(tilt, np.nan)], SENSOR))
@@ -193,7 +195,7 @@ def test_a_long_exposure_is_the_mean_of_the_frames_psf() -> None:
     assert row[middle] < 0.02 * row[peak]
 
 
-def test_a_view_of_which_nothing_is_known_is_left_out(tmp_path: Path) -> None:
+def test_unknown_view_is_left_out(tmp_path: Path) -> None:
     views = np.zeros((3, 3, 7, 9))
     views[0, 2] = np.nan
     grid = psf_grid([views], SENSOR, 5 * diffraction_rad(SENSOR))
@@ -206,7 +208,7 @@ def test_a_view_of_which_nothing_is_known_is_left_out(tmp_path: Path) -> None:
     assert not np.isnan(tifffile.imread(tmp_path / "psf.tif")).any()
 
 
-def test_the_psf_grid_of_a_recording(recording: Recording, tmp_path: Path) -> None:
+def test_psf_grid_of_a_recording(recording: Recording, tmp_path: Path) -> None:
     bench = recording.bench
     with tifffile.TiffFile(exported(recording, "psf", tmp_path / "psf.tif")) as file:
         assert file.imagej_metadata is not None
@@ -222,7 +224,7 @@ def test_the_psf_grid_of_a_recording(recording: Recording, tmp_path: Path) -> No
     assert all(0.8 < place["light"] < 1.01 for place in information["views"])
     assert information["pixel_m"] == pytest.approx(information["pixel_rad"] * 0.2)  # the collimator's focal length
     assert resolution[1] / resolution[0] == pytest.approx(information["pixel_m"] * 1e6, rel=1e-3)
-    # Its middle of light lies where the mean slope of the view sends it, tilt included.
+    # The centre of light is displaced by the mean slope of the view.
     reconstructor = recording.calibration(0).reconstructor()
     slopes = np.mean([_mean_slope_x(reconstructor(recording.pixels(i)).views[0, 1]) for i in range(9)])
     angle_rad = (np.arange(stack.shape[2]) - stack.shape[2] // 2) * information["pixel_rad"]
@@ -236,7 +238,7 @@ def _mean_slope_x(view: Floats) -> float:
     return float(np.nanmean(np.diff(view, axis=1)) / 500e-6)
 
 
-def test_what_is_there_is_not_replaced_unasked(
+def test_existing_file_is_replaced_only_on_request(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run.csv"
@@ -250,7 +252,7 @@ def test_what_is_there_is_not_replaced_unasked(
 
 
 @pytest.mark.parametrize("to", ["tiff", "csv", "netcdf", "psf"])
-def test_ctrl_c_leaves_nothing(recording: Recording, tmp_path: Path, to: Format) -> None:
+def test_interrupted_export_leaves_no_file(recording: Recording, tmp_path: Path, to: Format) -> None:
     def interrupt(_text: str, fraction: float) -> None:
         if fraction > 0.5:
             raise Interrupted("interrupted")
@@ -261,7 +263,7 @@ def test_ctrl_c_leaves_nothing(recording: Recording, tmp_path: Path, to: Format)
 
 
 @pytest.mark.parametrize("to", ["tiff", "csv", "netcdf", "psf"])
-def test_a_damaged_frame_ends_it_with_nothing_written(
+def test_damaged_frame_leaves_no_file(
     tmp_path: Path, recording: Recording, to: Format, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
@@ -279,7 +281,7 @@ def _damaged(index: int) -> NDArray[Any]:
     raise InputError(f"frame {index} is damaged")
 
 
-def test_a_format_that_is_not_known_is_refused(
+def test_unknown_format_is_refused(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "export", recording.folder, "--to", "xls", "--out", tmp_path / "x") == 2

@@ -1,4 +1,4 @@
-"""A recording played into the live view: each frame by the calibration that it had."""
+"""Replay of a recording in the live view."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Rec
 
 @pytest.fixture(scope="module")
 def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """The same frames, the second half with fewer pupil modes."""
+    """A recording whose second half has fewer pupil modes."""
     folder = tmp_path_factory.mktemp("recording") / "changing"
     kept = recording.calibration(0)
     fewer = replace(kept, bench=replace(kept.bench, reconstruction=ReconstructionSettings(pupil_modes=6)))
@@ -54,10 +54,10 @@ def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.mark.parametrize("behind_s", [0.0, 0.5])
-def test_each_frame_is_shown_by_its_own_calibration(
+def test_each_frame_uses_its_own_calibration(
     changing: Recording, monkeypatch: pytest.MonkeyPatch, behind_s: float
 ) -> None:
-    """Also when they come round again, and when the computer is behind; nothing is taken anew."""
+    """Also after a repeat, and on a slow computer; no dark or reference is taken."""
     measure = Instrument.measure
 
     def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
@@ -93,17 +93,17 @@ def test_each_frame_is_shown_by_its_own_calibration(
         assert measurement.calibration is not None
         modes = measurement.calibration.bench.reconstruction.pupil_modes
         assert modes == changing.calibration(0 if index < FRAMES // 2 else 1).bench.reconstruction.pupil_modes
-        if measurement.wavefront is not None:  # else it was passed over
+        if measurement.wavefront is not None:  # otherwise skipped
             expected = changing.calibration(0 if index < FRAMES // 2 else 1).reconstructor()(changing.pixels(index))
             np.testing.assert_allclose(rms(measurement.wavefront.views), rms(expected.views), rtol=1e-3)
 
 
-def test_other_settings_show_something_else(changing: Recording) -> None:
+def test_changed_settings_change_the_wavefronts(changing: Recording) -> None:
     player = Player(changing.folder, settings=("reconstruction.method=zonal",), frames="1:3")
     assert player.bench.reconstruction.method == "zonal"
 
 
-def test_frames_without_a_calibration_cannot_be_played(changing: Recording, tmp_path: Path) -> None:
+def test_frames_without_calibration_are_refused(changing: Recording, tmp_path: Path) -> None:
     frame = changing.frame(0)
     writer = RecordingWriter(tmp_path / "run", {"command": "live", "bench": write_bench(changing.bench)})
     writer.write(Record.of(Measurement(frame, None, "no reference yet", Counts(), 0, 0), 0))
@@ -113,8 +113,8 @@ def test_frames_without_a_calibration_cannot_be_played(changing: Recording, tmp_
         Player(tmp_path / "run")
 
 
-def test_the_window_shows_it(changing: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the command, unseen; what it leaves is the wavefront of one of the frames."""
+def test_window_shows_a_replay(changing: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Offscreen; the result is the wavefront of one of the frames."""
     out = tmp_path / "out"
     arguments = ("--replay", changing.folder, "--frames", "0:2", "--seconds", "0.5", "--out", out)
     assert run(monkeypatch, "live", *arguments) == 0
@@ -124,8 +124,6 @@ def test_the_window_shows_it(changing: Recording, tmp_path: Path, monkeypatch: p
         assert any(np.allclose(shown["rms"], each, rtol=1e-3) for each in expected)
 
 
-def test_frames_of_no_recording_are_a_mistake(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_frames_option_needs_a_recording(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(monkeypatch, "live", "--frames", "0:2") == 2
     assert "add --replay RECORDING" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""A recording goes through the pipeline again: bit by bit the same, or compared with what another bench makes of it."""
+"""Replay of a recording: bit-identical, or compared with another bench."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
 
 
 @pytest.mark.parametrize("frames", [":", "4:"])
-def test_every_frame_is_made_again_to_the_last_bit(recording: Recording, tmp_path: Path, frames: str) -> None:
-    """Also in the middle, where the start of the first is only known from the recording."""
+def test_replay_is_bit_identical(recording: Recording, tmp_path: Path, frames: str) -> None:
+    """Also from the middle, where the starting point comes from the recording."""
     is_refined = recording.folder.name == "refined"
     assert (recording.line(5).bias is not None) == is_refined
     made = replayed(recording.folder, verify=True, frames=frames, out=tmp_path / "r.nc")
@@ -76,7 +76,7 @@ def test_every_frame_is_made_again_to_the_last_bit(recording: Recording, tmp_pat
         assert again.attrs["recording"] == recording.folder.name
 
 
-def test_the_command_says_so(
+def test_command_reports_the_verification(
     plain: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "replay", plain.folder, "--verify") == 0
@@ -84,17 +84,17 @@ def test_the_command_says_so(
 
 
 @pytest.mark.parametrize("threads", [1, 5])
-def test_how_many_threads_share_the_work_does_not_matter(recording: Recording, threads: int) -> None:
+def test_replay_is_independent_of_threads(recording: Recording, threads: int) -> None:
     compared = replayed(recording.folder, f"registration.threads={threads}").comparison
     assert compared is not None
     assert compared.frames == FRAMES
     assert not compared.difference_rms_rad.any()
 
 
-def test_a_changed_pixel_is_found(
+def test_changed_pixel_is_detected(
     mine: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One bit of one pixel; the frames after it begin where they began then, and are the same."""
+    """One bit of one pixel changes one frame; later ones keep their recorded starting points."""
     lattice = mine.calibration(0).lattice
     pixels = mine.pixels(3).copy()
     pixels[round(lattice.center_y_px), round(lattice.center_x_px)] ^= 1
@@ -103,11 +103,11 @@ def test_a_changed_pixel_is_found(
     said = capsys.readouterr().err
     assert re.search(r"1 of 8 frames differ from what was recorded; frame 3: displacements by up to \S+ px", said)
     assert re.search(r"coefficients by up to \S+ rad \(both by svwfs", said)
-    assert run(monkeypatch, "replay", mine.folder) == 0  # without --verify it is only told
+    assert run(monkeypatch, "replay", mine.folder) == 0  # without --verify it is only reported
     assert "1 of 8 frames differ" in capsys.readouterr().out
 
 
-def test_another_software_is_named(mine: Recording) -> None:
+def test_other_software_version_is_named(mine: Recording) -> None:
     path = mine.folder / "run.json"
     fields = json.loads(path.read_text())
     fields["versions"]["svwfs"] = "0.0.7"
@@ -128,15 +128,15 @@ DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
 
 
 @pytest.mark.parametrize("name", DAMAGES)
-def test_what_differs_is_said(mine: Recording, name: str) -> None:
+def test_kind_of_difference_is_named(mine: Recording, name: str) -> None:
     damage, sentence = DAMAGES[name]
     damage(mine)
     with pytest.raises(RunError, match=f"1 of 8 frames differ .*{re.escape(sentence)}"):
         replayed(mine.folder, verify=True)
 
 
-def test_another_method_is_compared(recording: Recording, tmp_path: Path) -> None:
-    """Against reconstructors that are made here; the registration being the same, so are start and bias."""
+def test_other_method_is_compared(recording: Recording, tmp_path: Path) -> None:
+    """Against separate reconstructors; with the same registration, starting points and biases stay."""
     made = replayed(recording.folder, "reconstruction.method=zonal", out=tmp_path / "r.nc")
     kept = recording.calibration(0)
     settings: dict[str, Any] = {
@@ -177,7 +177,7 @@ def test_another_method_is_compared(recording: Recording, tmp_path: Path) -> Non
         assert 'method = "zonal"' in written.attrs["bench"]
 
 
-def test_another_registration_leaves_the_refinement_out_and_says_so(
+def test_other_registration_drops_the_refinement_with_notice(
     recording: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "replay", recording.folder, "--set", "registration.warp=affine") == 0
@@ -205,12 +205,12 @@ def test_other_views_or_lenslets_are_not_compared(
         assert (written.sizes["view_row"], written.sizes["lenslet_row"]) == rows
 
 
-DARK, PASSED, UNCALIBRATED, CHANGED = 3, 2, 0, 6  # frames of the recording below to which something happens
+DARK, PASSED, UNCALIBRATED, CHANGED = 3, 2, 0, 6  # special frames of the recording below
 
 
 @pytest.fixture(scope="module")
 def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Eight frames: before the reference, passed over, too dark; and from the seventh on with other settings."""
+    """Eight frames: one without calibration, one skipped, one too dark, and new settings from the seventh on."""
     folder = tmp_path_factory.mktemp("recording") / "eventful"
     kept = plain.calibration(0)
     fewer = replace(kept.bench, reconstruction=ReconstructionSettings(pupil_modes=10))
@@ -243,15 +243,15 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
     return Recording(folder)
 
 
-def test_whatever_happened_meanwhile_happens_again(eventful: Recording) -> None:
+def test_calibration_changes_are_replayed(eventful: Recording) -> None:
     assert "is the light on?" in eventful.line(DARK).problem
     made = replayed(eventful.folder, verify=True)
     assert made.verification is not None
-    assert (made.verification.frames, made.verification.different) == (6, 0)  # of the others nothing is recorded
+    assert (made.verification.frames, made.verification.different) == (6, 0)  # the others have no recorded results
     assert (made.frames, made.reconstructed, made.problem) == (8, 6, "no reference yet")
 
 
-def test_it_begins_where_it_began_though_the_first_frames_were_passed_over(small_toml: Path, tmp_path: Path) -> None:
+def test_replay_starts_as_recorded_after_skipped_frames(small_toml: Path, tmp_path: Path) -> None:
     recording = record(small_toml, tmp_path / "run", frames=4, before=1, passed_over=[0, 1])
     assert [recording.start(index) is None for index in range(4)] == [True, True, False, False]
     made = replayed(recording.folder, verify=True)
@@ -260,12 +260,12 @@ def test_it_begins_where_it_began_though_the_first_frames_were_passed_over(small
 
 
 @pytest.mark.parametrize("frame", [UNCALIBRATED, PASSED])
-def test_nothing_to_compare_is_no_proof(eventful: Recording, frame: int) -> None:
+def test_verification_without_results_fails(eventful: Recording, frame: int) -> None:
     with pytest.raises(RunError, match="there is nothing to compare"):
         replayed(eventful.folder, verify=True, frames=f"{frame}:{frame + 1}")
 
 
-def test_a_frame_that_was_passed_over_is_reconstructed_now(eventful: Recording, tmp_path: Path) -> None:
+def test_skipped_frame_is_reconstructed(eventful: Recording, tmp_path: Path) -> None:
     replayed(eventful.folder, frames=f":{CHANGED}", out=tmp_path / "r.nc")
     kept = eventful.calibration(0).reconstructor()(eventful.pixels(PASSED))
     with xr.open_dataset(tmp_path / "r.nc") as written:
@@ -273,8 +273,8 @@ def test_a_frame_that_was_passed_over_is_reconstructed_now(eventful: Recording, 
         np.testing.assert_allclose(written["rms"][1], rms(kept.views), rtol=1e-3)
 
 
-@pytest.mark.parametrize("at_once", [32, 4])  # in one piece, or the first is written already
-def test_settings_that_changed_cannot_go_into_one_file(
+@pytest.mark.parametrize("at_once", [32, 4])  # in one piece, or after the first is written
+def test_changed_settings_do_not_fit_one_file(
     eventful: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
     monkeypatch.setattr(dataset, "_PIECE", at_once)
@@ -286,7 +286,7 @@ def test_settings_that_changed_cannot_go_into_one_file(
         assert written.sizes["pupil_mode"] == 10
 
 
-def test_pieces_are_as_good_as_the_whole(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_equal_the_whole(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     replayed(plain.folder, out=tmp_path / "one.nc", frames=":5")
     monkeypatch.setattr(dataset, "_PIECE", 2)
     replayed(plain.folder, out=tmp_path / "two.nc", frames=":5")
@@ -294,7 +294,7 @@ def test_pieces_are_as_good_as_the_whole(plain: Recording, tmp_path: Path, monke
         xr.testing.assert_identical(one, two)
 
 
-def test_ctrl_c_leaves_nothing_half_written(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_replay_leaves_no_file(plain: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dataset, "_PIECE", 2)
 
     def interrupt(_text: str, fraction: float) -> None:
@@ -318,7 +318,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], str]] = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_one_line(
+def test_mistake_is_one_line(
     plain: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     arguments, sentence = MISTAKES[name]
@@ -357,7 +357,7 @@ FAULTS: dict[str, tuple[Callable[[Recording], object], str]] = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_damaged_recording_is_one_line(
+def test_damaged_recording_is_one_line(
     mine: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     damage, sentence = FAULTS[name]

@@ -1,4 +1,4 @@
-"""The report of a recording says what the recording holds, legibly, whatever has become of it."""
+"""Report of a recording: numbers, pages and legibility."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ FRAMES = 5
 
 @pytest.fixture(scope="module")
 def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Five frames, of which the third has its left part in the dark."""
+    """Five frames; the left part of the third is dark."""
     made = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
     pixels = made.pixels(2).copy()
     pixels[:, :80] = 480
@@ -67,7 +67,7 @@ def reported(folder: Path, out: Path, **options: Any) -> tuple[Summary, object]:
 
 
 def drawn(page: Page) -> Figure:
-    """A page as it is when it has been laid out."""
+    """A page after its layout."""
     figure = one_page(page)
     figure.savefig(io.BytesIO())
     return figure
@@ -80,7 +80,7 @@ def certainty(summary: Summary) -> Figure:
 
 
 def texts(figure: FigureBase) -> Iterator[Text]:
-    """All text that is to be seen."""
+    """All visible text."""
     for text in figure.findobj(Text):
         if isinstance(text, Text) and text.get_visible() and text.get_text().strip():
             yield text
@@ -96,13 +96,13 @@ def axis_titled(figure: Figure, start: str) -> Axes:
 
 
 def maps_of(figure: Figure) -> Floats:
-    """The maps of 5 x 7 lenslets, as they follow one another."""
+    """The maps of 5 x 7 lenslets, in order."""
     images = [image.get_array() for axis in figure.findobj(Axes) if isinstance(axis, Axes) for image in axis.images]
     return np.stack([np.ma.filled(image, np.nan) for image in images if image is not None and image.shape == (5, 7)])
 
 
 def assert_legible(figure: Figure) -> None:
-    """No text lies over another or leaves the page."""
+    """Check that no text overlaps another or leaves the page."""
     hidden = beyond_limits(figure)
     boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure) if text not in hidden]
     for name, box in boxes:
@@ -115,7 +115,7 @@ def assert_legible(figure: Figure) -> None:
 
 
 def beyond_limits(figure: Figure) -> list[Text]:
-    """Tick labels that exist, but are not drawn, as they lie beyond the limits of their axis."""
+    """Tick labels that are not drawn because they lie beyond the limits of their axis."""
     labels = [
         (label, label.get_position()[at], limits)
         for axis in figure.findobj(Axes)
@@ -129,7 +129,7 @@ def beyond_limits(figure: Figure) -> list[Text]:
     return [label for label, position, (low, high) in labels if not low <= position <= high]
 
 
-def test_the_sums_are_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
+def test_statistics_equal_those_of_the_results(recording: Recording, summary: Summary, tmp_path: Path) -> None:
     export(recording.folder, "netcdf", tmp_path / "r.nc", frames=None, overwrite=False, progress=lambda *_: None)
     found = summary.statistics
     assert found is not None
@@ -146,14 +146,14 @@ def test_the_sums_are_those_of_the_results(recording: Recording, summary: Summar
     np.testing.assert_allclose(found.rms_rad[[0, 1, 3, 4]], np.array(live, float))
 
 
-def test_the_bar_covers_the_scatter_of_the_rms(small_toml: Path, tmp_path: Path) -> None:
-    """It is an upper bound: the RMS scatters by no more (Cauchy and Schwarz), here of 30 frames of one sample."""
+def test_error_bar_covers_the_scatter_of_the_rms(small_toml: Path, tmp_path: Path) -> None:
+    """The bar is an upper bound for the scatter of the RMS (Cauchy-Schwarz), here over 30 frames of one sample."""
     found = summarise(record(small_toml, tmp_path / "run", frames=30), None, lambda *_: None).statistics
     assert found is not None
     assert 0 < found.rms_rad.std() < found.rms_sigma_rad.mean() < 0.05 * found.rms_rad.mean()
 
 
-def test_the_facts_are_those_of_the_recording(mine: Recording) -> None:
+def test_facts_are_those_of_the_recording(mine: Recording) -> None:
     edit_line(mine, 1, lost=3)
     edit_line(mine, 4, exposure_s=0.04, light_current_a=0.5)
     edit_line(mine, 0, light_current_a=0.25)
@@ -181,7 +181,7 @@ def test_the_facts_are_those_of_the_recording(mine: Recording) -> None:
     assert found["software"].startswith("svwfs ")
 
 
-def test_the_first_page_shows_the_mean_of_every_view(summary: Summary) -> None:
+def test_first_page_shows_mean_wavefronts(summary: Summary) -> None:
     figure = drawn(lambda onto: draw_overview(onto, summary))
     assert summary.statistics is not None
     np.testing.assert_array_equal(maps_of(figure), summary.statistics.mean.reshape(9, 5, 7))
@@ -191,7 +191,7 @@ def test_the_first_page_shows_the_mean_of_every_view(summary: Summary) -> None:
     assert limits == {(-np.abs(summary.statistics.mean).max(), np.abs(summary.statistics.mean).max())}
 
 
-def test_the_second_page_shows_error_bars_and_what_was_lost(summary: Summary, mine: Recording) -> None:
+def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: Recording) -> None:
     assert summary.statistics is not None
     figure = certainty(summary)
     trend = axis_titled(figure, "RMS of the wavefront")
@@ -206,7 +206,7 @@ def test_the_second_page_shows_error_bars_and_what_was_lost(summary: Summary, mi
     edit_line(mine, 3, problem="passed over", rms_rad=None)
     other = summarise(Recording(mine.folder), None, lambda *_: None)
     assert other.statistics is not None
-    assert len(other.statistics.frames) == FRAMES  # it was only passed over
+    assert len(other.statistics.frames) == FRAMES  # skipped only live
     words = said(certainty(other))
     assert "frames lost" in words
     assert "no live wavefront" in words
@@ -221,7 +221,7 @@ def test_the_second_page_shows_error_bars_and_what_was_lost(summary: Summary, mi
         ("reconstruction.method=zonal", "field.view_rows=2", "field.view_columns=5", "field.view_spacing_m=0.2e-3"),
     ],
 )
-def test_every_page_is_legible(recording: Recording, settings: tuple[str, ...]) -> None:
+def test_text_on_every_page_is_legible(recording: Recording, settings: tuple[str, ...]) -> None:
     change = change_of(None, settings)
     summary = summarise(recording, ":2", lambda *_: None, change=change)
     problems = summary.problems.copy()
@@ -234,7 +234,7 @@ def test_every_page_is_legible(recording: Recording, settings: tuple[str, ...]) 
     assert_legible(drawn(lambda onto: draw_comparison(onto, residual)))
 
 
-def test_of_many_frames_some_are_made_again(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_frames_are_sampled(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.results.report.summary._SAMPLED_FRAMES", 2)
     summary = summarise(recording, None, lambda *_: None)
     assert summary.statistics is not None
@@ -242,7 +242,7 @@ def test_of_many_frames_some_are_made_again(recording: Recording, monkeypatch: p
     assert (len(summary.lines), summary.sampled_frames) == (FRAMES, "2 of 5 frames")
 
 
-def test_nothing_reconstructed_is_said(mine: Recording, tmp_path: Path) -> None:
+def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path) -> None:
     for index in range(FRAMES):
         replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
     summary, _ = reported(mine.folder, tmp_path / "r.pdf")
@@ -257,7 +257,7 @@ def test_nothing_reconstructed_is_said(mine: Recording, tmp_path: Path) -> None:
     assert not (tmp_path / "s.pdf").exists()
 
 
-def test_unfinished_without_calibration_and_of_one_frame(mine: Recording, tmp_path: Path) -> None:
+def test_report_of_unfinished_or_single_frame_recordings(mine: Recording, tmp_path: Path) -> None:
     path = mine.folder / "run.json"
     whole = json.loads(path.read_text())
     short = {key: whole[key] for key in ("format", "bench", "complete")} | {"complete": False}
@@ -273,12 +273,12 @@ def test_unfinished_without_calibration_and_of_one_frame(mine: Recording, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["r.html", "r", "r.txt"])
-def test_other_formats_are_refused_before_any_work(tmp_path: Path, name: str) -> None:
+def test_other_formats_are_refused_at_once(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"ends in \.pdf or \.png"):
         reported(tmp_path / "nowhere", tmp_path / name)
 
 
-def test_what_is_no_recording_is_refused(mine: Recording, tmp_path: Path) -> None:
+def test_folder_that_is_no_recording_is_refused(mine: Recording, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no recording"):
         reported(tmp_path, tmp_path / "r.pdf")
     (mine.folder / "frames.jsonl").write_text("")
@@ -287,7 +287,7 @@ def test_what_is_no_recording_is_refused(mine: Recording, tmp_path: Path) -> Non
     assert not (tmp_path / "r.pdf").exists()
 
 
-def test_a_report_appears_whole_and_replaces_nothing_unasked(
+def test_report_is_written_atomically_and_replaces_only_on_request(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "new" / "r.PDF"
@@ -308,7 +308,7 @@ def test_a_report_appears_whole_and_replaces_nothing_unasked(
     assert [path.name for path in out.parent.iterdir()] == ["r.PDF"]
 
 
-def test_what_is_left_is_the_difference(summary: Summary, mine: Recording) -> None:
+def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
     """A plane of slope s on 7 x 5 lenslets has the RMS s sqrt((7^2 - 1) / 12); piston does not count."""
     assert summary.statistics is not None
     plane = 0.3 * np.arange(7.0) + 5.0
@@ -332,7 +332,7 @@ def test_what_is_left_is_the_difference(summary: Summary, mine: Recording) -> No
         residual_of(summary, unknown)
 
 
-def test_the_command_compares_with_another_method(
+def test_command_compares_with_another_method(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, tmp_path: Path
 ) -> None:
     words = ("--beside", recording.folder, "--set", "registration.method=correlation", "--frames", ":2")
