@@ -99,9 +99,10 @@ class DcamCamera(Camera):
                     self._values.set(identifier, value)
 
     def _close(self) -> None:
-        if self._capture is not None:
-            self._capture.abort()
-        with self._lock:  # after a reader in another thread
+        capture = self._capture  # a reader in another thread may end it meanwhile
+        if capture is not None:
+            capture.abort()
+        with self._lock:  # after that reader
             self._try(self._stop)
             self._try(self._release_ring)
             self._undo.close()
