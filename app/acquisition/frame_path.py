@@ -64,7 +64,7 @@ class FramePath:
                     newer = camera.read(0.0)
                 except (DeviceTimeout, FrameLost):  # only of the camera: a light may time out in `_must_stop_waiting`
                     break
-                self._publish(self._measurement(frame, instrument.pass_over(frame), light))
+                self._publish(self._measurement(frame, instrument.skip(frame), light))
                 frame = newer
                 self._count(frame)
         return frame

@@ -12,7 +12,7 @@ from typing import Literal
 from app.bench.config import Bench, with_known
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.live_refinement import LiveRefinement, RefinementState
-from app.measurement.measurement import PASSED_OVER
+from app.measurement.measurement import SKIPPED
 from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
 from app.measurement.routines.averages import Average, take_dark, take_reference
 from app.measurement.routines.background import BackgroundCheck, check_background
@@ -223,10 +223,10 @@ class Instrument:
         self._before = registered
         return Reconstruction(wavefront, "", calibration, start, registered, refinement)
 
-    def pass_over(self, frame: Frame) -> Reconstruction:
+    def skip(self, frame: Frame) -> Reconstruction:
         """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's correction."""
         refinement = RefinementState() if self._refinement is None else self._refinement.as_before(frame.camera_time_s)
-        return Reconstruction(None, PASSED_OVER, self.calibration, refinement=refinement)
+        return Reconstruction(None, SKIPPED, self.calibration, refinement=refinement)
 
     def close(self) -> None:
         """Stop the refinement thread; the caller closes the devices."""

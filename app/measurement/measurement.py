@@ -10,7 +10,7 @@ from drivers.interface import Frame
 from reconstruction.displacement import Displacement
 from reconstruction.wavefront import Wavefront
 
-PASSED_OVER = "passed over: the computer was behind, and a newer frame was there"
+SKIPPED = "passed over: the computer was behind, and a newer frame was there"  # stored in recordings
 
 
 @dataclass(frozen=True, slots=True)

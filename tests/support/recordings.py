@@ -48,7 +48,7 @@ def record(
             assert time.monotonic() < deadline_s
             frame = devices.camera.read(10)
             if writer.frames in passed_over:
-                made = instrument.pass_over(frame)
+                made = instrument.skip(frame)
             else:
                 made = instrument.measure(frame)
                 assert not made.problem

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.measurement import PASSED_OVER
+from app.measurement.measurement import SKIPPED
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed
 from app.results.view_quality import Variable, about
@@ -32,7 +32,7 @@ class Verification:
 
     def take(self, frame: Reprocessed) -> None:
         """Compare one frame, unless it was skipped live."""
-        if frame.line.calibration is None or frame.line.problem == PASSED_OVER:
+        if frame.line.calibration is None or frame.line.problem == SKIPPED:
             return
         self.frames += 1
         differences = _differences(self._recording, frame)

@@ -17,7 +17,7 @@ from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.measurement.measurement import PASSED_OVER, Measurement
+from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 from app.recording.recover import recover
@@ -139,7 +139,7 @@ def test_gaps_and_skipped_frames_are_recorded(
     live.stop()
     recording = Recording(tmp_path / "r")
     lines = [recording.line(index) for index in range(len(recording))]
-    assert sum(line.problem == PASSED_OVER for line in lines) > 20
+    assert sum(line.problem == SKIPPED for line in lines) > 20
     assert max(line.lost for line in lines) >= 5
     camera_index = np.array([line.camera_index for line in lines])
     assert np.diff(camera_index).tolist() == [line.lost + 1 for line in lines[1:]]
@@ -158,10 +158,10 @@ def test_skipped_frames_keep_previous_refinement(
     live.stop()
     recording = Recording(tmp_path / "r")
     lines = [recording.line(index) for index in range(len(recording))]
-    assert sum(line.problem == PASSED_OVER for line in lines) > 20
+    assert sum(line.problem == SKIPPED for line in lines) > 20
     before = lines[0]
     for line, made in zip(lines[1:], list(reprocess(recording))[1:], strict=True):
-        if line.problem == PASSED_OVER:
+        if line.problem == SKIPPED:
             assert (line.bias, made.is_refined) == (before.bias, before.bias is not None)
             if line.bias_age_s is not None and before.bias_age_s is not None:
                 later_s = line.camera_time_s - before.camera_time_s

@@ -19,7 +19,7 @@ from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.measurement.measurement import PASSED_OVER
+from app.measurement.measurement import SKIPPED
 from app.measurement.routines.frames import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from simulated_devices.camera import SimulatedCamera
@@ -280,7 +280,7 @@ def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch
     assert np.median(np.diff(index[first + 2 :])) > 8
     assert np.all(np.diff(everything) > 0)
     assert len(everything) == counts[-1].acquired
-    assert {measurement.problem for measurement in running.measurements} == {"", PASSED_OVER}
+    assert {measurement.problem for measurement in running.measurements} == {"", SKIPPED}
     assert all(count.acquired + count.lost == at + 1 for at, count in zip(everything, counts, strict=True))
     assert last.counts.reconstructed == len(measured) < last.counts.acquired
     # With a queue, each measurement would be 0.19 s older than the previous one.
@@ -289,7 +289,7 @@ def test_slow_reconstruction_skips_to_newest_frame(small_toml: Path, monkeypatch
 
 
 def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    measure, pass_over = Instrument.measure, Instrument.pass_over
+    measure, skip = Instrument.measure, Instrument.skip
 
     def slowly(instrument: Instrument, frame: Frame) -> Reconstruction:
         time.sleep(0.2)
@@ -297,14 +297,14 @@ def test_slow_skipping_still_measures_and_stops(small_toml: Path, monkeypatch: p
 
     def more_slowly_than_they_come(instrument: Instrument, frame: Frame) -> Reconstruction:
         time.sleep(0.03)
-        return pass_over(instrument, frame)
+        return skip(instrument, frame)
 
     running = Running(load_bench(small_toml, ("camera.exposure_s=0.0139",)))
     try:
         running.begin()
         monkeypatch.setattr(Instrument, "measure", slowly)
-        monkeypatch.setattr(Instrument, "pass_over", more_slowly_than_they_come)
-        wait_until(lambda: running.measurements[-1].problem == PASSED_OVER)
+        monkeypatch.setattr(Instrument, "skip", more_slowly_than_they_come)
+        wait_until(lambda: running.measurements[-1].problem == SKIPPED)
         first = running.acquisition.counts.reconstructed
         wait_until(lambda: running.acquisition.counts.reconstructed >= first + 2)
         assert running.acquisition.submit(_is_dark).result(HANG_S) is False
@@ -330,15 +330,15 @@ def test_slow_devices_are_polled_less_often(running: Running, monkeypatch: pytes
 
 
 def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pass_over, status = Instrument.pass_over, Instrument.status
-    has_passed_over = threading.Event()
+    skip, status = Instrument.skip, Instrument.status
+    has_skipped = threading.Event()
 
-    def pass_over_before(instrument: Instrument, frame: Frame) -> Reconstruction:
-        has_passed_over.set()
-        return pass_over(instrument, frame)
+    def skip_before(instrument: Instrument, frame: Frame) -> Reconstruction:
+        has_skipped.set()
+        return skip(instrument, frame)
 
     def silent_once(instrument: Instrument) -> Status:
-        if has_passed_over.is_set():
+        if has_skipped.is_set():
             monkeypatch.setattr(Instrument, "status", status)
             raise DeviceTimeout("the light did not answer")
         return status(instrument)
@@ -354,7 +354,7 @@ def test_light_timeout_while_skipping_is_not_the_cameras(small_toml: Path, monke
         monkeypatch.setattr("app.acquisition.loop._STATUS_SHARE", math.inf)
         running.acquisition.submit(_is_dark).result(HANG_S)  # from here on the status is always due
         monkeypatch.setattr(Instrument, "status", silent_once)
-        monkeypatch.setattr(Instrument, "pass_over", pass_over_before)
+        monkeypatch.setattr(Instrument, "skip", skip_before)
         monkeypatch.setattr(Instrument, "measure", measure_slowly)
         wait_until(lambda: not running.acquisition.is_alive)
     finally:

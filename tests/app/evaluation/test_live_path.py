@@ -33,7 +33,7 @@ from app.evaluation.benchmark.live_path.course import Course, Span
 from app.evaluation.benchmark.live_path.figures import LiveFigures, print_figures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
 from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
-from app.measurement.measurement import PASSED_OVER, Counts
+from app.measurement.measurement import SKIPPED, Counts
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 from app.signals import ended_by
@@ -196,7 +196,7 @@ def test_tally_counts_frames_by_outcome() -> None:
     tally.take(replace(made, wavefront=None, problem="too dark", counts=Counts(1, 0, 0)))
     assert tally.first_wavefront_s is None
     before = tally.counts
-    tally.take(replace(made, wavefront=None, problem=PASSED_OVER, counts=Counts(2, 0, 1)))
+    tally.take(replace(made, wavefront=None, problem=SKIPPED, counts=Counts(2, 0, 1)))
     tally.take(replace(made, counts=Counts(3, 1, 5)))
     assert tally.first_wavefront_s is not None
     assert tally.counts == FrameCounts(acquired=3, reconstructed=1, passed_over=1, failed=1, lost=5)

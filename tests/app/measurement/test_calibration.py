@@ -14,7 +14,7 @@ from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import load_bench
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import PASSED_OVER
+from app.measurement.measurement import SKIPPED
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
@@ -58,7 +58,7 @@ def test_calibration_reproduces_frames_bit_by_bit(small_toml: Path, tmp_path: Pa
         for measurement in measurements:
             calibration = measurement.calibration
             assert calibration is not None
-            if measurement.problem == PASSED_OVER:  # has no result to reproduce
+            if measurement.problem == SKIPPED:  # has no result to reproduce
                 continue
             if calibration not in reconstructors:
                 reconstructors[calibration] = calibration.reconstructor()

@@ -18,7 +18,7 @@ from app.acquisition.instrument import Instrument, Reconstruction
 from app.acquisition.worker import Acquisition
 from app.bench.config import write_bench
 from app.errors import InputError
-from app.measurement.measurement import PASSED_OVER, Counts, Measurement
+from app.measurement.measurement import SKIPPED, Counts, Measurement
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from app.results.replay.player import Player
@@ -87,7 +87,7 @@ def test_each_frame_uses_its_own_calibration(
         for measurement in seen
     ]
     if behind_s:
-        assert any(measurement.problem == PASSED_OVER for measurement in seen)
+        assert any(measurement.problem == SKIPPED for measurement in seen)
     assert which[: 2 * FRAMES] == [*range(FRAMES), *range(FRAMES)]
     for index, measurement in zip(which, seen, strict=True):
         assert measurement.calibration is not None

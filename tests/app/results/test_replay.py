@@ -18,7 +18,7 @@ from support.recordings import edit_line, record, remove_coefficients, replace_p
 
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
-from app.measurement.measurement import PASSED_OVER, Counts, Measurement
+from app.measurement.measurement import SKIPPED, Counts, Measurement
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from app.results import dataset
@@ -227,7 +227,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
             if index == UNCALIBRATED:
                 made = replace(made, calibration=None, problem="no reference yet")
             elif index == PASSED:
-                made = replace(made, problem=PASSED_OVER)
+                made = replace(made, problem=SKIPPED)
             else:
                 try:
                     reconstructor = calibration.reconstructor()

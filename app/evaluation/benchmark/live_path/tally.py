@@ -8,7 +8,7 @@ import time
 from dataclasses import astuple, dataclass
 from pathlib import Path
 
-from app.measurement.measurement import PASSED_OVER, Measurement
+from app.measurement.measurement import SKIPPED, Measurement
 
 _STATM = Path("/proc/self/statm")
 
@@ -43,7 +43,7 @@ class Tally:
 
     def take(self, measurement: Measurement) -> None:
         """Count one more frame."""
-        is_reconstructed, is_passed_over = measurement.wavefront is not None, measurement.problem == PASSED_OVER
+        is_reconstructed, is_passed_over = measurement.wavefront is not None, measurement.problem == SKIPPED
         if is_reconstructed and self.first_wavefront_s is None:
             self.first_wavefront_s = time.perf_counter()
         before = self.counts
