@@ -69,9 +69,8 @@ class Refinement:
         self._unsaturated = np.zeros(reference.shape, np.bool_)
         modes = pupil_modes(reconstructor.sensor, "legendre", None)
         self._gradients = modes.gradients  # (pupil_mode, lenslet_row, lenslet_column, xy), 1/m
-        self._fit = ModalSolver(
-            modes, reconstructor.whitening, is_smooth=True
-        )  # the model needs phases between the lenslets
+        # The model needs phases between the lenslets, also for zonal reconstruction.
+        self._fit = ModalSolver(modes, reconstructor.whitening, is_smooth=True)
         self._phase_at = PupilGrid(modes, reconstructor.sensor, model.sample_x_m, model.sample_y_m)
 
     def bias(self, wavefront: Wavefront) -> Bias:

@@ -62,9 +62,8 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
         if not _fills_both_axes(cells):
             return None
         harmonics = sign * _evened(cells.harmonics(), brightest)
-        growth = (
-            _growth(cells.index, harmonics) if rough_round else (0.0, 0.0)
-        )  # the cells must hold complete images first
+        # Cells must hold complete images before neighbours can be compared.
+        growth = _growth(cells.index, harmonics) if rough_round else (0.0, 0.0)
         lattice = _moved(lattice, np.angle(harmonics.sum(axis=0)) * _TO_PITCHES, *growth)
         if not rough_round:
             sign = _sign(cut(coefficients, lattice))

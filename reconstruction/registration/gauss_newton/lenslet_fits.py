@@ -17,7 +17,7 @@ _NOISE_STRIDE = 7  # pixels between samples of the interpolation noise; no divis
 
 
 class WholePixelSearch(NamedTuple):
-    """Whole-pixel correlation search, used when Gauss-Newton fails: the middle of the reference's windows."""
+    """Whole-pixel correlation search, used when Gauss-Newton fails, with the middle of the reference's windows."""
 
     light: Image  # minus its mean, over its contrast, (L, rows, columns)
     uv: Image  # normalised positions of a patch wider by `reach` pixels on each side, (xy, N)
@@ -33,9 +33,7 @@ class FitLimits(NamedTuple):
     iterations: int
     tolerance_px: np.float32
     converged_px: np.float32  # largest last step of a converged fit
-    poor_square: (
-        Image  # squared residual above which another start is tried, a polynomial of the gain: (L, 3), counts^2
-    )
+    poor_square: Image  # squared residual beyond which to try another start, polynomial of the gain: (L, 3), counts^2
 
 
 class Fits(NamedTuple):
