@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Lattice, Sensor
-from simulated_devices.clock import Clock, SystemClock
+from simulated_devices.clock import Clock
 from simulated_devices.rendering import ImageCache, Renderer, Scene
 from simulated_devices.rendering_ahead import RenderingAhead
 from simulated_devices.sample import Playback
-from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
+from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings
 
 PHOTONS_PER_S_M2_A = 1.2e15
 """Photons per second that one lenslet collects from one square metre of lit mask at one ampere.
@@ -56,12 +55,9 @@ class SimulatedBench:
     both. A child process renders the other states.
     """
 
-    def __init__(  # noqa: PLR0913 - one section of the bench's TOML each
+    def __init__(
         self,
-        sensor: Sensor,
-        lattice: Lattice,
-        field: Field,
-        simulation: Simulation,
+        scene: Scene,
         camera_settings: SimulatedCameraSettings,
         light_settings: SimulatedLightSettings,
         *,
@@ -69,28 +65,20 @@ class SimulatedBench:
         clock: Clock | None = None,
         progress: _Progress | None = None,
     ) -> None:
-        self.camera_settings, self.light_settings, self.simulation = camera_settings, light_settings, simulation
-        self.sensor = sensor
-        self.clock = clock or SystemClock()
-        self._scene = Scene(
-            sensor=sensor,
-            lattice=lattice,
-            field=field,
-            simulation=simulation,
-            rows=camera_settings.rows,
-            columns=camera_settings.columns,
-            pixel_fill_factor=camera_settings.pixel_fill_factor,
-        )
+        self.camera_settings, self.light_settings = camera_settings, light_settings
+        self.sensor, self.simulation = scene.sensor, scene.simulation
+        self.clock = clock or Clock()
+        self._scene = scene
         self._cache_folder = cache_folder
-        self._renderer = Renderer(self._scene)
+        self._renderer = Renderer(scene)
         self._renderer.check_rays()
-        self._cache = ImageCache(cache_folder, self._scene)
+        self._cache = ImageCache(cache_folder, scene)
         self._references: dict[str, NDArray[np.float32]] = {}
         self._films: dict[str, list[NDArray[np.float32]]] = {}
         self._playbacks: dict[str, Playback] = {}
         self._ahead: RenderingAhead | None = None
         self._next_poll_s = self.clock.now()
-        condition = Condition(current_a=light_settings.current_a, mask=simulation.source.mask)
+        condition = Condition(current_a=light_settings.current_a, mask=scene.simulation.source.mask)
         self._history: deque[tuple[float, Condition]] = deque([(self.clock.now(), condition)], maxlen=256)
         self._prepare(condition.mask, progress)
 

@@ -3,20 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import Protocol
 
 
-class Clock(Protocol):
-    """Tells the time and waits."""
-
-    def now(self) -> float:
-        """Seconds since a fixed moment."""
-
-    def sleep(self, duration_s: float) -> None:
-        """Return after that time."""
-
-
-class SystemClock:
+class Clock:
     """The machine's time, `time.perf_counter()`."""
 
     def now(self) -> float:
@@ -28,7 +17,7 @@ class SystemClock:
         time.sleep(duration_s)
 
 
-class ManualClock:
+class ManualClock(Clock):
     """Stands still and jumps when it is told to sleep, so that a test needs no real time."""
 
     def __init__(self) -> None:

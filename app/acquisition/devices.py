@@ -22,6 +22,7 @@ from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock
 from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
+from simulated_devices.rendering import Scene
 
 _PITCH_TOLERANCE = 0.01
 
@@ -122,18 +123,28 @@ def _light(settings: LightSettings) -> LightSource:
 
 def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:
     """Build the simulation of a bench, with typical devices in place of real ones, running on `clock`."""
-    camera, light = bench.camera_model, bench.light_model
     try:
         return SimulatedBench(
-            bench.sensor,
-            bench.design_lattice(camera.rows, camera.columns),
-            bench.field,
-            bench.simulation,
-            camera,
-            light,
+            scene_of(bench),
+            bench.camera_model,
+            bench.light_model,
             cache_folder=cache_folder() / "irradiance",
             clock=clock,
             progress=progress,
         )
     except ValueError as error:  # inconsistent settings, or an unusable screen file
         raise InputError(f"simulation: {error}") from error
+
+
+def scene_of(bench: Bench) -> Scene:
+    """Everything that the rendered images of a bench depend on."""
+    camera = bench.camera_model
+    return Scene(
+        sensor=bench.sensor,
+        lattice=bench.design_lattice(camera.rows, camera.columns),
+        field=bench.field,
+        simulation=bench.simulation,
+        rows=camera.rows,
+        columns=camera.columns,
+        pixel_fill_factor=camera.pixel_fill_factor,
+    )

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from app.acquisition.devices import scene_of
 from app.bench.config import Bench
 from app.cache import Arrays, cached
 from app.errors import InputError
@@ -29,16 +30,7 @@ class NoiseFreeFrames:
     """The frames of one bench, rendered on demand."""
 
     def __init__(self, bench: Bench) -> None:
-        camera = bench.camera_model
-        self._scene = Scene(
-            sensor=bench.sensor,
-            lattice=bench.design_lattice(camera.rows, camera.columns),
-            field=bench.field,
-            simulation=bench.simulation,
-            rows=camera.rows,
-            columns=camera.columns,
-            pixel_fill_factor=camera.pixel_fill_factor,
-        )
+        self._scene = scene_of(bench)
         self.renderer = Renderer(self._scene)
         self._light = np.float32(PHOTONS_PER_S_M2_A * bench.light_model.current_a)
 

@@ -11,6 +11,7 @@ from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 from simulated_devices.light_and_stage import SimulatedLight
+from simulated_devices.rendering import Scene
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation
 from support.optics import sensor_of
 
@@ -28,11 +29,17 @@ def open_bench(
     camera: SimulatedCameraSettings = CAMERA,
     progress: Callable[[float], None] | None = None,
 ) -> SimulatedBench:
+    scene = Scene(
+        sensor=SENSOR,
+        lattice=LATTICE,
+        field=FIELD,
+        simulation=simulation,
+        rows=camera.rows,
+        columns=camera.columns,
+        pixel_fill_factor=camera.pixel_fill_factor,
+    )
     return SimulatedBench(
-        SENSOR,
-        LATTICE,
-        FIELD,
-        simulation,
+        scene,
         camera,
         SimulatedLightSettings(),
         cache_folder=folder,
