@@ -17,28 +17,12 @@ FORMAT = "svwfs recording 1"
 RUN = "run.json"
 FRAMES = "frames.jsonl"
 STORE = "frames.zarr"
+START = "start.npy"  # displacement of the frame before the first, px
+BIAS = "biases/{}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy), px
+CALIBRATION = "calibrations/{}"  # folder of a calibration, by number
+RESULTS = "results/{}"  # group in the store, by number of the calibration
 PIXELS = "0"  # the array of frames in the store: the finest scale of an OME-NGFF image
 BEFORE = -1  # in place of a frame index: the frame before the recording
-
-
-def results_of(calibration: int | str) -> str:
-    """Group in the store with the results of one calibration."""
-    return f"results/{calibration}"
-
-
-def calibration_folder(folder: Path, number: int) -> Path:
-    """Folder of one calibration."""
-    return folder / "calibrations" / str(number)
-
-
-def bias_file(folder: Path, number: int) -> Path:
-    """File of one bias (lenslet_row, lenslet_column, field_mode, xy), px."""
-    return folder / "biases" / f"{number}.npy"
-
-
-def start_file(folder: Path) -> Path:
-    """File of the displacement of the frame before the first, px."""
-    return folder / "start.npy"
 
 
 def read_run(folder: Path) -> dict[str, Any]:

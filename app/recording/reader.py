@@ -14,18 +14,7 @@ from app.bench.config import Bench, parse_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.recording.calibration_files import read_array, read_calibration
-from app.recording.folder import (
-    BEFORE,
-    FRAMES,
-    PIXELS,
-    RUN,
-    STORE,
-    bias_file,
-    calibration_folder,
-    read_run,
-    results_of,
-    start_file,
-)
+from app.recording.folder import BEFORE, BIAS, CALIBRATION, FRAMES, PIXELS, RESULTS, RUN, START, STORE, read_run
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_lines import FrameLine
 from drivers.interface import Frame
@@ -64,8 +53,8 @@ class Recording:
         self.run = read_run(self.folder)
         self._ends = array("q", [0])  # end of each line, bytes; the first number is the start of the first line
         self._arrays: dict[str, FrameArray | None] = {}
-        self._calibrations = lru_cache(4)(lambda number: read_calibration(calibration_folder(self.folder, number)))
-        self._biases = lru_cache(4)(lambda number: read_array(bias_file(self.folder, number)))
+        self._calibrations = lru_cache(4)(lambda number: read_calibration(self.folder / CALIBRATION.format(number)))
+        self._biases = lru_cache(4)(lambda number: read_array(self.folder / BIAS.format(number)))
         self.refresh()
 
     def __len__(self) -> int:
@@ -159,7 +148,7 @@ class Recording:
         """Whether the live results of a frame exist, or there were none."""
         if line.calibration is None or line.problem:
             return True
-        group = results_of(line.calibration)
+        group = RESULTS.format(line.calibration)
         displacement, coefficients = self._array(f"{group}/displacement"), self._array(f"{group}/coefficients")
         if displacement is None or not displacement.is_whole(line.index):
             return False
@@ -199,14 +188,16 @@ class Recording:
         if line.start is None:
             return None
         if line.start == BEFORE:
-            return read_array(start_file(self.folder))
+            return read_array(self.folder / START)
         if line.calibration is None:
             return None
-        return self._read(f"{results_of(line.calibration)}/displacement", line.start)  # always of the same calibration
+        return self._read(
+            f"{RESULTS.format(line.calibration)}/displacement", line.start
+        )  # always of the same calibration
 
     def _result(self, name: str, index: int) -> Floats | None:
         calibration = self.line(index).calibration
-        return None if calibration is None else self._read(f"{results_of(calibration)}/{name}", index)
+        return None if calibration is None else self._read(f"{RESULTS.format(calibration)}/{name}", index)
 
     def _read(self, name: str, index: int) -> NDArray[Any] | None:
         values = self._array(name)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from app.errors import InputError, RunError
 from app.files import atomic_write
-from app.recording.folder import FRAMES, PIXELS, RUN, STORE, lock, results_of
+from app.recording.folder import FRAMES, PIXELS, RESULTS, RUN, STORE, lock
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
@@ -180,7 +180,7 @@ def _free_name(path: Path) -> Path:
 def _finish(recording: Recording, found: Recovered) -> None:
     """Set the length of the arrays and mark the recording complete."""
     store = recording.folder / STORE
-    for path in (store / PIXELS, *sorted(store.glob(results_of("*") + "/*"))):
+    for path in (store / PIXELS, *sorted(store.glob(RESULTS.format("*") + "/*"))):
         if is_array(path):
             FrameArray(path).set_length(found.frames)
     counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}

@@ -20,17 +20,17 @@ from app.measurement.measurement import LightState, Measurement
 from app.recording.calibration_files import write_array, write_calibration
 from app.recording.folder import (
     BEFORE,
+    BIAS,
+    CALIBRATION,
     FORMAT,
     FRAMES,
     PIXELS,
+    RESULTS,
     RUN,
+    START,
     STORE,
-    bias_file,
-    calibration_folder,
     check_free,
     lock,
-    results_of,
-    start_file,
 )
 from app.recording.frame_array import FrameArray, Separator
 from app.recording.frame_lines import FrameLine
@@ -123,9 +123,9 @@ class RecordingWriter:
             raise
         self._arrays: dict[str, FrameArray] = {}
         self._calibrations = _Numbered[Calibration](
-            lambda number, calibration: write_calibration(calibration_folder(folder, number), calibration)
+            lambda number, calibration: write_calibration(folder / CALIBRATION.format(number), calibration)
         )
-        self._biases = _Numbered[Floats](lambda number, bias: write_array(bias_file(folder, number), bias))
+        self._biases = _Numbered[Floats](lambda number, bias: write_array(folder / BIAS.format(number), bias))
         self._registered: tuple[int, Floats] | None = None  # index and displacement of the last registered frame
         self._lines_bytes = 0
         self.frames = self.reconstructed = self.lost = self.bytes = 0
@@ -135,12 +135,12 @@ class RecordingWriter:
         index = self.frames
         calibration, bias = self._calibrations.number_of(record.calibration), self._biases.number_of(record.bias)
         if self._registered is None and record.start is not None:  # the frame before is not in this recording
-            write_array(start_file(self._folder), record.start)
+            write_array(self._folder / START, record.start)
             self._registered = BEFORE, record.start
         start = self._registered[0] if record.start is not None and self._registered is not None else None
         written = self._put(PIXELS, index, record.frame.pixels, ("y", "x"))
         if calibration is not None:
-            results = results_of(calibration)
+            results = RESULTS.format(calibration)
             if record.displacement is not None:
                 vectors = (*_LENSLET, "field_mode", "xy")
                 written += self._put(f"{results}/displacement", index, record.displacement, vectors)

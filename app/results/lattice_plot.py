@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -62,16 +63,14 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
         (own[~lit], _DARK, "-", "dark"),
     ):
         corners = lattice.to_camera_px((index[:, None] + 0.94 * _OUTLINE) * lattice.pitch_px)
-        face = (*_rgb(colour), 0.22) if colour == _DARK else "none"
-        label = f"{len(index)} {name}"
+        face = to_rgba(colour, 0.22) if colour == _DARK else "none"
         cells = PolyCollection(list(corners), facecolors=face, edgecolors=colour, linestyles=style, linewidths=width)
-        cells.set_label(label)
+        cells.set_label(f"{len(index)} {name}")
         if len(index):
             axes.add_collection(cells)
-    axes.plot(lattice.center_x_px, lattice.center_y_px, "+", color="white", markersize=14, markeredgewidth=3)
-    axes.plot(
-        lattice.center_x_px, lattice.center_y_px, "+", color=_CENTER, markersize=13, markeredgewidth=1.4, label="centre"
-    )
+    center = lattice.center_x_px, lattice.center_y_px
+    axes.plot(*center, "+", color="white", markersize=14, markeredgewidth=3)
+    axes.plot(*center, "+", color=_CENTER, markersize=13, markeredgewidth=1.4, label="centre")
     rows, columns = reference.shape
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x (px)", ylabel="y (px)")
 
@@ -121,8 +120,3 @@ def _round_number(value: float) -> float:
     """Round down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in (1, 2, 5) if step * power <= value * 1.000001) * power)
-
-
-def _rgb(colour: str) -> tuple[float, float, float]:
-    red, green, blue = (int(colour[first : first + 2], 16) / 255 for first in (1, 3, 5))
-    return red, green, blue

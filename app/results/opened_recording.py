@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.dataset import results_in_pieces
+from app.results.dataset import open_results, results_in_pieces
 
 
 class OpenedRecording:
@@ -43,7 +44,7 @@ class OpenedRecording:
         """The bench at the beginning of the recording."""
         return self._recording.bench
 
-    @property
+    @cached_property
     def frames(self) -> xr.DataArray:
         """Frames in counts, (frame, row, column), with the coordinates `frame_index` and `time` (s).
 
@@ -66,7 +67,8 @@ class OpenedRecording:
         """
         path = self._recording.folder / "results.nc"
         if path.exists():
-            return xr.load_dataset(path, engine="h5netcdf")
+            with open_results(path) as results:
+                return results.load()
         pieces = list(results_in_pieces((made, {}) for made in reprocess(self._recording)))
         if not pieces:
             raise InputError(f"{self._recording.folder}: no frame can be reconstructed")
