@@ -116,11 +116,11 @@ def benchmark(
         )
     from app.cli.tables import progress_bar
     from app.evaluation.benchmark.baseline import load_baseline, worsened
-    from app.evaluation.benchmark.output import print_benchmark
-    from app.evaluation.benchmark.run import Plan, run_benchmark
+    from app.evaluation.benchmark.benchmark_table import print_benchmark
+    from app.evaluation.benchmark.run_benchmark import BenchmarkPlan, run_benchmark
     from app.evaluation.study_files import write_json
 
-    plan = Plan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
+    plan = BenchmarkPlan(bench=load("paper_simulation", ["simulation.screen.correlation_length_m=1.6e-3"]))
     with progress_bar() as progress:
         result = run_benchmark(plan, progress)
     if json is not None:
@@ -168,9 +168,9 @@ def table1(
 
     Example: svwfs paper table1 --out paper
     """
-    from app.evaluation.paper import tables
+    from app.evaluation.paper import paper_tables
 
-    _run([tables.table1(peers=peers)], load(bench, setting), seeds, out)
+    _run([paper_tables.table1(peers=peers)], load(bench, setting), seeds, out)
 
 
 @paper.command()
@@ -186,9 +186,9 @@ def table2(
 
     Example: svwfs paper table2 --seeds 3 --out paper
     """
-    from app.evaluation.paper import tables
+    from app.evaluation.paper import paper_tables
 
-    _run([tables.table2(peers=peers)], load(bench, setting), seeds, out)
+    _run([paper_tables.table2(peers=peers)], load(bench, setting), seeds, out)
 
 
 @paper.command()
@@ -199,6 +199,6 @@ def sources(
 
     Example: svwfs paper sources --out paper
     """
-    from app.evaluation.paper import tables
+    from app.evaluation.paper import paper_tables
 
-    _run([tables.sources()], load(bench, setting), seeds, out)
+    _run([paper_tables.sources()], load(bench, setting), seeds, out)

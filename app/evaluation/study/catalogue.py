@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.errors import InputError
-from app.evaluation.study.calibration import calibration_trials
+from app.evaluation.study.camera_noise import EM_GAIN, PHOTONS
 from app.evaluation.study.defects import DEAD, FOCAL_LENGTH, LATTICE
-from app.evaluation.study.exposure import EXPOSURE
-from app.evaluation.study.noise import EM_GAIN, PHOTONS
+from app.evaluation.study.exposure_trials import EXPOSURE
+from app.evaluation.study.lattice_trials import calibration_trials
 from app.evaluation.study.screens import ENSEMBLES, EXPERIMENT, ROUGHNESS, SIZE
 from app.evaluation.study.sources import SOURCE
 from app.evaluation.study_kinds import Study

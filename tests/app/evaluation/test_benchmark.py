@@ -11,11 +11,11 @@ import pytest
 
 from app import cli
 from app.bench.config import Bench, load_bench
-from app.evaluation.benchmark import contestants, run
+from app.evaluation.benchmark import contestants
 from app.evaluation.benchmark.baseline import load_baseline, worsened
+from app.evaluation.benchmark.benchmark_table import print_benchmark
 from app.evaluation.benchmark.ours import OURS
-from app.evaluation.benchmark.output import print_benchmark
-from app.evaluation.benchmark.run import Json, Plan, run_benchmark
+from app.evaluation.benchmark.run_benchmark import BenchmarkPlan, Json, run_benchmark
 from app.evaluation.benchmark.stopwatch import side_by_side
 from app.evaluation.benchmark.timed_frames import noise_free, tiled
 from app.evaluation.study_files import write_json
@@ -36,7 +36,9 @@ def bench() -> Bench:
 
 @pytest.fixture(scope="module")
 def result(bench: Bench) -> Json:
-    return run_benchmark(Plan(bench=bench, budget_s=0.02, sizes=(3,), with_four_k=False), lambda _text, _fraction: None)
+    return run_benchmark(
+        BenchmarkPlan(bench=bench, budget_s=0.02, sizes=(3,), with_four_k=False), lambda _text, _fraction: None
+    )
 
 
 def test_benchmark_is_written_and_printed(result: Json, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,8 +73,9 @@ def test_missing_peer_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(contestants, "scikit_image", missing)
     peers = ("skimage_phase_correlation", "opencv_ecc_affine")
-    found = run.run_benchmark(
-        Plan(bench=bench, budget_s=0.01, sizes=(), with_four_k=False, peers=peers), lambda _text, _fraction: None
+    found = run_benchmark(
+        BenchmarkPlan(bench=bench, budget_s=0.01, sizes=(), with_four_k=False, peers=peers),
+        lambda _text, _fraction: None,
     )
     assert set(found["ratios"]) == {"opencv_ecc_affine"}
     assert "skimage" in found["missing"]["skimage_phase_correlation"]
@@ -94,7 +97,7 @@ def test_check_sets_the_exit_status(
     monkeypatch: pytest.MonkeyPatch, result: Json, tmp_path: Path, factor: float, status: int
 ) -> None:
     ratios = {name: ratio * factor for name, ratio in load_baseline().items()}
-    monkeypatch.setattr("app.evaluation.benchmark.run.run_benchmark", lambda *_: {**result, "ratios": ratios})
+    monkeypatch.setattr("app.evaluation.benchmark.run_benchmark.run_benchmark", lambda *_: {**result, "ratios": ratios})
     monkeypatch.setattr(sys, "argv", ["svwfs", "benchmark", "--check", "--json", str(tmp_path / "out.json")])
     with pytest.raises(SystemExit) as leaving:
         cli.main()

@@ -127,7 +127,7 @@ def test_counted_frames_match_the_camera(seen: Seen) -> None:
     window = seen.figures.window
     assert window.seconds >= 2.0
     assert window.first_wavefront_s > 0
-    assert seen.figures.verdicts()["lost"].is_met == (window.frames.lost == 0)
+    assert seen.figures.checks()["lost"].is_met == (window.frames.lost == 0)
 
 
 def lost_of(frames: list[Frame]) -> int:
@@ -142,7 +142,7 @@ def test_recording_holds_warm_up_and_span_within_the_estimated_size(seen: Seen) 
     assert seen.lines >= figures.window.frames.acquired
     assert seen.lost >= figures.window.frames.lost
     assert seen.nbytes < figures.plan.recording_bytes * (50 + seen.lines) / (50 + 2.5 / 0.02)
-    assert figures.verdicts()["recording_problems"].is_met
+    assert figures.checks()["recording_problems"].is_met
     assert figures.window.timings.summary()["record"].count > 0
 
 
@@ -225,7 +225,7 @@ def figures_of(window: Span, bare: Span | None = None, problem: str = "") -> Liv
 def test_good_run_misses_no_limit() -> None:
     figures = figures_of(span_of())
     assert figures.missed() == []
-    assert len(figures.verdicts()) == 9
+    assert len(figures.checks()) == 9
     assert figures.memory_growth == pytest.approx(0.01)
 
 

@@ -14,8 +14,8 @@ from support.command_line import run
 from support.pictures import assert_drawn
 
 from app.bench.config import load_bench
-from app.evaluation.paper.frames import Frames, resized
-from app.evaluation.paper.methods import METHODS
+from app.evaluation.paper.compared_methods import METHODS
+from app.evaluation.paper.frame_pairs import FramePair, resized
 
 COARSE = ("simulation.object_samples=13", "simulation.pupil_samples=10")
 
@@ -106,7 +106,7 @@ def test_crop_and_resize_keeps_the_lattice_centred() -> None:
     bench = load_bench("paper_experiment")
     y, x = np.meshgrid(np.arange(512), np.arange(512), indexing="ij")
     cells = (np.cos((x - 255.5) * 2 * np.pi / 31.25) + np.cos((y - 255.5) * 2 * np.pi / 31.25)).astype(np.float32)
-    small_bench, small = resized(bench, {"square": Frames(cells, cells)})
+    small_bench, small = resized(bench, {"square": FramePair(cells, cells)})
     assert small["square"].frame.shape == (465, 465)
     assert small_bench.sensor.lenslet_pitch_px == pytest.approx(31)
     assert small_bench.lattice is not None

@@ -22,8 +22,8 @@ from app.cache import cache_folder, cached
 from app.evaluation.cases import CaseResult, collect, rows
 from app.evaluation.noise_free import NoiseFreeFrames
 from app.evaluation.study import catalogue
+from app.evaluation.study.camera_noise import camera
 from app.evaluation.study.estimators import mean_rms
-from app.evaluation.study.noise import camera
 from app.evaluation.study_kinds import Sweep
 from app.progress import Progress, named, part
 

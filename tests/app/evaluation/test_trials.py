@@ -18,8 +18,8 @@ from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import Bench, load_bench
 from app.evaluation.cases import CaseResult, collect
-from app.evaluation.study import calibration, catalogue, exposure
-from app.evaluation.study.calibration import calibration_trials
+from app.evaluation.study import catalogue, exposure_trials, lattice_trials
+from app.evaluation.study.lattice_trials import calibration_trials
 from app.evaluation.study_kinds import TrialStudy, trial
 from app.progress import Progress
 from drivers.interface import Range
@@ -114,7 +114,7 @@ def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, sma
         )
         return replace(found, lattice=moved, rows=found.rows + 1, illuminated=lit)
 
-    monkeypatch.setattr(calibration, "survey", wrong)
+    monkeypatch.setattr(lattice_trials, "survey", wrong)
     results = calibration_trials().measure(load_bench(small_toml), 1, lambda *_: None)
     (first,) = TrialStudy.trials(collect(TrialStudy.dims, itertools.islice(results, 1)))
     expected = {
@@ -129,16 +129,16 @@ def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, sma
 
 
 def test_exposure_meets_its_limits_or_reports_the_problem(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
-    camera = exposure._Camera("8 bits", Range(1e-5, 7200.0), exposure._EIGHT)
-    monkeypatch.setattr(exposure, "_CAMERAS", (camera,))
-    monkeypatch.setattr(exposure, "_IMAGES", {"squares": exposure._IMAGES["squares"]})
-    _, trials = trials_of(exposure.EXPOSURE, small_toml)
-    assert len(trials) == 3 * exposure._STARTS * exposure._RIGHT
+    camera = exposure_trials._Camera("8 bits", Range(1e-5, 7200.0), exposure_trials._EIGHT)
+    monkeypatch.setattr(exposure_trials, "_CAMERAS", (camera,))
+    monkeypatch.setattr(exposure_trials, "_IMAGES", {"squares": exposure_trials._IMAGES["squares"]})
+    _, trials = trials_of(exposure_trials.EXPOSURE, small_toml)
+    assert len(trials) == 3 * exposure_trials._STARTS * exposure_trials._RIGHT
     assert all(each["as_asked"] for each in trials)
     assert {each["frames"] for each in trials} >= {1, 3, 4}
-    monkeypatch.setattr(exposure, "_RIGHT", 1)
-    dark = {**exposure._EIGHT, "well_counts": 100.0}
-    monkeypatch.setattr(exposure, "_CAMERAS", (exposure._Camera("full", Range(0.01, 1.0), dark),))
-    _, (first, *_) = trials_of(exposure.EXPOSURE, small_toml)
+    monkeypatch.setattr(exposure_trials, "_RIGHT", 1)
+    dark = {**exposure_trials._EIGHT, "well_counts": 100.0}
+    monkeypatch.setattr(exposure_trials, "_CAMERAS", (exposure_trials._Camera("full", Range(0.01, 1.0), dark),))
+    _, (first, *_) = trials_of(exposure_trials.EXPOSURE, small_toml)
     assert not first["as_asked"]
     assert "do not follow" in str(first["refusal"])

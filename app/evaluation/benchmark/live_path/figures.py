@@ -18,7 +18,7 @@ from app.timing import Summary
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class LimitCheck:
     """One figure beside its limit."""
 
     value: float
@@ -48,28 +48,28 @@ class LiveFigures:
         begin_mb, end_mb = self.window.memory_mb
         return None if begin_mb is None or end_mb is None else end_mb / begin_mb - 1
 
-    def verdicts(self) -> dict[str, Verdict]:
+    def checks(self) -> dict[str, LimitCheck]:
         """Compare the figures with their limits, by name in the JSON; unknown figures meet none."""
         window = self.window
         times = window.timings.summary()
-        verdicts = {
-            "share": _verdict(window.frames.share, ge, 0.999, ">= 99.9 %"),
-            "lost": _verdict(window.frames.lost, le, 0, "none"),
-            "to_result_p99_s": _verdict(times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms"),
-            "redrawn_hz": _verdict(window.redrawn_hz, ge, 20.0, ">= 20 /s"),
-            "rate_ratio": _verdict(self.rate_ratio, ge, 0.95, ">= 95 %"),
-            "first_wavefront_s": _verdict(window.first_wavefront_s, lt, 15.0, "< 15 s, warm"),
+        checks = {
+            "share": _check(window.frames.share, ge, 0.999, ">= 99.9 %"),
+            "lost": _check(window.frames.lost, le, 0, "none"),
+            "to_result_p99_s": _check(times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms"),
+            "redrawn_hz": _check(window.redrawn_hz, ge, 20.0, ">= 20 /s"),
+            "rate_ratio": _check(self.rate_ratio, ge, 0.95, ">= 95 %"),
+            "first_wavefront_s": _check(window.first_wavefront_s, lt, 15.0, "< 15 s, warm"),
         }
         if self.memory_growth is not None:
-            verdicts["memory_growth"] = _verdict(self.memory_growth, lt, 0.02, "< 2 %")
+            checks["memory_growth"] = _check(self.memory_growth, lt, 0.02, "< 2 %")
         if self.recording is not None:
-            verdicts["record_p99_s"] = _verdict(times["record"].p99_s, lt, 0.015, "99 % < 15 ms")
-            verdicts["recording_problems"] = _verdict(bool(self.recording.problem), le, 0, "all frames")
-        return verdicts
+            checks["record_p99_s"] = _check(times["record"].p99_s, lt, 0.015, "99 % < 15 ms")
+            checks["recording_problems"] = _check(bool(self.recording.problem), le, 0, "all frames")
+        return checks
 
     def missed(self) -> list[str]:
         """Return a sentence for every figure that misses its limit."""
-        missed = {name: each for name, each in self.verdicts().items() if not each.is_met}
+        missed = {name: each for name, each in self.checks().items() if not each.is_met}
         return [f"{name} is {each.value:.3g}, asked {each.asked}" for name, each in missed.items()]
 
     def tree(self) -> dict[str, Any]:
@@ -90,7 +90,7 @@ class LiveFigures:
             "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},
             "limits": {
                 name: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}
-                for name, each in self.verdicts().items()
+                for name, each in self.checks().items()
             },
         }
         return {"live": live, "machine": machine_facts(), "versions": versions()}
@@ -107,12 +107,12 @@ def print_figures(figures: LiveFigures) -> None:
         f" {span.seconds:.0f} s after a warm-up"
     )
     print_line("the window was on a display" if figures.is_seen else "no display: the window was drawn offscreen")
-    verdicts = figures.verdicts()
+    checks = figures.checks()
     lines = []
     for name, measured, limit in _lines(figures):
-        verdict = verdicts.get(limit)
-        colour = "[green]met[/]" if verdict and verdict.is_met else "[red]missed[/]"
-        lines.append([name, measured, *((verdict.asked, colour) if verdict else ("", ""))])
+        check = checks.get(limit)
+        colour = "[green]met[/]" if check and check.is_met else "[red]missed[/]"
+        lines.append([name, measured, *((check.asked, colour) if check else ("", ""))])
     print_table(None, ("live", "measured", "asked", ""), lines, width=80)
     print_line("Times are median / 99 % / longest.")
     if recording is not None and recording.problem:
@@ -173,5 +173,5 @@ def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _verdict(value: float, holds: Callable[[float, float], bool], limit: float, asked: str) -> Verdict:
-    return Verdict(value, limit, asked, holds(value, limit))
+def _check(value: float, holds: Callable[[float, float], bool], limit: float, asked: str) -> LimitCheck:
+    return LimitCheck(value, limit, asked, holds(value, limit))

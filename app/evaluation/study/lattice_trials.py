@@ -18,7 +18,7 @@ from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrames
-from app.evaluation.study.noise import camera
+from app.evaluation.study.camera_noise import camera
 from app.evaluation.study_kinds import TrialStudy, trial
 from app.files import read_image
 from app.measurement.imaging_model import by_pixel

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from app.evaluation.benchmark.ours import OURS
-from app.evaluation.benchmark.run import Json
+from app.evaluation.benchmark.run_benchmark import Json
 from app.evaluation.study_tables import print_line, print_table
 
 _WIDTH = 100

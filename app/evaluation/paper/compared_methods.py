@@ -14,7 +14,7 @@ import numpy as np
 import reconstruction
 from app.bench.config import Bench, write_bench
 from app.cache import Arrays, cached
-from app.evaluation.paper.frames import Frames, Mask
+from app.evaluation.paper.frame_pairs import FramePair, Mask
 from reconstruction.arrays import Floats
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
@@ -72,7 +72,7 @@ PAPER_TABLE_2 = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reconstructed:
+class MethodResult:
     """The wavefronts of one frame by one method."""
 
     views: Floats  # rad, (view_row, view_column, lenslet_row, lenslet_column)
@@ -80,7 +80,7 @@ class Reconstructed:
     seconds: float  # for the frame, without preparing the reference
 
 
-def reconstructed(bench: Bench, frames: Mapping[str, Frames], method: Method) -> Reconstructed:
+def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: Method) -> MethodResult:
     """Reconstruct the frame of the method's mask; a changed frame, setting or reconstruction package recomputes."""
     pair, stars = frames[method.mask], bench.simulation.source
     registration = replace(
@@ -91,11 +91,11 @@ def reconstructed(bench: Bench, frames: Mapping[str, Frames], method: Method) ->
     )
     bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
     kept = cached("paper", _fingerprint(bench, pair), lambda: _reconstruct(bench, pair))
-    return Reconstructed(kept["views"], int(kept["lost"]), float(kept["seconds"]))
+    return MethodResult(kept["views"], int(kept["lost"]), float(kept["seconds"]))
 
 
-def _reconstruct(bench: Bench, pair: Frames) -> Arrays:
-    """Return the fields of `Reconstructed`."""
+def _reconstruct(bench: Bench, pair: FramePair) -> Arrays:
+    """Return the fields of `MethodResult`."""
     lattice = bench.design_lattice(*pair.reference.shape)
     reconstructor = bench.reconstructor(pair.reference, lattice=lattice, dark=np.zeros_like(pair.reference))
     start_s = time.perf_counter()
@@ -105,7 +105,7 @@ def _reconstruct(bench: Bench, pair: Frames) -> Arrays:
     return {"views": wavefront.views, "lost": np.array(lost), "seconds": np.array(seconds)}
 
 
-def _fingerprint(bench: Bench, pair: Frames) -> str:
+def _fingerprint(bench: Bench, pair: FramePair) -> str:
     digest = hashlib.sha256(write_bench(bench).encode())
     digest.update(_source_code())
     digest.update(pair.reference.tobytes())

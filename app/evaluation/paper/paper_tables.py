@@ -12,8 +12,15 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import seeded
-from app.evaluation.paper.frames import Frames, Mask, exposed_frames, noise_free_frames, resized
-from app.evaluation.paper.methods import METHODS, PAPER_TABLE_1, PAPER_TABLE_2, Method, Reconstructed, reconstructed
+from app.evaluation.paper.compared_methods import (
+    METHODS,
+    PAPER_TABLE_1,
+    PAPER_TABLE_2,
+    Method,
+    MethodResult,
+    reconstructed,
+)
+from app.evaluation.paper.frame_pairs import FramePair, Mask, exposed_frames, noise_free_frames, resized
 from app.evaluation.study_kinds import LENSLETS, VIEWS, ComparisonTable
 from app.progress import Progress, part
 from reconstruction.arrays import Floats
@@ -95,7 +102,7 @@ def _sources(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResul
             yield from _all_compared(screen, {"square": frames[source]}, truth, methods, step)
 
 
-def _stars(bench: Bench, frames: Mapping[str, Frames]) -> Reconstructed:
+def _stars(bench: Bench, frames: Mapping[str, FramePair]) -> MethodResult:
     """The wavefronts that the experiment takes for the truth."""
     try:
         return reconstructed(bench, frames, METHODS["stars_zonal"])
@@ -108,7 +115,7 @@ def _methods(*, peers: bool) -> dict[str, Method]:
 
 
 def _all_compared(
-    bench: Bench, frames: Mapping[str, Frames], truth: Floats, methods: Mapping[str, Method], progress: Progress
+    bench: Bench, frames: Mapping[str, FramePair], truth: Floats, methods: Mapping[str, Method], progress: Progress
 ) -> Iterator[CaseResult]:
     for done, (name, method) in enumerate(methods.items()):
         progress(name, done / len(methods))
@@ -118,7 +125,7 @@ def _all_compared(
             yield CaseResult(at={"method": name}, values={}, problem=str(error))
 
 
-def _compared(name: str, bench: Bench, result: Reconstructed, truth: Floats) -> CaseResult:
+def _compared(name: str, bench: Bench, result: MethodResult, truth: Floats) -> CaseResult:
     """Return the wavefronts beside the truth; a result with an unknown view of the field has no residual."""
     x, y = bench.field.view_x_m, bench.field.view_y_m
     is_inside = bench.field.contains(x / bench.field.half_width_m, y[:, None] / bench.field.half_width_m)

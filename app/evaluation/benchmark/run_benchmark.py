@@ -16,7 +16,7 @@ from app.evaluation.benchmark.growth import DIMS, growth, large_camera
 from app.evaluation.benchmark.ours import OURS, OURS_ONE_THREAD, coefficients_of, frames_per_s, ours
 from app.evaluation.benchmark.stopwatch import side_by_side, summaries
 from app.evaluation.benchmark.timed_frames import TimedFrames, noise_free, noisy
-from app.evaluation.benchmark.zonal import residual_rad, zonal_times
+from app.evaluation.benchmark.zonal_comparison import residual_rad, zonal_times
 from app.evaluation.cases import CaseResult, collect, rows
 from app.progress import Progress, between, named
 from app.run_facts import machine_facts, versions
@@ -33,7 +33,7 @@ _PACKAGES = ("SimpleITK", "scikit-image", "pyrtcao", "hcipy")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class BenchmarkPlan:
     """Bench, extent and duration of the benchmark."""
 
     bench: Bench
@@ -43,7 +43,7 @@ class Plan:
     peers: tuple[str, ...] = (*_RATIOS, *_OTHER_USES)
 
 
-def run_benchmark(plan: Plan, progress: Progress) -> Json:
+def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Json:
     """Run everything with BLAS in one thread, as in the live path."""
     with one_blas_thread():
         progress("rendering", 0.0)
@@ -70,7 +70,7 @@ def _as_dicts(results: Iterable[CaseResult]) -> list[Json]:
     return [row | {"frame_px": int(row["frame_px"])} for row in rows(collect(DIMS, results).isel(repeat=0), DIMS)]
 
 
-def _race(clean: TimedFrames, grainy: TimedFrames, plan: Plan, progress: Progress) -> Json:
+def _race(clean: TimedFrames, grainy: TimedFrames, plan: BenchmarkPlan, progress: Progress) -> Json:
     """Times on the noisy frame, residuals on both, and the reasons for missing peers."""
     missing: dict[str, str] = {}
     residuals: dict[str, dict[str, float]] = {}

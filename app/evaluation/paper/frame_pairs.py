@@ -1,4 +1,4 @@
-"""Frames of the tables: one bench with several masks."""
+"""FramePair of the tables: one bench with several masks."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ _DARKS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frames:
+class FramePair:
     """Reference and frame of one mask, counts or photons above the dark, (row, column)."""
 
     reference: Image
     frame: Image
 
 
-def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, Frames], Floats]:
+def noise_free_frames(bench: Bench, masks: tuple[str, ...]) -> tuple[dict[str, FramePair], Floats]:
     """Return mean photons of reference and frame for each mask, and the true wavefronts of the views."""
     rendered = NoiseFreeFrames(bench)
     with_sample = {mask: rendered.frame(mask) for mask in masks}
-    frames = {mask: Frames(rendered.reference(mask), frame.photons) for mask, frame in with_sample.items()}
+    frames = {mask: FramePair(rendered.reference(mask), frame.photons) for mask, frame in with_sample.items()}
     return frames, with_sample[masks[0]].truth
 
 
 def exposed_frames(
     bench: Bench, exposures_s: Mapping[Mask, float], progress: Callable[[float], None]
-) -> tuple[dict[str, Frames], Floats]:
+) -> tuple[dict[str, FramePair], Floats]:
     """Return frames of the noisy camera above the dark for each mask and its exposure, and the true wavefronts."""
-    frames: dict[str, Frames] = {}
+    frames: dict[str, FramePair] = {}
     with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
         for mask, exposure_s in exposures_s.items():
             try:
@@ -58,7 +58,7 @@ def exposed_frames(
             simulated.change(is_light_on=True)
             reference = _photograph(camera) - dark
             simulated.change(is_sample_in=True)
-            frames[mask] = Frames(reference.astype(np.float32), (_photograph(camera) - dark).astype(np.float32))
+            frames[mask] = FramePair(reference.astype(np.float32), (_photograph(camera) - dark).astype(np.float32))
         return frames, simulated.truth_wavefront(0)
 
 
@@ -69,7 +69,7 @@ def _photograph(camera: SimulatedCamera) -> Image:
     return pixels.astype(np.float32)
 
 
-def resized(bench: Bench, frames: Mapping[str, Frames]) -> tuple[Bench, dict[str, Frames]]:
+def resized(bench: Bench, frames: Mapping[str, FramePair]) -> tuple[Bench, dict[str, FramePair]]:
     """Crop the middle 469 x 469 pixels and resize them to 465 x 465, bicubically, as in the paper.
 
     Returns the bench with the geometry of the resized frames, and these.
@@ -77,7 +77,7 @@ def resized(bench: Bench, frames: Mapping[str, Frames]) -> tuple[Bench, dict[str
     sensor = replace(bench.sensor, pixel_pitch_m=bench.sensor.lenslet_pitch_m / 31)
     lattice = nominal_lattice(sensor, _RESIZED, _RESIZED)
     return replace(bench, sensor=sensor, lattice=lattice), {
-        mask: Frames(_crop_and_resize(pair.reference), _crop_and_resize(pair.frame)) for mask, pair in frames.items()
+        mask: FramePair(_crop_and_resize(pair.reference), _crop_and_resize(pair.frame)) for mask, pair in frames.items()
     }
 
 
