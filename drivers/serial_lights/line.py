@@ -30,12 +30,7 @@ _SLICE_S = 0.02  # longest wait of one call of the port
 _GRACE_S = 0.05  # end of the timeout, restarted if this computer stalled
 _QUIET_S = 0.1  # without a byte, after which the line is silent
 _WRITE_S = 1.0
-_FAULTS = (
-    OSError,
-    TerminalError,
-    ValueError,
-    TypeError,
-)  # the last three from a lost port
+_FAULTS = (OSError, TerminalError, ValueError, TypeError)  # the last three from a lost port
 _LONGEST_LINE = 4096  # of garbage without a line end
 
 

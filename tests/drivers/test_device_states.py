@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from drivers.interface import (
@@ -169,17 +171,8 @@ def test_with_block_closes() -> None:
 def test_region_must_lie_on_sensor_in_steps(region: Region) -> None:
     class Parts(PlainCamera):
         def _read_capabilities(self) -> CameraCapabilities:
-            return CameraCapabilities(
-                rows=40,
-                columns=50,
-                pixel_pitch_m=1e-6,
-                full_scale=255,
-                exposure_range_s=Range(1.0, 2.0),
-                em_gain_range=Range(1.0, 1.0),
-                amplifiers=("normal",),
-                sensor=Region(0, 0, 40, 50),
-                region_step_px=16,
-            )
+            plain = super()._read_capabilities()
+            return replace(plain, rows=40, columns=50, sensor=Region(0, 0, 40, 50), region_step_px=16)
 
     camera = Parts()
     with pytest.raises(BadValue, match="does not lie on the sensor of 40 x 50 in steps of 16"):

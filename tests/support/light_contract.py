@@ -148,6 +148,17 @@ class LightFaultContract(LightContract):
         assert light.current_a == before_a
         assert not faults.shines
 
+    def test_refused_current_leaves_lit_light_on(self, light: LightSource, faults: LightFaults) -> None:
+        allowed = light.current_range_a
+        before_a = light.set_current(allowed.minimum + (allowed.maximum - allowed.minimum) / 2)
+        light.set_on(True)
+        faults.refuse_next()
+        with pytest.raises(DeviceError):
+            light.set_current(allowed.minimum)
+        assert light.is_on
+        assert faults.shines
+        assert light.current_a == before_a
+
 
 class StageContract:
     @pytest.mark.parametrize("check", STAGE_CHECKS, ids=lambda check: check.__name__)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, get_args
 
+import pytest
 from hypothesis import strategies as st
 
 from drivers.serial_lights.line import Wire
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.pseudo_terminal import PtyServer
 from simulated_devices.wires.serial import FaultKind, LineDevice, LineFault, MemoryPort
+from support.light_contract import LightFaultContract
 from support.light_storm import LightStorm
 
 
@@ -40,6 +42,14 @@ class SerialFaults:
 
     def plug_in(self) -> None:
         self.device.is_unplugged = False
+
+
+class SerialLightContract(LightFaultContract):
+    """Contract of a light in memory; subclasses supply `device` and `reopen`."""
+
+    @pytest.fixture
+    def faults(self, device: LineDevice) -> SerialFaults:
+        return SerialFaults(device)
 
 
 class PtyFaults(SerialFaults):

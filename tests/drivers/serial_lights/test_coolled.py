@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis.stateful import rule
 from support.light_contract import LightFaultContract
-from support.serial_stand_in import PtyFaults, ScriptedPort, SerialFaults, SerialStorm, wire_to
+from support.serial_stand_in import PtyFaults, ScriptedPort, SerialLightContract, SerialStorm, wire_to
 from support.storm import storm_settings
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, Unsupported
@@ -36,10 +36,8 @@ def reopen(device: CoolLEDWire, clock: ManualClock) -> Callable[[], CoolLED]:
     return lambda: open_light(device, clock)
 
 
-class TestContract(LightFaultContract):
-    @pytest.fixture
-    def faults(self, device: CoolLEDWire) -> SerialFaults:
-        return SerialFaults(device)
+class TestContract(SerialLightContract):
+    """In memory."""
 
 
 class TestContractOnAPort(LightFaultContract):
