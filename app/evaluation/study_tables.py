@@ -19,7 +19,7 @@ def print_results(results: Sequence[StudyResult]) -> None:
     for sweep, data in sweeps_of(results):
         _print_sweep(sweep, data)
     if sweeps_of(results):
-        Console().print("mean over views and seeds; (asked for at most); x lenslets lost of a frame, mean")
+        Console().print("mean over views and seeds; (limit); x lenslets lost per frame, mean")
     for result in results:
         match result.study:
             case TrialStudy():
@@ -77,7 +77,7 @@ def _print_trials(study: TrialStudy, data: xr.Dataset) -> None:
         counted = f"{sum(are_as_asked)} of {len(are_as_asked)}"
         lines.append([case, counted, *(cells.get((case, quantity), "-") for quantity in quantities)])
     print_table(study.title, ("", "as asked", *quantities), lines, width=200)
-    print_line("median / worst (asked for at most)")
+    print_line("median / worst (limit)")
     for trial in trials:
         if trial["refusal"]:
             print_line(f"{trial['case']}, {trial['name']}: {trial['refusal']}")

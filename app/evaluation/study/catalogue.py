@@ -26,4 +26,6 @@ def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Stu
     for name in names:
         if name not in known:
             raise InputError(f"no sweep is called {name}; there are {', '.join(known)}")
+    if frames is not None and "calibration" not in names:
+        raise InputError("--frames is only for the calibration study: add the name calibration")
     return [known[name] for name in dict.fromkeys(names)] or [*SWEEPS]

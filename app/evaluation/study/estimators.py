@@ -1,4 +1,8 @@
-"""Estimators under study, prepared for one reference of one bench."""
+"""Estimators under study, prepared for one reference of one bench, and the wavefront from the screen's true slopes.
+
+The residual of the true slopes shows what the field and pupil modes cannot represent; any excess of an estimator comes
+from registration.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +17,12 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.evaluation.cases import CaseResult, Position
-from app.evaluation.study.exact import exact_wavefront
 from app.measurement.imaging_model import BenchModel
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import Refinement
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.wavefront import Wavefront, rms
@@ -28,6 +32,7 @@ ROUNDS = 3
 WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")
 REFINED: tuple[Warp, ...] = ("quadratic", "cubic")
 AUTOMATIC = ReconstructionSettings()  # modal, the number of modes chosen from the lattice
+_FIELD_NODES, _LENSLET_NODES = 7, 6  # of Gauss-Legendre quadrature along each axis
 
 
 class WarpEstimator:
@@ -149,3 +154,36 @@ def mean_rms(difference: Floats, lenslets: Mask, views: NDArray[np.bool_] | None
     of_views = rms(np.where(lenslets, difference, np.nan))
     of_views = of_views[np.isfinite(of_views) & (True if views is None else views)]
     return float(of_views.mean()) if of_views.size else math.nan
+
+
+def exact_wavefront(sample: Sample, reconstructor: Reconstructor, displacement: Displacement) -> Wavefront:
+    """Solve for the true displacements of the frame that was registered as `displacement`."""
+    nodes, weights = np.polynomial.legendre.leggauss(_FIELD_NODES)
+    modes = displacement.modes.values(nodes, nodes[:, None])  # (field_mode, node_y, node_x)
+    square = np.einsum("qyx,qyx,y,x->q", modes, modes, weights, weights)
+    half_width_m = reconstructor.field.half_width_m
+    coefficients = np.zeros_like(displacement.coefficients)
+    for row, y in enumerate(nodes):
+        for column, x in enumerate(nodes):
+            slopes = _mean_slopes(sample, reconstructor, x * half_width_m, y * half_width_m)
+            share = modes[:, row, column] * weights[row] * weights[column] / square
+            coefficients += share[:, None] * slopes[:, :, None]
+    return reconstructor.solve(replace(displacement, coefficients=coefficients / reconstructor.sensor.slope_per_px))
+
+
+def _mean_slopes(sample: Sample, reconstructor: Reconstructor, x_m: float, y_m: float) -> Floats:
+    """Mean slope over each lenslet for the object point (x, y): (lenslet_row, lenslet_column, xy), rad/m."""
+    sensor, rays = reconstructor.sensor, sample.ray_map
+    half_m = sensor.lenslet_pitch_m / 2
+    nodes, weights = np.polynomial.legendre.leggauss(_LENSLET_NODES)
+    along_m, across_m = np.array([-half_m, half_m]), nodes * half_m
+
+    def at(u_m: Floats, v_m: Floats) -> Floats:
+        """Phase at pupil positions u, v from each lenslet's centre: (u, v, lenslet_row, lenslet_column)."""
+        s_m = rays.pupil_scale * (sensor.pupil_x_m + u_m[:, None, None, None]) + rays.field_scale * x_m
+        t_m = rays.pupil_scale * (sensor.pupil_y_m[:, None] + v_m[None, :, None, None]) + rays.field_scale * y_m
+        return sample.screen.at(s_m, t_m)
+
+    x_slopes = np.tensordot(weights / 2, np.diff(at(along_m, across_m), axis=0)[0], axes=1)
+    y_slopes = np.tensordot(weights / 2, np.diff(at(across_m, along_m), axis=1)[:, 0], axes=1)
+    return np.stack([x_slopes, y_slopes], axis=-1) / sensor.lenslet_pitch_m

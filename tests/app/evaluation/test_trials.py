@@ -97,6 +97,8 @@ def test_calibration_rejects_a_folder_without_frames(
     arguments = ("--frames", tmp_path, "--bench", small_toml, "--out", tmp_path / "out")
     assert run(monkeypatch, "study", "calibration", *arguments) == 2
     assert f"{tmp_path}: holds no *_reference.tif" in capsys.readouterr().err
+    assert run(monkeypatch, "study", "exposure", *arguments) == 2
+    assert "--frames is only for the calibration study" in capsys.readouterr().err
 
 
 def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
