@@ -107,7 +107,7 @@ class RecordedCamera(Camera):
             wait_s = 0.0 if timeout_s > 0 else math.inf
         if absence or wait_s > timeout_s:
             self._sleep(timeout_s)
-            raise DeviceTimeout(absence or "the recording has no frame at this moment")
+            raise DeviceTimeout(absence or "the recording has no frame at this time")
         self._sleep(max(wait_s, 0.0))
         return self._play() if average is None else self._show(average)
 
@@ -151,7 +151,7 @@ class RecordedCamera(Camera):
         """Why no frame comes; empty if one does."""
         if self.is_lit and self.is_sample_in:
             if self._position == len(self._frames):
-                return f"{self.name} has ended: its {len(self._frames)} frames have been shown"
+                return f"{self.name} has ended: all {len(self._frames)} frames were played"
             number = self._line().calibration
             waits = None not in {number, self.in_force} and number != self.in_force
             return "the next frame waits for its calibration" if waits else ""

@@ -101,7 +101,7 @@ class Recording:
         except ValueError as error:
             raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100") from error
         if not frames:
-            raise InputError(f'--frames "{text}" means no frame; {self.folder} has {len(self)}')
+            raise InputError(f'--frames "{text}" selects no frame; {self.folder} has {len(self)}')
         return frames
 
     def line(self, index: int) -> FrameLine:

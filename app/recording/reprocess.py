@@ -94,16 +94,14 @@ class _InForce:
             same = _of_registration(calibration) == _of_registration(recorded)
             return cls(number, calibration, calibration.reconstructor(), same)
         except ReconstructionError as error:
-            raise InputError(
-                f"{recording.folder}: calibration {number} does not go with this bench: {error}"
-            ) from error
+            raise InputError(f"{recording.folder}: calibration {number} does not fit this bench: {error}") from error
 
     def reconstruct(self, recording: Recording, line: FrameLine, start: Displacement | None) -> Reprocessed:
         try:
             registered = self.reconstructor.register(recording.pixels(line.index), start=start)
             bias = recording.bias(line.bias) if self.registers_as_recorded and line.bias is not None else None
             if bias is not None and bias.shape != registered.coefficients.shape:
-                raise InputError(f"{recording.folder}: bias {line.bias} is not of these lenslets and field modes")
+                raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
             wavefront = self.reconstructor.solve(registered, bias=bias)
         except ReconstructionError as error:
             return Reprocessed(line, None, str(error), None, self.calibration)

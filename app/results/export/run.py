@@ -34,7 +34,7 @@ _REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the poi
 def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, progress: Progress) -> int:
     """Write the frames FIRST:END of a recording, or their results, to a file; return their number."""
     if out.exists() and not overwrite:
-        raise InputError(f"{out}: is there already; --overwrite replaces it")
+        raise InputError(f"{out}: exists already; --overwrite replaces it")
     recording = Recording(folder)
     chosen = recording.select(frames)
     with one_blas_thread():

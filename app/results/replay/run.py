@@ -57,7 +57,7 @@ def replay(
     chosen = recording.select(frames)
     change = change_of(bench, settings)
     if verify and change is not None:
-        raise InputError("--verify asks whether the recorded bench makes the same again: leave --bench and --set out")
+        raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
     made = Replay(Verification(recording) if change is None else None, None if change is None else Comparison())
     with one_blas_thread():
         stream = _frames(recording, chosen, change, made, progress)
@@ -101,7 +101,7 @@ def change_of(bench: str | None, settings: tuple[str, ...]) -> Change | None:
         try:
             return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
         except ReconstructionError as error:
-            raise InputError(f"the recorded reference does not go with this bench: {error}") from error
+            raise InputError(f"the recorded reference does not fit this bench: {error}") from error
 
     return change
 

@@ -29,7 +29,7 @@ def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> N
     """Draw the page."""
     rest = PAGE_INCHES[1] - TITLE_INCHES
     title, trend, maps, curves = parts(figure, [TITLE_INCHES, 0.3 * rest, 0.36 * rest, 0.34 * rest])
-    write_title(title, TITLE_INCHES, summary.name, "how steady the wavefront was, how sure it is, how far it serves")
+    write_title(title, TITLE_INCHES, summary.name, "stability, uncertainty and range of validity of the wavefront")
     _draw_trend(trend.subplots(), summary, stats)
     lost, sigma = maps.subplots(1, 2)
     _draw_lost(lost, stats)

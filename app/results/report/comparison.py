@@ -41,7 +41,7 @@ class Residual:
         """The three numbers of the paper's Table 2."""
         values = self.rms_rad
         return (
-            f"RMS of what is left at the views: least {np.nanmin(values):.3f}, most {np.nanmax(values):.3f},"
+            f"RMS of the difference at the views: least {np.nanmin(values):.3f}, most {np.nanmax(values):.3f},"
             f" mean {np.nanmean(values):.3f} rad"
         )
 
@@ -58,7 +58,7 @@ def residual_of(summary: Summary, other: Summary) -> Residual:
         raise InputError(f"{other_folder}: has other views or lenslets than {folder}: nothing to compare")
     views = without_piston(one.mean - two.mean)
     if not np.isfinite(views).any():
-        raise InputError(f"{other_folder}: knows none of the lenslets that {folder} knows")
+        raise InputError(f"{other_folder}: has no lenslet in common with {folder}")
     return Residual(summary.name, other.name, one.wavefront.field, one.mean, two.mean, views)
 
 

@@ -83,7 +83,7 @@ def _light(lines: list[FrameLine], light: dict[str, Any]) -> str:
     parts = [str(light["name"])] if "name" in light else []
     parts += [f"{current} mA"] if current else []
     if any(line.is_light_on is False for line in lines):
-        parts.append("not on all the time")
+        parts.append("partly off")
     return ", ".join(parts)
 
 
@@ -92,7 +92,7 @@ def _of_calibration(summary: Summary) -> Iterator[Fact]:
     if calibration is None:
         yield "reference", "none: these frames have no calibration"
         return
-    several = f"; the first of {summary.calibrations} that were in force" * (summary.calibrations > 1)
+    several = f"; the first of {summary.calibrations} calibrations" * (summary.calibrations > 1)
     yield "dark", "none" if calibration.dark is None else _average(calibration.dark)
     yield "reference", _average(calibration.reference) + several
     yield "noise", _noise(calibration)
@@ -111,10 +111,10 @@ def _average(average: Average) -> str:
 def _noise(calibration: Calibration) -> str:
     noise = calibration.noise()
     if noise is None:
-        return "not known from dark and reference: error bars are from the misfit"
+        return "unknown from dark and reference; error bars from the misfit"
     return (
-        f"{noise.counts_per_electron:.3g} counts an electron, read noise {noise.read_noise_counts:.3g} counts,"
-        " as dark and reference show"
+        f"{noise.counts_per_electron:.3g} counts per electron, read noise {noise.read_noise_counts:.3g} counts,"
+        " from dark and reference"
     )
 
 
@@ -126,7 +126,7 @@ def _method(bench: Bench, summary: Summary) -> str:
     parts.append(reconstruction.method)
     if reconstruction.method == "modal":
         modes = reconstruction.pupil_modes
-        parts.append(f"{reconstruction.basis}, {'as many' if modes is None else modes} pupil modes")
+        parts.append(f"{reconstruction.basis}, {modes or 'automatic number of'} pupil modes")
     if summary.statistics is not None and summary.statistics.refined:
         parts.append(f"refined {summary.statistics.refined} of {len(summary.statistics.frames)}")
     return ", ".join(parts)

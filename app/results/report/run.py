@@ -39,7 +39,7 @@ def report_pages(
     if out.suffix.lower() not in {".pdf", ".png"}:
         raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
     if out.exists() and not overwrite:
-        raise InputError(f"{out}: is there already; --overwrite replaces it")
+        raise InputError(f"{out}: exists already; --overwrite replaces it")
     recordings = [Recording(folder), *([] if beside is None else [Recording(beside)])]
     summary = summarise(recordings[0], frames, progress, change=change_of(None, settings))
     residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, progress))

@@ -149,7 +149,7 @@ def test_read_after_the_last_frame_times_out_with_the_reason(
             read(camera)
         for _ in range(2):
             before_s = clock.now()
-            with pytest.raises(DeviceTimeout, match=f"recording run has ended: its {FRAMES} frames have been shown"):
+            with pytest.raises(DeviceTimeout, match=f"recording run has ended: all {FRAMES} frames were played"):
                 camera.read(0.1)
             assert clock.now() == pytest.approx(before_s + 0.1)
             camera.stop()
@@ -469,7 +469,7 @@ def test_measuring_a_recording_reproduces_its_frames(small_toml: Path, tmp_path:
 
 def test_measuring_beyond_the_end_keeps_all_frames(small_toml: Path, steady: Recording, tmp_path: Path) -> None:
     bench = parse_bench(bench_text(small_toml, steady.folder), "bench")
-    with pytest.raises(RunError, match=f"recording run has ended: its {FRAMES} frames have been shown"):
+    with pytest.raises(RunError, match=f"recording run has ended: all {FRAMES} frames were played"):
         measure(bench, FRAMES + 1, tmp_path / "again", ignore)
     made = Recording(tmp_path / "again")
     assert made.is_complete

@@ -244,7 +244,7 @@ def test_existing_file_is_replaced_only_on_request(
     out = tmp_path / "run.csv"
     out.write_text("mine")
     assert run(monkeypatch, "export", recording.folder, "--to", "csv", "--out", out) == 2
-    assert f"{out}: is there already; --overwrite replaces it" in capsys.readouterr().err
+    assert f"{out}: exists already; --overwrite replaces it" in capsys.readouterr().err
     assert out.read_text() == "mine"
     assert run(monkeypatch, "export", recording.folder, "--to", "csv", "--out", out, "--overwrite") == 0
     assert "9 frames of" in capsys.readouterr().out

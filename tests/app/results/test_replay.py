@@ -308,12 +308,12 @@ def test_interrupted_replay_leaves_no_file(plain: Recording, tmp_path: Path, mon
 
 MISTAKES: dict[str, tuple[tuple[str, ...], str]] = {
     "verify and another bench": (("--verify", "--set", "registration.warp=affine"), "leave --bench and --set out"),
-    "no frame": (("--frames", "8:"), '--frames "8:" means no frame; .* has 8'),
+    "no frame": (("--frames", "8:"), '--frames "8:" selects no frame; .* has 8'),
     "one number": (("--frames", "5"), "write FIRST:END"),
     "no number": (("--frames", "a:b"), "write FIRST:END"),
     "an unknown setting": (("--set", "registration.wrap=affine"), "the recorded bench: .*unknown key wrap"),
     "no such bench": (("--bench", "nowhere.toml"), "nowhere.toml: No such file"),
-    "another sensor": (("--bench", "paper_simulation"), "does not go with this bench"),
+    "another sensor": (("--bench", "paper_simulation"), "does not fit this bench"),
 }
 
 
@@ -351,7 +351,7 @@ FAULTS: dict[str, tuple[Callable[[Recording], object], str]] = {
     "half a frame": (_truncate, "is damaged"),
     "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
     "a reference of another size": (_cut_average, "the dark has 172 x 240 pixels, but the reference has 100 x 240"),
-    "a bias of other lenslets": (_misshape_bias, "bias 0 is not of these lenslets"),
+    "a bias of other lenslets": (_misshape_bias, "bias 0 has other lenslets"),
     "a bias that is not there": (lambda mine: edit_line(mine, 1, bias=7), "7.npy: cannot be read"),
 }
 

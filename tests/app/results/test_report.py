@@ -174,7 +174,7 @@ def test_facts_are_those_of_the_recording(mine: Recording) -> None:
     assert found["light"] == "a lamp, 250 ... 500 mA"
     assert found["mask"] == "stars"
     assert found["dark"] == found["reference"] == "mean of 4 frames of 20 ms, em gain 8"
-    assert "counts an electron" in found["noise"]
+    assert "counts per electron" in found["noise"]
     assert found["lattice"] == "7 x 5 lenslets, pitch 31.2500 px, centre (121.30, 84.60) px, turned by +3.00 mrad"
     assert found["method"] == "gauss_newton, warp automatic, modal, legendre, 15 pupil modes"
     assert found["speed"] == "registration 17.1 (30.0) ms: median (99 %)"
@@ -295,7 +295,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     first = out.read_bytes()
     assert first.startswith(b"%PDF")
     assert first.count(b"/Type /Page ") == 2
-    with pytest.raises(InputError, match="is there already"):
+    with pytest.raises(InputError, match="exists already"):
         reported(recording.folder, out)
 
     def fail(*_: object, **__: object) -> None:
@@ -316,7 +316,7 @@ def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
     residual = residual_of(summary, other)
     np.testing.assert_allclose(residual.rms_rad, 0.3 * np.sqrt((7**2 - 1) / 12))
     np.testing.assert_allclose(residual.views, np.broadcast_to(plane - plane.mean(), residual.views.shape), atol=1e-12)
-    assert residual.sentence == "RMS of what is left at the views: least 0.600, most 0.600, mean 0.600 rad"
+    assert residual.sentence == "RMS of the difference at the views: least 0.600, most 0.600, mean 0.600 rad"
     np.testing.assert_array_equal(residual_of(summary, summary).views, 0)
     maps = maps_of(drawn(lambda onto: draw_comparison(onto, residual)))
     np.testing.assert_array_equal(
@@ -328,7 +328,7 @@ def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
     unknown = replace(
         summary, statistics=replace(summary.statistics, mean=np.full_like(summary.statistics.mean, np.nan))
     )
-    with pytest.raises(InputError, match="knows none of the lenslets"):
+    with pytest.raises(InputError, match="has no lenslet in common"):
         residual_of(summary, unknown)
 
 
