@@ -1,4 +1,4 @@
-"""The simulated bench: what it renders ahead, keeps in its cache and plays; and its settings."""
+"""The simulated bench: rendering ahead, image cache, playback and settings."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_states_are_rendered_ahead_and_played(cache_folder: Path) -> None:
         bench.close()
 
 
-def test_the_background_process_ends_at_once(tmp_path: Path) -> None:
+def test_closing_kills_rendering_ahead(tmp_path: Path) -> None:
     slow = replace(DRIFTING, object_samples=101, drifting_states=50)
     bench = open_bench(tmp_path, replace(slow, object_samples=5))
     process = bench._ahead
@@ -69,9 +69,7 @@ def test_the_background_process_ends_at_once(tmp_path: Path) -> None:
     assert time.monotonic() - start < 1
 
 
-def test_the_background_process_comes_to_a_quiet_end(
-    bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene = replace(bench._scene, simulation=DRIFTING)
     process = RenderingAhead(scene, "square", tmp_path)
     assert process._process.wait(HANG_S) == 0
@@ -81,9 +79,7 @@ def test_the_background_process_comes_to_a_quiet_end(
     assert all(cache.load("square", state) is not None for state in range(4))
 
 
-def test_a_cache_that_cannot_be_written_keeps_nothing_and_the_bench_goes_on(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_bench_works_without_writable_cache(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("no folder")
     bench = open_bench(tmp_path / "file", DRIFTING)
     assert bench._ahead is not None
@@ -98,7 +94,7 @@ def test_a_cache_that_cannot_be_written_keeps_nothing_and_the_bench_goes_on(
     assert capfd.readouterr().err == ""
 
 
-def test_a_full_disk_leaves_nothing_half_written(
+def test_full_disk_leaves_no_partial_file(
     bench: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def write_some(file: BinaryIO, _: object) -> None:
@@ -115,7 +111,7 @@ def test_a_full_disk_leaves_nothing_half_written(
     np.testing.assert_array_equal(cache.load("square", 0), image)
 
 
-def test_progress_runs_over_the_reference_and_the_first_state(tmp_path: Path) -> None:
+def test_progress_covers_reference_and_first_state(tmp_path: Path) -> None:
     heard: list[float] = []
     open_bench(tmp_path, progress=heard.append).close()
     assert heard == sorted(heard)
@@ -128,7 +124,7 @@ def test_progress_runs_over_the_reference_and_the_first_state(tmp_path: Path) ->
     assert heard == [1.0]
 
 
-def test_a_damaged_file_is_rendered_anew(tmp_path: Path) -> None:
+def test_damaged_file_is_rendered_again(tmp_path: Path) -> None:
     first = open_bench(tmp_path)
     whole = first.expose(0.0, 1.0)
     first.change(is_light_on=True, is_sample_in=True)
@@ -144,7 +140,7 @@ def test_a_damaged_file_is_rendered_anew(tmp_path: Path) -> None:
     assert np.load(file).shape == (100, 140)
 
 
-def test_a_damaged_file_is_rendered_anew_in_the_background(tmp_path: Path) -> None:
+def test_damaged_file_is_rendered_again_ahead(tmp_path: Path) -> None:
     bench = open_bench(tmp_path, DRIFTING)
     bench.close()
     scene = bench._scene
@@ -157,7 +153,7 @@ def test_a_damaged_file_is_rendered_anew_in_the_background(tmp_path: Path) -> No
     np.testing.assert_array_equal(cache.load("stars", 2), good)
 
 
-def test_every_parameter_has_images_of_its_own(bench: SimulatedBench) -> None:
+def test_every_parameter_changes_the_fingerprint(bench: SimulatedBench) -> None:
     scene = bench._scene
     others = [
         replace(scene, rows=101),
@@ -169,7 +165,7 @@ def test_every_parameter_has_images_of_its_own(bench: SimulatedBench) -> None:
     assert len({scene.fingerprint(), *(other.fingerprint() for other in others)}) == 6
 
 
-def test_a_film_is_played_back_and_forth_and_grows_without_a_jump() -> None:
+def test_playback_reverses_and_grows_without_jump() -> None:
     film = Playback(states=3, duration_s=1.0, start_s=0.0)
     assert [film.state_at(time_s + 0.5) for time_s in range(7)] == [0, 1, 2, 1, 0, 1, 2]
     film.states = 5
@@ -196,6 +192,6 @@ def test_a_film_is_played_back_and_forth_and_grows_without_a_jump() -> None:
         (lambda: SimulatedLightSettings(current_a=2.0), "current_a"),
     ],
 )
-def test_a_bad_setting_is_named(make: type[object], key: str) -> None:
+def test_bad_setting_is_named(make: type[object], key: str) -> None:
     with pytest.raises(ValueError, match=f"^{key} "):
         make()

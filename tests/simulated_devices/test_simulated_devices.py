@@ -74,14 +74,14 @@ class TestSimulatedStage(StageContract):
     pass
 
 
-def test_frames_come_at_their_own_pace(bench: SimulatedBench, camera: SimulatedCamera) -> None:
+def test_frames_come_at_the_exposure_period(bench: SimulatedBench, camera: SimulatedCamera) -> None:
     camera.set_exposure(0.02)
     camera.start()
     assert [camera.read(1.0).camera_time_s for _ in range(4)] == pytest.approx([0.02, 0.04, 0.06, 0.08])
     assert bench.clock.now() == pytest.approx(0.08, abs=1e-4)
 
 
-def test_a_late_reader_finds_the_newest_eight_frames(bench: SimulatedBench, camera: SimulatedCamera) -> None:
+def test_late_reader_gets_newest_eight_frames(bench: SimulatedBench, camera: SimulatedCamera) -> None:
     camera.set_exposure(0.02)
     camera.start()
     bench.clock.sleep(20.5 * 0.02)  # 20 complete frames, 0 ... 19
@@ -90,7 +90,7 @@ def test_a_late_reader_finds_the_newest_eight_frames(bench: SimulatedBench, came
         camera.read(0.0)
 
 
-def test_a_timeout_takes_its_time_and_no_more(bench: SimulatedBench, camera: SimulatedCamera) -> None:
+def test_timeout_lasts_as_long_as_asked(bench: SimulatedBench, camera: SimulatedCamera) -> None:
     camera.set_exposure(1.0)
     camera.start()
     with pytest.raises(DeviceTimeout):
@@ -98,12 +98,12 @@ def test_a_timeout_takes_its_time_and_no_more(bench: SimulatedBench, camera: Sim
     assert bench.clock.now() == pytest.approx(0.3, abs=1e-3)
 
 
-def test_the_exposure_is_rounded_to_ten_microseconds(camera: SimulatedCamera) -> None:
+def test_exposure_is_rounded_to_ten_microseconds(camera: SimulatedCamera) -> None:
     assert camera.exposure_s == 0.01429
     assert camera.set_exposure(0.0200049) == 0.02
 
 
-def test_exposure_limits_are_those_of_the_property_sheet(bench: SimulatedBench, camera: SimulatedCamera) -> None:
+def test_exposure_limits_match_the_property_sheet(bench: SimulatedBench, camera: SimulatedCamera) -> None:
     assert (camera.capabilities.exposure_range_s.minimum, camera.capabilities.exposure_range_s.maximum) == (0.0139, 1.0)
     with pytest.raises(BadValue):
         camera.set_exposure(3.8)
@@ -118,9 +118,7 @@ def test_exposure_limits_are_those_of_the_property_sheet(bench: SimulatedBench, 
     assert bench.camera_settings.readout_speed == 3
 
 
-def test_a_change_while_running_leaves_waiting_frames_as_they_were(
-    bench: SimulatedBench, camera: SimulatedCamera
-) -> None:
+def test_change_while_running_leaves_waiting_frames(bench: SimulatedBench, camera: SimulatedCamera) -> None:
     camera.set_exposure(0.02)
     camera.start()
     bench.clock.sleep(0.05)  # two complete, half of the third
@@ -149,7 +147,7 @@ def test_light_is_proportional_to_current_and_exposure(
     assert means[0] == pytest.approx(photons * 0.8 / 5.8, rel=0.01)
 
 
-def test_a_change_during_an_exposure_counts_for_its_part(
+def test_change_during_exposure_counts_in_proportion(
     bench: SimulatedBench, camera: SimulatedCamera, light: SimulatedLight, stage: SimulatedStage
 ) -> None:
     camera.set_exposure(0.1)
@@ -169,7 +167,7 @@ def test_a_change_during_an_exposure_counts_for_its_part(
     assert abs(mixed - expected).max() < 8 * math.sqrt(sample.max() / 5.8 * 2 + 100)
 
 
-def test_a_stalled_camera_times_out_until_it_is_started_again(camera: SimulatedCamera) -> None:
+def test_stalled_camera_times_out_until_restart(camera: SimulatedCamera) -> None:
     camera.start()
     camera.stall()
     with pytest.raises(DeviceTimeout):
@@ -179,7 +177,7 @@ def test_a_stalled_camera_times_out_until_it_is_started_again(camera: SimulatedC
     assert camera.read(1.0).index == 0
 
 
-def test_both_exposures_of_the_paper_come_near_seventy_per_cent_of_full_scale(tmp_path: Path) -> None:
+def test_both_paper_exposures_near_70_percent_of_full_scale(tmp_path: Path) -> None:
     simulation = replace(STILL, object_samples=37, pupil_samples=20)
     settings = replace(CAMERA, readout_speed=2, exposure_s=0.15)
     bench = open_bench(tmp_path, simulation, settings)
@@ -194,7 +192,7 @@ def test_both_exposures_of_the_paper_come_near_seventy_per_cent_of_full_scale(tm
     bench.close()
 
 
-def test_live_frames_use_the_scale_with_the_multiplier(tmp_path: Path) -> None:
+def test_live_frames_use_the_scale_with_em_gain(tmp_path: Path) -> None:
     bench = open_bench(tmp_path, replace(STILL, object_samples=19, pupil_samples=12))
     with SimulatedCamera(bench) as camera, SimulatedLight(bench) as light:
         light.set_current(1.0)
@@ -204,13 +202,13 @@ def test_live_frames_use_the_scale_with_the_multiplier(tmp_path: Path) -> None:
         assert 0.5 < camera.read(1.0).pixels.max() / 65535 < 0.8
 
 
-def test_the_light_goes_out_when_it_is_opened(bench: SimulatedBench) -> None:
+def test_opening_switches_the_light_off(bench: SimulatedBench) -> None:
     bench.change(is_light_on=True)
     with SimulatedLight(bench):
         assert not bench.condition.is_light_on
 
 
-def test_each_readout_speed_has_its_exposures_and_its_noise(camera: SimulatedCamera) -> None:
+def test_readout_speed_sets_exposure_range_and_noise(camera: SimulatedCamera) -> None:
     spreads = []
     for speed, minimum_s, maximum_s in ((3, 0.0139, 1.0), (2, 0.02713, 7200), (1, 0.42147, 7200)):
         camera.set_readout_speed(speed)
@@ -224,7 +222,7 @@ def test_each_readout_speed_has_its_exposures_and_its_noise(camera: SimulatedCam
     assert camera.capabilities.readout_speeds == (1,)
 
 
-def test_a_region_shows_its_part_of_the_whole(camera: SimulatedCamera, light: SimulatedLight) -> None:
+def test_region_is_part_of_the_whole_frame(camera: SimulatedCamera, light: SimulatedLight) -> None:
     light.set_on(True)
     camera.start()
     whole = camera.read(1.0).pixels.astype(float)

@@ -1,4 +1,4 @@
-"""How long a test waits: until it is so. The computer may be slow, shared, and stand still now and then."""
+"""Waiting in tests that tolerates a slow, shared or stalled computer."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-HANG_S: Final = 300.0  # only what hangs takes longer, also where Numba still has to compile everything on one slow core
+HANG_S: Final = 300.0  # longer than compiling everything on one slow core
 _TICK_S: Final = 0.01
 
 
 def wait_until(holds: Callable[[], object]) -> None:
-    """Wait until it holds; fail when it never does."""
+    """Wait until the condition holds; fail after `HANG_S`."""
     deadline_s = time.monotonic() + HANG_S
     while not holds():
         assert time.monotonic() < deadline_s, f"it did not come to that in {HANG_S:g} s"
@@ -22,10 +22,9 @@ def wait_until(holds: Callable[[], object]) -> None:
 
 @contextmanager
 def own_time() -> Iterator[Callable[[], float]]:
-    """Count the seconds from here on, without those in which the computer let this program stand still.
+    """Count the seconds during which this program was running, to test that something is quick by itself.
 
-    For what must be quick by itself, such as telling that a plug was pulled. A thread ticks; between two ticks, no more
-    than two count.
+    A thread ticks; between two ticks at most two ticks count.
     """
     elapsed_s, is_over = 0.0, threading.Event()
 

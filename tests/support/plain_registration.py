@@ -1,4 +1,4 @@
-"""The registration once more, in plain NumPy and SciPy, as its formulas read: what the fast one is compared with.
+"""Reference registration in plain NumPy and SciPy, to compare the fast one with.
 
 The residual I1(x + d) det(1 + dd/dx) gain + offset det - I0 is made orthogonal to the steepest-descent images
 d(I0 T_q)/dx, d(I0 T_q)/dy, I0 and 1, all pixels of the window weighted alike, by Gauss-Newton steps from zero.

@@ -49,7 +49,7 @@ def open_bench(
 
 
 class SimulatedCameraFaults:
-    """The hand at the simulated camera's cable."""
+    """Faults of the simulated camera."""
 
     def __init__(self, camera: SimulatedCamera) -> None:
         self._camera = camera
@@ -71,7 +71,7 @@ class SimulatedCameraFaults:
 
 
 class SimulatedLightFaults:
-    """The hand at the simulated light's cable, and an eye on the light."""
+    """Faults of the simulated light, and its true state."""
 
     def __init__(self, bench: SimulatedBench, light: SimulatedLight) -> None:
         self._bench, self._light = bench, light

@@ -1,4 +1,4 @@
-"""The patience of the tests: a computer that stands still fails nobody, and what hangs is told."""
+"""Waiting in tests: a stalled computer does no harm, and hanging fails."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from support import patience
 from support.paths import TESTS
 from support.patience import HANG_S, own_time, wait_until
 
-# Tells what it waited, in its own time, until a line came.
+# Prints the own time that it waited for a line.
 WAITING = """
 from support.patience import own_time
 with own_time() as elapsed_s:
@@ -25,20 +25,20 @@ with own_time() as elapsed_s:
 """
 
 
-def test_what_never_comes_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waiting_in_vain_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(patience, "HANG_S", 0.05)
     with pytest.raises(AssertionError, match=r"in 0\.05 s"):
         wait_until(lambda: False)
 
 
-def test_no_second_counts_that_was_not() -> None:
+def test_own_time_is_at_most_real_time() -> None:
     began_s = time.monotonic()
     with own_time() as elapsed_s:
         wait_until(lambda: elapsed_s() > 0.3)
         assert elapsed_s() <= time.monotonic() - began_s
 
 
-def test_a_program_that_stands_still_has_no_time() -> None:
+def test_own_time_stops_with_the_program() -> None:
     environment = os.environ | {"PYTHONPATH": str(TESTS)}
     command = [sys.executable, "-c", WAITING]
     began_s = time.monotonic()

@@ -98,7 +98,7 @@ def test_shot_noise_and_read_noise_are_independent() -> None:
 
 @pytest.mark.parametrize("em_gain", [1.5, 4.0, 50.0])
 @pytest.mark.parametrize("mean", [2.0, 30.0, 300.0])
-def test_multiplication_has_the_mean_and_excess_noise_of_a_birth_process(mean: float, em_gain: float) -> None:
+def test_multiplication_has_mean_and_excess_noise_of_birth_process(mean: float, em_gain: float) -> None:
     exposure = replace(NORMAL, amplifier="em", em_gain=em_gain)
     counts = counts_with(mean, exposure)
     excess = 2 - 1 / em_gain  # F^2: variance over that of noiseless multiplication; 2 for large gain
@@ -117,7 +117,7 @@ def test_multiplied_electrons_are_distributed_as_in_a_register(mean: float) -> N
     assert stats.ks_2samp(counts, truth).statistic < 1.95 * math.sqrt(2 / PIXELS) + 0.002
 
 
-def test_the_multiplier_is_idle_at_gain_one_and_in_the_normal_amplifier() -> None:
+def test_no_multiplication_at_gain_one_or_normal_amplifier() -> None:
     plain = counts_with(40.0)
     np.testing.assert_array_equal(plain, counts_with(40.0, replace(NORMAL, amplifier="em", em_gain=1.0)))
     np.testing.assert_array_equal(plain, counts_with(40.0, replace(NORMAL, em_gain=100.0)))
@@ -136,7 +136,7 @@ def test_counts_are_electrons_over_the_conversion_factor() -> None:
     assert counts.mean() == pytest.approx(100_000 / 5.8 + 500, abs=1.0)
 
 
-def test_a_frame_depends_on_seed_and_index_alone(bare: Detector) -> None:
+def test_frame_depends_only_on_seed_and_index(bare: Detector) -> None:
     photons = flat(50.0)
     first = bare.counts(photons, NORMAL)
     other = bare.counts(photons, replace(NORMAL, index=1))

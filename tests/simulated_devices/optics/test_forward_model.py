@@ -90,7 +90,7 @@ def test_agrees_with_the_plain_fourier_sum() -> None:
 
 
 @pytest.mark.parametrize("rotation_rad", [0.03, -0.6])
-def test_a_pixel_averages_over_its_own_turned_square(rotation_rad: float) -> None:
+def test_pixel_averages_over_its_rotated_square(rotation_rad: float) -> None:
     phase_screen, lattice = screen(), replace(LATTICE, rotation_rad=rotation_rad)
     fast = model(lattice, pixel_fill_factor=1.0)
     point = SourcePoints(position_m=POINTS.position_m[:1], area_m2=POINTS.area_m2[:1])
@@ -107,7 +107,7 @@ def test_a_pixel_averages_over_its_own_turned_square(rotation_rad: float) -> Non
     np.testing.assert_allclose(image, truth, rtol=0, atol=2e-5 * truth.max())
 
 
-def test_the_reference_is_the_image_behind_a_flat_screen() -> None:
+def test_reference_is_the_image_behind_a_flat_screen() -> None:
     flat = PhaseScreen(np.zeros((241, 241)), 25e-6)
     fast = model(pixel_fill_factor=1.0)
     behind = fast.irradiance(POINTS, fast.screen_phase(flat, RAY_MAP))
@@ -128,7 +128,7 @@ def centroids_px(image: NDArray[np.float32], lattice: Lattice, *, radius_px: flo
     return found
 
 
-def test_a_tilt_moves_the_light_towards_positive_x_by_f_over_k_times_the_slope() -> None:
+def test_tilt_moves_light_to_positive_x_by_f_over_k_times_slope() -> None:
     slope_x, slope_y = 9000.0, -5000.0  # rad/m
     along_m = (np.arange(241) - 120) * 25e-6
     tilted = PhaseScreen(slope_y * along_m[:, None] + slope_x * along_m[None, :], 25e-6)
@@ -153,7 +153,7 @@ def test_the_screen_moves_with_its_shift() -> None:
     np.testing.assert_allclose(step.mean(axis=(0, 1)), expected, atol=0.04)  # the centroids are thresholded
 
 
-def test_an_object_point_lands_at_its_place_in_every_subimage() -> None:
+def test_object_point_keeps_its_place_in_every_subimage() -> None:
     fast = model()
     for x_o, y_o in ((0.5e-3, -0.2e-3), (-0.3e-3, 0.4e-3)):
         point = SourcePoints(position_m=np.array([[x_o, y_o]]), area_m2=np.ones(1))
@@ -162,7 +162,7 @@ def test_an_object_point_lands_at_its_place_in_every_subimage() -> None:
         np.testing.assert_allclose(found.mean(axis=(0, 1)), expected, atol=0.05)
 
 
-def test_the_light_of_a_lenslet_is_the_emitting_area() -> None:
+def test_light_of_a_lenslet_is_the_emitting_area() -> None:
     square = source.square(Source(), object_samples=13)
     image = model().irradiance(square)
     per_lenslet = image.sum() / (7 * 9)
@@ -170,7 +170,7 @@ def test_the_light_of_a_lenslet_is_the_emitting_area() -> None:
     assert 0.95 * area < per_lenslet < area  # a few per cent are diffracted beyond the cell
 
 
-def test_a_pinhole_is_a_disc() -> None:
+def test_pinhole_is_a_disc() -> None:
     points = source.stars(Source(star_rows=1, star_columns=1, pinhole_diameter_m=80e-6))
     assert points.area_m2.sum() == pytest.approx(math.pi * (40e-6) ** 2)
     mean_square = np.einsum("p,pi,pj->ij", points.area_m2, points.position_m, points.position_m) / points.area_m2.sum()
@@ -184,7 +184,7 @@ def test_stars_stand_in_rows_and_columns() -> None:
     np.testing.assert_allclose(stars[:, 0, 1], [-0.2e-3, 0.2e-3], atol=1e-15)
 
 
-def test_border_lenslets_are_lit_and_change_nothing_inside() -> None:
+def test_border_lenslets_change_nothing_inside() -> None:
     plain, bordered = model().irradiance(POINTS), model(border_lenslets=1).irradiance(POINTS)
     assert not plain[0].any()
     lit = plain > 0
@@ -192,7 +192,7 @@ def test_border_lenslets_are_lit_and_change_nothing_inside() -> None:
     assert (bordered > 0).sum() > 1.1 * lit.sum()
 
 
-def test_the_answer_does_not_depend_on_threads_beyond_rounding() -> None:
+def test_result_does_not_depend_on_threads() -> None:
     square = source.square(Source(), object_samples=5)
     phase_screen = screen()
     one, two = model(threads=1), model(threads=2)
@@ -202,7 +202,7 @@ def test_the_answer_does_not_depend_on_threads_beyond_rounding() -> None:
     )
 
 
-def test_a_ray_beside_the_screen_is_an_error_before_any_light_is_traced() -> None:
+def test_ray_beside_the_screen_raises_before_rendering() -> None:
     small = PhaseScreen(np.zeros((100, 300)), 25e-6)
     with pytest.raises(ValueError, match="at y = "):
         model().screen_phase(small, RAY_MAP)
@@ -246,9 +246,7 @@ MANY = source.square(Source(), object_samples=31)
 
 @pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (interrupt, KeyboardInterrupt)])
-def test_an_exception_in_one_thread_and_ctrl_c_end_them_all(
-    end: Callable[[], object], error: type[BaseException]
-) -> None:
+def test_exception_or_ctrl_c_ends_all_threads(end: Callable[[], object], error: type[BaseException]) -> None:
     phase = SlowPhase(end)
     with pytest.raises(error):
         model().irradiance(MANY, phase)
@@ -259,7 +257,7 @@ def test_an_exception_in_one_thread_and_ctrl_c_end_them_all(
     assert phase.points < 20
 
 
-def test_what_progress_raises_ends_the_rendering() -> None:
+def test_exception_in_progress_ends_rendering() -> None:
     phase = SlowPhase()
     with pytest.raises(ArithmeticError):
         model().irradiance(MANY, phase, progress=fail)  # heard after one column of 31 points

@@ -27,7 +27,7 @@ def quick(samples: int = 120, seed: int = 0) -> np.ndarray[tuple[int, ...], np.d
 
 
 @pytest.mark.parametrize("length_m", [1.25e-3, 1.6e-3, 2.0e-3])
-def test_the_recipe_of_the_ensemble_to_the_bit(length_m: float) -> None:
+def test_smooth_screen_is_the_ensemble_bit_for_bit(length_m: float) -> None:
     n, p = 385, int(4 * length_m / 25e-6)
     noise = np.random.default_rng(2).standard_normal((n + 2 * p, n + 2 * p))
     expected = ndimage.gaussian_filter(noise, length_m / 25e-6)[p : p + n, p : p + n]
@@ -37,7 +37,7 @@ def test_the_recipe_of_the_ensemble_to_the_bit(length_m: float) -> None:
     np.testing.assert_array_equal(screen, expected)
 
 
-def test_the_sample_of_the_paper_has_the_asked_mean_rms_over_the_views() -> None:
+def test_paper_sample_has_requested_mean_rms_over_views() -> None:
     sample = make_sample(Simulation(seed=1), SENSOR, FIELD)
     assert sample.screen.samples_rad.shape == (385, 385)
     n, p = 385, 320
@@ -79,13 +79,13 @@ def assert_is_of_the_ensemble(
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("length_m", [1.25e-3, 1.6e-3, 2.0e-3])
-def test_the_samples_near_the_pupil_are_the_ensemble_to_the_bit(length_m: float, seed: int) -> None:
+def test_samples_near_pupil_are_the_ensemble_bit_for_bit(length_m: float, seed: int) -> None:
     simulation = Simulation(seed=seed, screen=Screen(correlation_length_m=length_m))
     assert_is_of_the_ensemble(simulation, samples=385, spacing_m=25e-6, rms_rad=4.2, pupil_scale=1.0, field_scale=0.975)
 
 
 @pytest.mark.soak
-def test_the_sample_of_the_experiment_preset_is_the_ensemble_near_the_source_to_the_bit() -> None:
+def test_experiment_sample_is_the_ensemble_bit_for_bit() -> None:
     simulation = load_bench("paper_experiment", ("simulation.seed=2",)).simulation
     assert simulation.screen.correlation_length_m == 1.2e-3
     rms_rad = simulation.screen.rms_rad  # how strong it is is the preset's own affair
@@ -102,7 +102,7 @@ ENLARGED = {
 
 @pytest.mark.parametrize("enlarged", ENLARGED.values(), ids=ENLARGED)
 @pytest.mark.parametrize("pv_rad", [None, 28.846])
-def test_the_middle_of_an_enlarged_screen_is_the_screen(enlarged: Simulation, pv_rad: float | None) -> None:
+def test_middle_of_enlarged_screen_is_the_screen(enlarged: Simulation, pv_rad: float | None) -> None:
     rms_rad = 4.2 if pv_rad is None else 5.712
     plain, large = (
         make_sample(
@@ -121,7 +121,7 @@ def test_the_middle_of_an_enlarged_screen_is_the_screen(enlarged: Simulation, pv
     assert steps.max() < 0.5
 
 
-def test_the_screen_of_the_paper_is_two_numbers_in_the_toml() -> None:
+def test_toml_sets_pv_and_rms_of_paper_screen() -> None:
     changes = ("simulation.screen.pv_rad=28.846", "simulation.screen.rms_rad=5.712")
     for border in (0, 1):
         bench = load_bench("paper_simulation", (*changes, f"simulation.border_lenslets={border}"))
@@ -132,7 +132,7 @@ def test_the_screen_of_the_paper_is_two_numbers_in_the_toml() -> None:
         assert middle.std() == pytest.approx(5.712, rel=1e-9)
 
 
-def test_between_samples_there_is_a_bicubic_spline_rows_along_y() -> None:
+def test_screen_is_interpolated_by_bicubic_spline() -> None:
     samples = quick()[:, :90]
     screen = PhaseScreen(samples, 25e-6)
     y, x = (np.arange(120) - 59.5) * 25e-6, (np.arange(90) - 44.5) * 25e-6
@@ -142,14 +142,14 @@ def test_between_samples_there_is_a_bicubic_spline_rows_along_y() -> None:
     np.testing.assert_allclose(screen.at(x[3], y[7]), samples[7, 3], atol=1e-12)
 
 
-def test_the_separable_bases_give_the_same_spline() -> None:
+def test_separable_bases_give_the_same_spline() -> None:
     screen = PhaseScreen(quick()[:, :90], 25e-6)
     x, y = np.array([-1e-3, 0.3e-3, 0.9e-3]), np.array([1.4e-3, -0.2e-3])
     values = screen.basis_y(y).toarray() @ screen.coefficients @ screen.basis_x(x).toarray().T
     np.testing.assert_allclose(values, screen.at(x[None, :], y[:, None]), atol=1e-5)
 
 
-def test_a_position_beside_the_screen_is_an_error() -> None:
+def test_position_beside_the_screen_raises() -> None:
     screen = PhaseScreen(quick()[:, :90], 25e-6)
     screen.at(0.0, 1.4e-3)
     with pytest.raises(ValueError, match=r"at x = 1\.4 mm, but the screen ends at 1\.113 mm"):
@@ -158,7 +158,7 @@ def test_a_position_beside_the_screen_is_an_error() -> None:
         screen.at(0.0, np.nan)
 
 
-def test_the_screens_own_array_is_not_the_callers() -> None:
+def test_screen_copies_its_samples() -> None:
     samples = quick()
     before = samples.copy()
     screen = PhaseScreen(samples, 25e-6)
@@ -168,7 +168,7 @@ def test_the_screens_own_array_is_not_the_callers() -> None:
 
 
 @pytest.mark.parametrize(("pv_rad", "rms_rad"), [(28.846, 5.712), (20.0, 5.712), (40.0, 4.0)])
-def test_peak_to_valley_and_rms_can_both_be_asked_for(pv_rad: float, rms_rad: float) -> None:
+def test_shaping_reaches_pv_and_rms(pv_rad: float, rms_rad: float) -> None:
     samples = quick(200, seed=1)
     shaped = shape_to_pv_and_rms(samples, pv_rad=pv_rad, rms_rad=rms_rad)
     assert np.ptp(shaped) == pytest.approx(pv_rad, rel=1e-9)
@@ -178,18 +178,18 @@ def test_peak_to_valley_and_rms_can_both_be_asked_for(pv_rad: float, rms_rad: fl
     assert (np.diff(shaped.ravel()[order]) >= 0).all()  # monotone: contours stay where they are
 
 
-def test_the_screen_of_the_paper_can_be_had() -> None:
+def test_pv_and_rms_of_paper_screen_are_reached() -> None:
     sample = make_sample(Simulation(seed=1, screen=Screen(pv_rad=28.846, rms_rad=5.712)), SENSOR, FIELD)
     assert np.ptp(sample.screen.samples_rad) == pytest.approx(28.846)
     assert sample.screen.samples_rad.std() == pytest.approx(5.712)
 
 
-def test_an_impossible_shape_is_refused() -> None:
+def test_impossible_pv_and_rms_are_refused() -> None:
     with pytest.raises(ValueError, match=r"pv_rad = 2.01 with rms_rad = 1 cannot be reached"):
         shape_to_pv_and_rms(quick(), pv_rad=2.01, rms_rad=1.0)
 
 
-def test_a_drift_makes_the_screen_larger_and_moves_it() -> None:
+def test_drift_enlarges_and_moves_the_screen() -> None:
     still = Simulation(border_lenslets=1)
     moving = Simulation(border_lenslets=1, screen=Screen(drift_x_m_per_s=2e-4, drift_y_m_per_s=-1e-4))
     assert shift_m(moving, 10) == pytest.approx((2e-4, -1e-4))
@@ -198,7 +198,7 @@ def test_a_drift_makes_the_screen_larger_and_moves_it() -> None:
     assert make_sample(moving, SENSOR, FIELD).screen.half_width_m[0] >= need_m + 48 * 0.1 * 2e-4
 
 
-def test_a_screen_too_large_to_compute_is_refused_with_what_would_be_right() -> None:
+def test_too_large_screen_is_refused_with_allowed_values() -> None:
     def drifting(drift_m_per_s: float) -> Simulation:
         return Simulation(screen=Screen(drift_y_m_per_s=-drift_m_per_s))
 
@@ -225,7 +225,7 @@ def test_screens_from_files(tmp_path: Path) -> None:
     np.testing.assert_array_equal(used.screen.samples_rad, samples)
 
 
-def test_a_bad_file_is_one_clear_sentence(tmp_path: Path) -> None:
+def test_bad_file_raises_one_sentence(tmp_path: Path) -> None:
     for name, content in (("a.npy", b"no array"), ("b.tif", b"no image"), ("c.npy", b"")):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match=r"^file = .* is not a readable"):

@@ -20,13 +20,13 @@ def plane_and_bowl(slope_x: float, slope_y: float, bend_x: float) -> PhaseScreen
     return PhaseScreen(slope_x * x + slope_y * y + bend_x * x**2, 25e-6)
 
 
-def test_a_ray_through_the_collimated_beam() -> None:
+def test_ray_through_collimated_beam() -> None:
     rays = RayMap.near_pupil(distance_m=0.195, collimator_focal_length_m=0.2)
     assert rays.pupil_scale == 1
     assert rays.field_scale == pytest.approx(0.975)
 
 
-def test_a_ray_close_to_the_source() -> None:
+def test_ray_near_source() -> None:
     rays = RayMap.near_source(distance_m=0.02, collimator_focal_length_m=0.2)
     # In the mask's own plane a ray is where its object point is; at the collimator it is where its pupil point is.
     assert (rays.pupil_scale, rays.field_scale) == pytest.approx((0.1, 0.9))
@@ -36,7 +36,7 @@ def test_a_ray_close_to_the_source() -> None:
     assert (at_collimator.pupil_scale, at_collimator.field_scale) == pytest.approx((1.0, 0.0))
 
 
-def test_the_footprint_is_the_pupil_and_the_field_together() -> None:
+def test_footprint_is_pupil_plus_field() -> None:
     rays = RayMap(pupil_scale=-0.5, field_scale=2.0)
     np.testing.assert_allclose(rays.footprint_half_width_m((4.0, 3.0), 1.0), [4.0, 3.5])
 

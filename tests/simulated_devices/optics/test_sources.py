@@ -40,7 +40,7 @@ def brightness(mask: str, settings: Source | None = None, samples: int = N) -> F
         ("octagon", 8 * (math.sqrt(2) - 1) * HALF_M**2),
     ],
 )
-def test_an_opening_has_its_area_and_its_second_moments(mask: str, area_m2: float, samples: int) -> None:
+def test_opening_has_its_area_and_second_moments(mask: str, area_m2: float, samples: int) -> None:
     points = source.source_points(mask, Source(), object_samples=samples)
     assert points.area_m2.sum() == pytest.approx(area_m2, rel=2e-4)
     found = (points.area_m2[:, None] * points.position_m**2).sum(axis=0) / area_m2
@@ -55,7 +55,7 @@ def test_an_opening_has_its_area_and_its_second_moments(mask: str, area_m2: floa
     np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
-def test_openings_are_the_sets_of_points_that_their_names_say() -> None:
+def test_openings_have_the_shapes_of_their_names() -> None:
     points = source.square(Source(), object_samples=N).position_m / HALF_M
     x, y = np.abs(points).T
     sizes = {
@@ -79,7 +79,7 @@ def test_openings_are_symmetric(mask: str) -> None:
         np.testing.assert_allclose(found, found.T, atol=2e-3)  # exact along x, thin rows along y
 
 
-def test_peaks_are_those_of_matlab() -> None:
+def test_peaks_match_matlab() -> None:
     n = 601  # steps of 0.01
     found = brightness("peaks", samples=n)
     along = np.linspace(-3, 3, n)
@@ -94,7 +94,7 @@ def test_peaks_are_those_of_matlab() -> None:
     assert found[0, 0] == pytest.approx(6.5511 / (8.1062 + 6.5511), abs=1e-3)  # flat far away
 
 
-def test_a_star_may_be_a_point() -> None:
+def test_star_may_be_a_point() -> None:
     points = source.stars(Source(pinhole_diameter_m=0.0))
     assert points.position_m.shape == (9, 2)
     np.testing.assert_allclose(points.position_m[0], [-0.5e-3, -0.5e-3])
@@ -112,7 +112,7 @@ def write_image(path: Path, pixels: np.ndarray) -> Source:
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".tif", ".png"])
-def test_a_bright_corner_of_an_image_stays_in_its_corner(tmp_path: Path, suffix: str) -> None:
+def test_bright_corner_of_image_keeps_its_corner(tmp_path: Path, suffix: str) -> None:
     pixels = np.zeros((60, 60), np.uint16)
     pixels[:20, 40:] = 40000  # top right: low y, high x
     settings = write_image(tmp_path / f"corner{suffix}", pixels)
@@ -131,7 +131,7 @@ def test_a_bright_corner_of_an_image_stays_in_its_corner(tmp_path: Path, suffix:
     assert column > 19
 
 
-def test_an_image_is_resampled_by_area_and_keeps_its_shape(tmp_path: Path) -> None:
+def test_image_is_resampled_by_area(tmp_path: Path) -> None:
     pixels = np.random.default_rng(5).uniform(size=(40, 90))
     found = source.image(write_image(tmp_path / "a.npy", pixels), object_samples=11)
     light = found.area_m2.sum()
@@ -148,7 +148,7 @@ def test_an_image_is_resampled_by_area_and_keeps_its_shape(tmp_path: Path) -> No
     assert not cells[:3].any()
 
 
-def test_bad_images_are_one_sentence(tmp_path: Path) -> None:
+def test_bad_image_raises_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "text.png").write_bytes(b"no image")
     (tmp_path / "text.tif").write_bytes(b"no image")
     (tmp_path / "text.npy").write_bytes(b"")
@@ -170,7 +170,7 @@ def test_bad_images_are_one_sentence(tmp_path: Path) -> None:
             source.read_grey_image(tmp_path / name)
 
 
-def test_an_image_is_a_mask_only_where_there_is_a_file() -> None:
+def test_image_mask_needs_a_file() -> None:
     assert Source().masks == tuple(mask for mask in MASKS if mask != "image")
     assert Source(file="a.png", mask="image").masks == MASKS
     with pytest.raises(ValueError, match="needs a file"):
@@ -179,7 +179,7 @@ def test_an_image_is_a_mask_only_where_there_is_a_file() -> None:
         Source(mask="moon")  # type: ignore[arg-type] # what is tested
 
 
-def test_rendered_images_are_named_by_the_masks_file_but_not_by_the_first_mask(tmp_path: Path) -> None:
+def test_fingerprint_depends_on_mask_file_not_on_initial_mask(tmp_path: Path) -> None:
     def fingerprint(settings: Source) -> str:
         return Scene(
             sensor=sensor_of(2, 3),
