@@ -10,8 +10,8 @@ from app.bench.config import Bench, CameraSettings, LightSettings
 from app.bench.settings import RecordingSettings
 from app.cache import cache_folder
 from app.errors import InputError
-from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
+from app.recording.recorded_devices import recorded_devices
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource

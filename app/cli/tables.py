@@ -16,7 +16,7 @@ from app.evaluation.selftest import Check
 from app.recording.recover import Recovered
 from app.results.recording_results import Measured
 from app.results.replay.run import Replay
-from app.results.report.comparison import Residual
+from app.results.report.residual import Residual
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms

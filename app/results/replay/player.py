@@ -12,9 +12,9 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.recording.camera import RecordedCamera
-from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
+from app.recording.recorded_camera import RecordedCamera
+from app.recording.recorded_devices import recorded_devices
 from app.results.replay.run import change_of
 from drivers.interface import Devices
 

@@ -13,9 +13,9 @@ from app.progress import Progress
 from app.recording.reader import Recording
 from app.results.replay.run import change_of
 from app.results.report.certainty import draw_certainty
-from app.results.report.comparison import Residual, draw_comparison, residual_of
 from app.results.report.layout import Page, all_pages, one_page
 from app.results.report.overview import draw_overview
+from app.results.report.residual import Residual, draw_comparison, residual_of
 from app.results.report.summary import Summary, summarise
 
 _PNG_DPI = 110

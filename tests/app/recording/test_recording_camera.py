@@ -24,9 +24,9 @@ from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Counts, Measurement
 from app.measurement.routines.averages import Average, average, take_dark, take_reference
-from app.recording.camera import AveragedFrames, RecordedCamera
-from app.recording.devices import recorded_devices
 from app.recording.reader import Recording
+from app.recording.recorded_camera import AveragedFrames, RecordedCamera
+from app.recording.recorded_devices import recorded_devices
 from app.recording.writer import Record, RecordingWriter
 from drivers.interface import BadValue, Camera, DeviceTimeout, Disconnected, Frame, FrameLost, Range, WrongState
 from reconstruction.wavefront import rms

@@ -17,8 +17,8 @@ from support.recordings import record
 from support.storm import storm_settings
 
 from app.errors import InputError
-from app.recording.camera import RecordedCamera
 from app.recording.reader import Recording
+from app.recording.recorded_camera import RecordedCamera
 from drivers.interface import Camera, Disconnected
 from simulated_devices.clock import ManualClock
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from app.bench.settings import Pace
-from app.recording.camera import RecordedCamera
 from app.recording.reader import Recording
+from app.recording.recorded_camera import RecordedCamera
 from drivers.interface import Devices, LightSource, Range
 from drivers.stage import OneMaskStage
 
