@@ -1,7 +1,5 @@
 """Disk cache for results that take long to compute."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Image files and atomic writes."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Progress callbacks of long work."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]

@@ -1,7 +1,5 @@
 """Facts stored with every run: time, software, computer, and stage times."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

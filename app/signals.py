@@ -1,7 +1,5 @@
 """Signals that end the program: handlers that turn the light off and keep the results."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ A driver implements the methods with a leading underscore. They are called only 
 with values within the capabilities, and in the state that they need.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Common base of all devices: name, properties, connection state."""
 
-from __future__ import annotations
-
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Each driver offers `discover() -> tuple[DiscoveredDevice, ...]`. It changes noth
 `Unsupported`, naming what is missing, if it cannot search.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal

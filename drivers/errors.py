@@ -1,7 +1,5 @@
 """The error family of all devices; each message is one sentence for the person at the bench."""
 
-from __future__ import annotations
-
 
 class DeviceError(Exception):
     """A device failed to do what was asked."""

@@ -1,7 +1,5 @@
 """Camera frame and sensor region."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

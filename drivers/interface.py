@@ -4,8 +4,6 @@ Units are SI (s, A, m). A setter returns the value in force, which the device ma
 device. Every fault of a device is raised as a `DeviceError`.
 """
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Self

@@ -4,8 +4,6 @@ A light is off after opening, after closing, after any fault and at interpreter 
 above the limits of its head and of its owner. A driver implements the methods with a leading underscore.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import sys

@@ -1,7 +1,5 @@
 """Interval of allowed values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from drivers.errors import BadValue

@@ -1,7 +1,5 @@
 """Stages: they move the sample in and out of the beam and change the mask in front of the light."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 from drivers.device import Device, Property

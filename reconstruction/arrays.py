@@ -1,7 +1,5 @@
 """Array type aliases shared by the packages."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Displacements of the subimages from the reference, the result of every registration method."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol

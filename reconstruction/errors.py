@@ -1,7 +1,5 @@
 """The package's exception."""
 
-from __future__ import annotations
-
 
 class ReconstructionError(ValueError):
     """A frame, reference, dark or setting from which nothing can be measured; the text says what to do.

@@ -5,8 +5,6 @@ along the lattice's columns and rows, from its middle, in metres. Only `Lattice`
 camera. Every vector has (x, y) as its last axis; every image is [row, column] with pixel centres at integers.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

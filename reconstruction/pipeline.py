@@ -1,7 +1,5 @@
 """From a camera frame to the wavefront: everything independent of the frame is prepared once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

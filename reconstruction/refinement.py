@@ -6,8 +6,6 @@ the measured displacements, and the wavefront is estimated again. Only a differe
 coarse.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias

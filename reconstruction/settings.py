@@ -1,7 +1,5 @@
 """Settings of registration and reconstruction: `[registration]` and `[reconstruction]` of a bench."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """The wavefront at every field position, with its error bars."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The simulated bench: light, mask, sample and optics, on which the three devices act."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
 from collections.abc import Callable

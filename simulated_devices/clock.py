@@ -1,7 +1,5 @@
 """Clocks of the simulated devices: the machine's own, and one that a test moves on."""
 
-from __future__ import annotations
-
 import time
 
 

@@ -1,7 +1,5 @@
 """Faults on the way to a simulated device: a pulled plug, a missing answer, a refused setting."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -4,8 +4,6 @@ The name of an image contains a hash of everything it depends on. Files are writ
 as missing.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

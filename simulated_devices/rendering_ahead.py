@@ -4,8 +4,6 @@ The processes share only the image files in the cache. The child ends when its s
 however the parent ends.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal

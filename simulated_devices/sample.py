@@ -1,7 +1,5 @@
 """The sample: its phase screen, where rays meet it, how it drifts and how its states are played."""
 
-from __future__ import annotations
-
 import bisect
 import math
 from dataclasses import dataclass

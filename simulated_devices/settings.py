@@ -3,8 +3,6 @@
 Each class checks itself; the sentence of a `ValueError` begins with the name of the wrong key.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args

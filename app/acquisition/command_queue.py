@@ -1,7 +1,5 @@
 """Queue of commands for the thread that owns the devices."""
 
-from __future__ import annotations
-
 import queue
 import threading
 from collections.abc import Callable

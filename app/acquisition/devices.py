@@ -1,7 +1,5 @@
 """Opening a bench's devices: the one place that knows real from simulated."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import ExitStack

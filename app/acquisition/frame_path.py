@@ -1,7 +1,5 @@
 """Path of a frame from the camera through the instrument to the sinks and the mailbox."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 It runs in the thread that owns the devices; other threads see its frozen `Status`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -4,8 +4,6 @@ Every `Measurement` goes to the sinks in order; the newest also lies in a one-sl
 stop takes effect at once. If a device fails, all devices are closed, the light first, and `error` says why.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """A live bench for scripts and notebooks: an acquisition that is started, iterated over, and closed."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future

@@ -1,7 +1,5 @@
 """Start-up sequence from opened devices to live wavefronts."""
 
-from __future__ import annotations
-
 from concurrent.futures import Future
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The acquisition: requests to the worker thread, and what it measured and recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path

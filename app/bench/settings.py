@@ -1,7 +1,5 @@
 """Settings of a bench that belong to the application: played recordings and published results."""
 
-from __future__ import annotations
-
 import ipaddress
 from dataclasses import dataclass
 from typing import Literal

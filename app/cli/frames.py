@@ -1,7 +1,5 @@
 """Commands on image files: `svwfs calibrate`, `simulate` and `reconstruct`."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated

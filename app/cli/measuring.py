@@ -1,7 +1,5 @@
 """Commands at the bench: `svwfs live`, `measure` and `devices`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -56,8 +54,7 @@ def measure(
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
     out: Annotated[Path, typer.Option(help="New folder for the recording, with results.nc beside the frames.")],
     mask: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ..."),
+        str | None, typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ...")
     ] = None,
     average: Annotated[
         int | None,

@@ -1,7 +1,5 @@
 """Commands on recordings: `svwfs recover`, `replay`, `export` and `report`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -100,8 +98,7 @@ def report(
         Path, typer.Option(help="File to write: .pdf with A4 pages, or .png with all pages in one picture.")
     ],
     beside: Annotated[
-        Path | None,
-        typer.Option(metavar="RECORDING", help="Another recording of the same sample, to be subtracted."),
+        Path | None, typer.Option(metavar="RECORDING", help="Another recording of the same sample, to be subtracted.")
     ] = None,
     setting: SetOption = None,
     frames: FramesOption = None,

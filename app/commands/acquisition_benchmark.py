@@ -1,7 +1,5 @@
 """`svwfs benchmark --live`: frame rate and latency with window and recording, then without both."""
 
-from __future__ import annotations
-
 import time
 
 from app.acquisition.streams.publisher import stream_sinks

@@ -1,7 +1,5 @@
 """`svwfs calibrate`: find the lattice in a reference and write it into the bench."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

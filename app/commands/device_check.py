@@ -1,7 +1,5 @@
 """Check of a connected device against the contract of its kind, for `svwfs devices --check`."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`svwfs devices`: list the connected devices, or check one of them."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass

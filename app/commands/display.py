@@ -1,7 +1,5 @@
 """Detection of a display for windows."""
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,7 +1,5 @@
 """`svwfs live`: the window on a bench or a recording, attended or not."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`svwfs measure`: a measurement without a window, from the dark to the results."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable
 from concurrent.futures import Future

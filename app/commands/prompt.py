@@ -1,7 +1,5 @@
 """Requests on the terminal for what only a person at the bench can do."""
 
-from __future__ import annotations
-
 import sys
 
 from app.errors import InputError

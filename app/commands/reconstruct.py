@@ -1,7 +1,5 @@
 """`svwfs reconstruct`: the wavefront of a frame in image files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`svwfs simulate`: simulated frames and the true wavefronts as files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results of single cases, collected into one xarray.Dataset per study."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

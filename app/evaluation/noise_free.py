@@ -1,7 +1,5 @@
 """Noise-free frames of the simulated bench with their truth, cached on disk."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -46,10 +44,7 @@ class NoiseFreeFrames:
         kept = self._cached(
             self._scene,
             f"{mask}-{state}",
-            lambda: {
-                "photons": self.renderer.state(mask, state),
-                "truth": self.renderer.truth_wavefront(state),
-            },
+            lambda: {"photons": self.renderer.state(mask, state), "truth": self.renderer.truth_wavefront(state)},
         )
         return NoiseFreeFrame(kept["photons"], kept["truth"])
 

@@ -1,7 +1,5 @@
 """Running studies one after the other; the results of every finished study are on disk, even after Ctrl-C."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A small non-square lattice, rotated and off centre, is simulated with each phase
 or unit gives a scale other than 1 between the result and the phase.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

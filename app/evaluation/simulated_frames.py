@@ -1,7 +1,5 @@
 """Frames of the simulated bench as arrays: dark, reference and frames with their true wavefronts."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Figures of studies: a panel per sweep, a panel per quantity of trials, a row per method of a table."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """JSON, CSV and PNG files of studies and benchmarks."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Iterable, Mapping, Sequence

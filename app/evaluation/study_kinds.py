@@ -1,7 +1,5 @@
 """Declarations of studies, and the summary of each kind over its repeats."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field

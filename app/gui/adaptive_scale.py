@@ -1,7 +1,5 @@
 """Display scales that follow the data in coarse steps, so that pictures stay comparable from frame to frame."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The analysis panel: MTF of the selected view, isoplanatism over the field, and a one-line summary."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

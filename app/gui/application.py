@@ -1,7 +1,5 @@
 """The Qt application: runs the window until its user, a signal or an unattended run closes it."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

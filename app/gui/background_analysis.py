@@ -1,7 +1,5 @@
 """Background analysis: computes what the panels show beside the wavefront on a thread of its own."""
 
-from __future__ import annotations
-
 import math
 import time
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The camera panel: the newest frame with lattice, lost lenslets and mean displacement drawn over it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QPointF, QRectF, Qt

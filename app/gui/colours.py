@@ -1,7 +1,5 @@
 """Colour scales: the colours of values and the numbers beside a colour bar."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

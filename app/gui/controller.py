@@ -1,7 +1,5 @@
 """Controller between the views and the acquisition: intents become commands, answers become messages."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The controls panel: camera, light and stage, calibration, and reconstruction; all values are in SI units."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 from PyQt6.QtCore import pyqtSignal

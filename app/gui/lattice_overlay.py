@@ -3,8 +3,6 @@
 Each function returns pairs of rows (end, xy), so that one curve item draws all its segments.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The main window: lays out the views and refreshes them from the acquisition 25 times a second."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from concurrent.futures import Future

@@ -1,7 +1,5 @@
 """Menus, and the help that lists their keys and the conventions of the instrument."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from PyQt6.QtCore import QSize, Qt

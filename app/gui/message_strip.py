@@ -1,7 +1,5 @@
 """The message strip: the most important message, a decision to take, or the progress of a routine."""
 
-from __future__ import annotations
-
 import time
 
 from PyQt6.QtCore import pyqtSignal

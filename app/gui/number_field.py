@@ -1,7 +1,5 @@
 """Number field that leaves letters and the space bar to the window's shortcuts."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QDoubleSpinBox, QWidget

@@ -1,7 +1,5 @@
 """Futures of the commands that the window has sent and that are not finished yet."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from concurrent.futures import CancelledError, Future
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """Presentation of each quantity: its colour scale, captions and number formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

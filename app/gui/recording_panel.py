@@ -1,7 +1,5 @@
 """The recording panel: start, stop, save the last seconds, and the state of the recording."""
 
-from __future__ import annotations
-
 import math
 
 from PyQt6.QtCore import Qt, pyqtSignal

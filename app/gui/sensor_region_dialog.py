@@ -1,7 +1,5 @@
 """Dialog for the sensor region and the binning; the measurement continues beside it."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QVBoxLayout, QWidget
 

@@ -1,7 +1,5 @@
 """The status line: frame counts, rate, delays and valid lenslets; the least important are hidden when it is narrow."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from dataclasses import dataclass

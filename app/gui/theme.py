@@ -1,7 +1,5 @@
 """Colours, style sheet and icons of the window, for a dark room."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QApplication

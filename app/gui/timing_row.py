@@ -1,7 +1,5 @@
 """Processing times of each stage, as a hidden row of the window and as a tool tip."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from PyQt6.QtCore import Qt

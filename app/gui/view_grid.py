@@ -1,7 +1,5 @@
 """Grid of maps, one for each view, with a colour bar."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -18,12 +16,7 @@ _GAP = 10
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
 _SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
 _MARGIN = 3  # px around all views, for the selection frame
-_STEPS = {
-    Qt.Key.Key_Left: (0, -1),
-    Qt.Key.Key_Right: (0, 1),
-    Qt.Key.Key_Up: (-1, 0),
-    Qt.Key.Key_Down: (1, 0),
-}
+_STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
 

@@ -1,7 +1,5 @@
 """The wavefront panel: the chosen quantity at every view of the field."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Labels and buttons of all panels."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QPainter, QPaintEvent
 from PyQt6.QtWidgets import QAbstractScrollArea, QLabel, QPushButton, QSizePolicy, QStyle, QWidget

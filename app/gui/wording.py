@@ -1,7 +1,5 @@
 """Texts that the window composes from the state of the instrument."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reconstruction of frames that are arrays, with refinement by the bench's forward model."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property

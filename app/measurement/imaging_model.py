@@ -1,7 +1,5 @@
 """Forward model of a bench with its measured source, used by the refinement."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

@@ -4,8 +4,6 @@ A round takes some tenths of a second. If the wavefront has changed much meanwhi
 stay uncorrected until the next one is found.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import sys

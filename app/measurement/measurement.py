@@ -1,7 +1,5 @@
 """Measurement: one frame and its result, as shown, recorded and published."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from app.measurement.calibration import Calibration

@@ -1,7 +1,5 @@
 """Calibrations on disk: `bench.toml` with the lattice in force, `dark.npz`, `reference.npz`, `camera.json`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 from pathlib import Path

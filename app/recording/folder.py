@@ -1,7 +1,5 @@
 """The folder of a recording: names in it, `run.json`, free folders and the lock."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

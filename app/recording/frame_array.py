@@ -6,8 +6,6 @@ read while it grows, beyond the length in its metadata. A frame takes few system
 thread may take over for 5 ms.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Reader of recordings: finished, cut short, or still growing."""
 
-from __future__ import annotations
-
 from array import array
 from functools import lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Camera that plays a recording: its frames, or its dark and reference while the light is off or the sample out."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A recording in place of the devices of a bench: camera, light and stage."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 from app.bench.settings import Pace

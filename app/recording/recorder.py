@@ -4,8 +4,6 @@ Frames go through a bounded queue to a thread that writes them. If the disk is f
 ends with what was written and says why; the live view goes on.
 """
 
-from __future__ import annotations
-
 import math
 import shutil
 import threading

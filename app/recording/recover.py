@@ -1,7 +1,5 @@
 """Recovery of a recording: lists its damage, and finishes it if its program died before it could."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence

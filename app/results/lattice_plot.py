@@ -1,7 +1,5 @@
 """Figure of a lattice over its reference: lit and dark cells, cells outside the sensor, cells cut by the edge."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A recording for scripts and notebooks: its frames as a lazy array, and its results."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Figure of a result: wavefront and point-spread function of every view, transfer and isoplanatism."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Results in a recording's folder: `results.nc`, dark and reference."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain

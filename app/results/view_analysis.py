@@ -1,7 +1,5 @@
 """Analysis of a wavefront for display: maps of a chosen quantity, the MTF of one view, isoplanatism."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -58,9 +56,7 @@ def analyse(request: AnalysisRequest) -> Analysis:
     if request.view is None:
         return analysis
     return replace(
-        analysis,
-        transfer=mtf(wavefront.views[request.view], wavefront.sensor),
-        isoplanatism=isoplanatism(wavefront),
+        analysis, transfer=mtf(wavefront.views[request.view], wavefront.sensor), isoplanatism=isoplanatism(wavefront)
     )
 
 
@@ -75,11 +71,7 @@ def _maps(request: AnalysisRequest) -> Analysis:
     coefficients = wavefront.coefficients
     count = settings.pupil_modes if coefficients is None else len(coefficients)
     fit = slope_fit(wavefront, wavefront.sensor, _modes(wavefront.sensor, settings.basis, count))
-    maps = {
-        Quantity.MEASURED: fit.measured,
-        Quantity.FITTED: fit.fitted,
-        Quantity.DIFFERENCE: fit.difference,
-    }
+    maps = {Quantity.MEASURED: fit.measured, Quantity.FITTED: fit.fitted, Quantity.DIFFERENCE: fit.difference}
     return Analysis(request, maps[quantity])
 
 

@@ -1,7 +1,5 @@
 """Image quality of each view and range of one wavefront, as variables of a result."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contract of all cameras."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

@@ -3,8 +3,6 @@
 A check takes a device that is open and at rest, leaves it so, and raises `ContractBroken` if the device fails.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 

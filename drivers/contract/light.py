@@ -1,7 +1,5 @@
 """Contract of all lights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from drivers.contract.device import Calls, calls, check_properties, require, require_all_raise, require_raises

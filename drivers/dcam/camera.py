@@ -3,8 +3,6 @@
 Limits and modes are queried after each change of mode; nothing about a camera is tabulated here.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -13,14 +11,7 @@ from ctypes import byref
 from drivers.camera import Camera, CameraCapabilities
 from drivers.dcam import property_ids as ids
 from drivers.dcam import session
-from drivers.dcam.capabilities import (
-    AMPLIFIERS,
-    TRIGGERS,
-    has_em_gain,
-    read_capabilities,
-    read_region,
-    set_region,
-)
+from drivers.dcam.capabilities import AMPLIFIERS, TRIGGERS, has_em_gain, read_capabilities, read_region, set_region
 from drivers.dcam.capture import Capture
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.dcam.pixel_warnings import pixel_warnings
@@ -38,10 +29,7 @@ class DcamCamera(Camera):
     """An open camera; `clock` gives the host time of frames and measures timeouts."""
 
     def __init__(
-        self,
-        settings: DcamSettings,
-        library: DcamLibrary | None = None,
-        clock: Callable[[], float] = time.perf_counter,
+        self, settings: DcamSettings, library: DcamLibrary | None = None, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         super().__init__()
         self._settings = settings

@@ -1,7 +1,5 @@
 """Capabilities and sensor region of a DCAM camera in its present mode."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 from drivers.camera import CameraCapabilities

@@ -1,7 +1,5 @@
 """Capture of frames through the DCAM-API's ring buffer."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable
@@ -192,12 +190,7 @@ class Capture:
         rows, columns = self._shape
         pixels = np.empty(self._shape, np.uint16)
         copied = sized(
-            BufferFrame,
-            iFrame=slot,
-            buf=pixels.ctypes.data,
-            rowbytes=pixels.strides[0],
-            width=columns,
-            height=rows,
+            BufferFrame, iFrame=slot, buf=pixels.ctypes.data, rowbytes=pixels.strides[0], width=columns, height=rows
         )
         self._library.call("dcambuf_copyframe", self._handle, byref(copied))
         pixels.setflags(write=False)

@@ -1,7 +1,5 @@
 """Translation of DCAM-API error codes to device errors."""
 
-from __future__ import annotations
-
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 
 

@@ -1,7 +1,5 @@
 """Hamamatsu's DCAM-API library: functions with prototypes, failures as device errors."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Warnings about settings and states in which pixels are not proportional to photons."""
 
-from __future__ import annotations
-
 from drivers.dcam import property_ids as ids
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id

@@ -1,7 +1,5 @@
 """Properties of an open DCAM camera."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from ctypes import byref, c_char_p, c_double, c_int32, cast, create_string_buffer
 from dataclasses import dataclass

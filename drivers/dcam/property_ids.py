@@ -1,7 +1,5 @@
 """DCAM properties and values that the driver uses, by number."""
 
-from __future__ import annotations
-
 from enum import IntEnum, IntFlag
 
 

@@ -1,7 +1,5 @@
 """The process's session with the DCAM-API and the cameras listed in it."""
 
-from __future__ import annotations
-
 import threading
 from ctypes import byref, c_char_p, cast, create_string_buffer
 from dataclasses import dataclass

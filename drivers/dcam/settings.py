@@ -1,7 +1,5 @@
 """Bench settings of a Hamamatsu camera: `[camera]` with driver "dcam"."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

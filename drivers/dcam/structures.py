@@ -1,7 +1,5 @@
 """Structures of the DCAM-API 4, laid out for 64-bit pointers."""
 
-from __future__ import annotations
-
 from ctypes import Structure, c_char_p, c_double, c_int32, c_uint32, c_void_p, sizeof
 from typing import Any
 
@@ -22,10 +20,7 @@ def _structure(name: str, *fields: tuple[str, Any]) -> type[Structure]:
 
 
 Init = _structure(
-    "Init",
-    *_int32("size iDeviceCount reserved initoptionbytes"),
-    ("initoption", c_void_p),
-    ("guid", c_void_p),
+    "Init", *_int32("size iDeviceCount reserved initoptionbytes"), ("initoption", c_void_p), ("guid", c_void_p)
 )
 DeviceOpen = _structure("DeviceOpen", *_int32("size index"), ("hdcam", c_void_p))
 DeviceString = _structure("DeviceString", *_int32("size iString"), ("text", c_char_p), *_int32("textbytes"))

@@ -4,8 +4,6 @@ The camera numbers the frames: lost packets and missing buffers show as gaps. Th
 and the EM gain is 1. Not yet tried on a real camera; the tests use Aravis's fake camera, over UDP.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator

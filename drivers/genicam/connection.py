@@ -1,7 +1,5 @@
 """Connection to one GenICam camera: features, stream of buffers, sign of life."""
 
-from __future__ import annotations
-
 import ctypes
 import threading
 import time

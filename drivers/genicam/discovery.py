@@ -1,7 +1,5 @@
 """Discovery of the connected GenICam cameras."""
 
-from __future__ import annotations
-
 from ipaddress import ip_address
 
 from drivers.discovery import DiscoveredDevice

@@ -3,8 +3,6 @@
 Its GObject introspection would need PyGObject, which pip can only build with system headers.
 """
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import sys

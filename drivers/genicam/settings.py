@@ -1,7 +1,5 @@
 """Bench settings of a GenICam camera: `[camera]` with driver "genicam"."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

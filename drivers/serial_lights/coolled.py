@@ -5,8 +5,6 @@ nominal current at 100 %. The devices also send lines unasked, and their answers
 each command the state of all channels is queried until it is as requested.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable

@@ -6,8 +6,6 @@ such as the serial number, and discards everything before that answer. An unansw
 line has been silent for one timeout.
 """
 
-from __future__ import annotations
-
 import errno
 import re
 import time

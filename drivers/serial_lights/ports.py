@@ -1,7 +1,5 @@
 """Serial ports of this computer."""
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,7 +1,5 @@
 """Bench settings of LED light sources on a serial port."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

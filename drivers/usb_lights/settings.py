@@ -1,7 +1,5 @@
 """Bench settings of LED light sources on USB."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ Commands follow the manual, section 4.3, in the short forms of Thorlabs' driver 
 follows the modulation input while on: connected to the camera's exposure output, it shines only during exposures.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable

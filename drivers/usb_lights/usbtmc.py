@@ -5,8 +5,6 @@ transfer is aborted and the instrument's buffers are cleared, as the class requi
 taken for that of the next query.
 """
 
-from __future__ import annotations
-
 import errno
 import struct
 import time

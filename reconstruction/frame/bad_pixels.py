@@ -1,7 +1,5 @@
 """Dead and hot camera pixels: detection, and replacement by their neighbours."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

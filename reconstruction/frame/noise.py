@@ -1,7 +1,5 @@
 """Camera noise: its model, and its measurement from the camera's own frames (photon transfer)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ not. With z = sqrt(3) - 2 and x the shift by a pixel, its prefilter is -6 z / ((
 columns, all columns of a row at once; along rows a convolution with (1 + z) / (1 - z) z^|k| is faster.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

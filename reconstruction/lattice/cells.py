@@ -1,7 +1,5 @@
 """Cells of a lattice: cutting them out of a frame, comparing them, and subtracting the light between them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

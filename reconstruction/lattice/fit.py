@@ -1,7 +1,5 @@
 """Fit of pitch, rotation and centre to the light of the cells, and tests of whether the lattice is real."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

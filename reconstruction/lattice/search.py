@@ -4,8 +4,6 @@ The light of each cell repeats that of its neighbours. The spectrum gives rough 
 cells' first harmonics, then the comparison of the cells with the typical one, refine them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ A square lattice has two spectral peaks, one for its rows and one for its column
 that neither noise nor stripes pass for a lattice.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Positions are normalised: x, y in [-1, 1] over the half width of the field.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol

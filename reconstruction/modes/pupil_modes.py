@@ -1,7 +1,5 @@
 """Pupil modes R_p, in which a wavefront is written: phi(u) = sum_p e_p R_p(u)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Z = N Q(x^2 + y^2) H(x, y), with H the real or imaginary part of (x + iy)^m and 
 polynomials in x and y, without an angle and without a singular centre (R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

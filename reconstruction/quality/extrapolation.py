@@ -1,7 +1,5 @@
 """Extrapolation of wavefronts into lost lenslets and one lenslet beyond the lattice."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 

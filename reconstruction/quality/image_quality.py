@@ -5,8 +5,6 @@ A bicubic spline interpolates the phase between the lenslet centres; beyond the 
 the smallest third differences. Only known lenslets transmit light.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -5,8 +5,6 @@ The isoplanatic patch ends where the RMS difference of two wavefronts reaches 1 
 are also given without them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Comparison of the reconstructed wavefronts with the measured slopes, view by view."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

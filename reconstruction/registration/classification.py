@@ -1,7 +1,5 @@
 """Classification of each lenslet (converged, dark, ...), common to all registration methods."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Choice of the registration method."""
 
-from __future__ import annotations
-
 from reconstruction.displacement import RegistrationMethod
 from reconstruction.geometry import Field, centered_steps
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes, ZernikeModes

@@ -1,7 +1,5 @@
 """Brightness of the points of the source, estimated from the reference."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import nnls
 

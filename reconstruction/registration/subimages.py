@@ -1,7 +1,5 @@
 """The reference cut into subimages, one per lenslet."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

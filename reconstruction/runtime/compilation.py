@@ -1,7 +1,5 @@
 """Numba compilation that releases the interpreter lock and caches on disk."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from pathlib import Path

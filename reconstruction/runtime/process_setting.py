@@ -1,7 +1,5 @@
 """Reference-counted process-wide setting."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import RLock

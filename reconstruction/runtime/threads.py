@@ -1,7 +1,5 @@
 """Persistent worker threads, and a limit on the threads of BLAS."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager

@@ -10,8 +10,6 @@ of R_p. For each combination, s and the noise maximise the evidence of the data 
 1992). So there may be as many modes as the lattice carries, and lost lenslets are bridged by their neighbours.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 

@@ -5,8 +5,6 @@ from P_2(x). A separate fit of each field mode would waste that. In the combinat
 and a diagonal one along y, the fits are independent and optimal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ least-squares solution over all pairs of valid lenslets needs one sparse factori
 or their weights change.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -104,10 +102,7 @@ def _southwell(valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int)
     valid = np.frombuffer(valid_bytes, np.bool_)
     weights = np.frombuffer(weight_bytes, np.float64)
     index = np.arange(rows * columns).reshape(rows, columns)
-    pairs = [
-        np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()]),
-        np.stack([index[:-1].ravel(), index[1:].ravel()]),
-    ]
+    pairs = [np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()]), np.stack([index[:-1].ravel(), index[1:].ravel()])]
     pairs = [pair[:, valid[pair].all(axis=0)] for pair in pairs]
     both = np.concatenate(pairs, axis=1)
     graph = sparse.coo_array((np.ones(both.shape[1]), (both[0], both[1])), shape=(valid.size, valid.size))

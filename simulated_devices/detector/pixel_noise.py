@@ -4,8 +4,6 @@ Large numbers follow Cornish-Fisher expansions, which turn one normal deviate z 
 variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import TypeAlias
 

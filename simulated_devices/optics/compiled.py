@@ -1,7 +1,5 @@
 """Numba's compiler, with types for strict checking."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 

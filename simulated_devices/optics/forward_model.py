@@ -9,8 +9,6 @@ axis, and the camera's pixels are evaluated once at the end. On symmetric grids 
 and sines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event, Lock
@@ -115,11 +113,7 @@ class ForwardModel:
         return phase
 
     def irradiance(
-        self,
-        source: SourcePoints,
-        phase: PointPhase | None = None,
-        *,
-        progress: Callable[[float], None] | None = None,
+        self, source: SourcePoints, phase: PointPhase | None = None, *, progress: Callable[[float], None] | None = None
     ) -> Images:
         """Image of `source` on the camera, (row, column), float32, in m^2; without `phase` it is the reference.
 
@@ -157,12 +151,7 @@ class ForwardModel:
             self._share_out(work, pool)
             return self._pixels.evaluate_each(waves, pool.map)
 
-    def _accumulate(
-        self,
-        source: SourcePoints,
-        phase: PointPhase | None,
-        progress: Callable[[float], None],
-    ) -> Images:
+    def _accumulate(self, source: SourcePoints, phase: PointPhase | None, progress: Callable[[float], None]) -> Images:
         # Points of one object column share the work along x: a thread takes whole columns.
         lit = np.flatnonzero(source.area_m2)  # grids of openings contain dark points
         order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]

@@ -3,8 +3,6 @@
 "Folded" images are four sums, from which the four mirror-symmetric positions (+-y, +-x) follow at the end.
 """
 
-from __future__ import annotations
-
 import math
 from typing import TypeAlias
 

@@ -6,8 +6,6 @@ the same screen costs one product. With 37 x 37 points and 465 x 465 pixels the 
 as a Zarr v3 array (point, row, column), a block of points per chunk, each chunk with its checksum.
 """
 
-from __future__ import annotations
-
 import shutil
 import uuid
 from collections.abc import Callable

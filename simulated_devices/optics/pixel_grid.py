@@ -1,7 +1,5 @@
 """The camera's pixels behind the lenslets, and the exact values there of images on the lenslets' grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from itertools import pairwise

@@ -4,8 +4,6 @@ The map is linear: s = pupil_scale * u + field_scale * x_o, with positions u in 
 object point and s on the screen; all (x, y) in m.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -41,11 +39,7 @@ class RayMap:
 
 
 def truth_wavefront(
-    screen: PhaseScreen,
-    ray_map: RayMap,
-    sensor: Sensor,
-    field: Field,
-    shift_m: tuple[float, float] = (0.0, 0.0),
+    screen: PhaseScreen, ray_map: RayMap, sensor: Sensor, field: Field, shift_m: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
     """Wavefront of every view at the lenslet centres: (view_row, view_column, lenslet_row, lenslet_column), rad.
 

@@ -6,8 +6,6 @@ square, y slowest, so that one measurement matrix serves them all; dark points h
 the square would be 3 % wider.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Commands follow micro-manager/mmCoreAndDevices DeviceAdapters/CoolLEDpE300 and C
 undocumented; `echo` chooses among plausible ones.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass

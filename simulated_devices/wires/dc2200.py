@@ -3,8 +3,6 @@
 Headers, ranges and modes follow the manual, section 4.3.2 (`CCURent` has one R there, too), errors SCPI.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import deque

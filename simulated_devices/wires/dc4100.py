@@ -4,8 +4,6 @@ Commands follow micro-manager/mmCoreAndDevices DeviceAdapters/ThorlabsDCxxxx, th
 Rev. 2.2, page 28. Error numbers and texts are undocumented, and invented here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Serial stand-in on a pseudo-terminal, which programs take for a serial port."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading

@@ -3,8 +3,6 @@
 `MemoryPort` connects a `LineDevice` to a driver in the same thread, on a manual clock.
 """
 
-from __future__ import annotations
-
 import errno
 from abc import ABC, abstractmethod
 from collections import deque

@@ -4,8 +4,6 @@ Follows USBTMC 1.0 and IEEE 488.2: it keeps the tags, refuses malformed transfer
 without an abort, and drops an unread answer.
 """
 
-from __future__ import annotations
-
 import struct
 from abc import ABC, abstractmethod
 from collections import deque

@@ -15,15 +15,7 @@ import pytest
 
 from drivers.contract import camera as camera_contract
 from drivers.contract.camera import CAMERA_CHECKS
-from drivers.interface import (
-    Camera,
-    CameraState,
-    DeviceError,
-    DeviceTimeout,
-    Disconnected,
-    Frame,
-    FrameLost,
-)
+from drivers.interface import Camera, CameraState, DeviceError, DeviceTimeout, Disconnected, Frame, FrameLost
 from support.patience import HANG_S, own_time
 from support.timed_faults import AT_ONCE_S, after_pause, expect_within, repeat
 

@@ -39,12 +39,7 @@ def open_bench(
         pixel_fill_factor=camera.pixel_fill_factor,
     )
     return SimulatedBench(
-        scene,
-        camera,
-        SimulatedLightSettings(),
-        cache_folder=folder,
-        clock=ManualClock(),
-        progress=progress,
+        scene, camera, SimulatedLightSettings(), cache_folder=folder, clock=ManualClock(), progress=progress
     )
 
 

@@ -1,7 +1,5 @@
 """Messages to other programs: topic, JSON header, and arrays as bytes."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

@@ -1,7 +1,5 @@
 """ZeroMQ publisher of live results, which never waits for a subscriber."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator

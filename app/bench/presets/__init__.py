@@ -1,7 +1,5 @@
 """The benches that come with the program, each a TOML file of this folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 PRESETS = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.toml"))}

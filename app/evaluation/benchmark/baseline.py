@@ -4,8 +4,6 @@
 improvement copy "ratios" from the file of `svwfs benchmark --json`.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

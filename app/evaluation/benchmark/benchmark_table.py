@@ -1,7 +1,5 @@
 """The benchmark as tables on the terminal."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

@@ -13,8 +13,6 @@ displacements only, ours to wavefronts and coefficients. Only pyrtcao processes 
   and as a separate contestant only as far as these frames need.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager

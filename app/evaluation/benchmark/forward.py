@@ -4,8 +4,6 @@ Both get the same phase in closed form and the same object points. Ours repeats 
 and covers the camera's pixels with squares of light; HCIPy has one sample per pixel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any

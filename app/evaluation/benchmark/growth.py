@@ -1,7 +1,5 @@
 """Times of frames against the number of lenslets and of field modes, and of a 4-megapixel camera."""
 
-from __future__ import annotations
-
 import resource
 import sys
 import time

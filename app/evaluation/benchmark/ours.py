@@ -1,7 +1,5 @@
 """Our reconstruction as contestant: from counts to the wavefronts of all views and their coefficients."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from itertools import product

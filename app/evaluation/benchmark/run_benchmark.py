@@ -1,7 +1,5 @@
 """The whole benchmark: everything on the same frames, side by side, as one tree for JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass

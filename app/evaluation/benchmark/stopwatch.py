@@ -1,7 +1,5 @@
 """Times of several calls in turn, so that other load on the computer slows all of them alike."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Frames for timing: noise-free or noisy frames of the simulated bench, and larger ones tiled from them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

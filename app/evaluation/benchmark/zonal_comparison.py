@@ -1,7 +1,5 @@
 """Zonal solves: residuals of any displacements, and our solve timed beside Southwell's bare equations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

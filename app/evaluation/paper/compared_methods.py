@@ -1,7 +1,5 @@
 """Methods in the tables, and their wavefronts, cached by everything they depend on."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Mapping

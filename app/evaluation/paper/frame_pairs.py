@@ -1,7 +1,5 @@
 """FramePair of the tables: one bench with several masks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace

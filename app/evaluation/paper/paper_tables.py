@@ -1,7 +1,5 @@
 """The tables of `svwfs paper`: table 1, table 2 and the sources of the supplement."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import partial
 

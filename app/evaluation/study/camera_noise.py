@@ -1,7 +1,5 @@
 """Sweeps over the camera's noise: amount of light, and gain of the electron-multiplying register."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import closing
@@ -144,9 +142,5 @@ PHOTONS = Sweep(
     limits_rad={"quadratic, modal 45: its noise": {300.0: 0.057, 1e3: 0.020, 1e4: 0.012}},
 )
 EM_GAIN = Sweep(
-    name="em_gain",
-    title="Gain of the register (quadratic)",
-    axis="gain",
-    measure=_em_gain,
-    is_logarithmic=True,
+    name="em_gain", title="Gain of the register (quadratic)", axis="gain", measure=_em_gain, is_logarithmic=True
 )

@@ -1,7 +1,5 @@
 """All sweeps and trials of `svwfs study`, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

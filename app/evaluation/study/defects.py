@@ -1,7 +1,5 @@
 """Sweeps over a bench that differs from its settings: wrong lattice, wrong focal lengths, dead lenslets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ The residual of the true slopes shows what the field and pupil modes cannot repr
 from registration.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator
@@ -51,10 +49,7 @@ class WarpEstimator:
         self._bench = bench
         method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
         self.reconstructor = method.reconstructor(
-            reference,
-            lattice=bench.design_lattice(*reference.shape),
-            dark=np.zeros_like(reference),
-            noise=noise,
+            reference, lattice=bench.design_lattice(*reference.shape), dark=np.zeros_like(reference), noise=noise
         )
 
     @cached_property

@@ -4,8 +4,6 @@
 whole range with both ends, where the routine must change the light instead.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 A faint frame has 200 electrons in its brightest pixel, dead lenslets and uneven light; the camera is the bench's.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 The ensembles are measured with every warp in one pass, refined, and refined live.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

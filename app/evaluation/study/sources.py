@@ -1,7 +1,5 @@
 """Sweep over the source: shapes, and brightness that varies within it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ and amplifier stay, because they change the noise, and so does the sample. The l
 that is what saturates.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Averages of frames: the dark and the reference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

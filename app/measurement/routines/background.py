@@ -1,7 +1,5 @@
 """Background check: drift of the level since the dark, and new hot pixels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

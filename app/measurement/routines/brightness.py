@@ -1,7 +1,5 @@
 """Brightness of a frame's brightest lenslets, robust against bad pixels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ percent, over three orders of magnitude. A saturated frame gives an upper bound,
 noise.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

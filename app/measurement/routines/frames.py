@@ -1,7 +1,5 @@
 """Waiting for frames, and the ways a routine ends early."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

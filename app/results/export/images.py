@@ -1,7 +1,5 @@
 """Image stacks for ImageJ: any images as BigTIFF, and the point-spread function of every view."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`svwfs export`: a recording in the formats of other programs."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Iterator
 from itertools import chain

@@ -1,7 +1,5 @@
 """New results of recorded frames beside the recorded ones."""
 
-from __future__ import annotations
-
 from importlib.metadata import version
 from typing import Any
 

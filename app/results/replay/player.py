@@ -1,7 +1,5 @@
 """Replay of a recording in the live view, each frame with its own calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path

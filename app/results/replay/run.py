@@ -1,7 +1,5 @@
 """`svwfs replay`: reconstruct a recording again, to verify it or to compare another bench with its own."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path

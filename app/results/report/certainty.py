@@ -1,7 +1,5 @@
 """Second page of a report: stability, uncertainty and range of validity of the wavefront."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb

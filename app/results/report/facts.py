@@ -1,7 +1,5 @@
 """Facts of a recording for the first page of its report, a line each."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Page size, title and vertical parts of the report's pages."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Sequence
 

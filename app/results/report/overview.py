@@ -1,7 +1,5 @@
 """First page of a report: facts of the recording and the mean wavefront of every view."""
 
-from __future__ import annotations
-
 import textwrap
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Third page of a report: the difference from another recording of the same sample, as in the paper's Table 2."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

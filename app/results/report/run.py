@@ -1,7 +1,5 @@
 """`svwfs report`: a recording as PDF or PNG."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Statistics of a recording, from its lines and from frames that are reconstructed again."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 

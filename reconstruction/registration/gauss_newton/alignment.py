@@ -4,8 +4,6 @@ The steps use the inverse A prepared by `template`. Excluded pixels, n in B, are
 equations (1 - sum_B A_n J_n^T) x = sum_not-B A_n r_n, with J the steepest-descent images.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

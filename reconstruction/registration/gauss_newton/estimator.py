@@ -9,8 +9,6 @@ starts from the previous frame, or from a translation found on every other pixel
 whole-pixel shift with the best correlation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from reconstruction.arrays import Floats, Image, Mask

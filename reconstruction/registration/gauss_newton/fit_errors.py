@@ -4,8 +4,6 @@ Steepest-descent images see the slow part of the noise, which interpolation pres
 without interpolation. The residual holds all of the noise, reduced by interpolation.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

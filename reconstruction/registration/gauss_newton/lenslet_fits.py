@@ -1,7 +1,5 @@
 """Compiled loop over the lenslets: the starts of their fits, and the noise left by interpolation."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ does not depend on the frame and a step is one product with the residual (after 
 Journal of Computer Vision 56, 221). With known noise, pixels have inverse-variance weights: A = (J W J^T)^-1 J W.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

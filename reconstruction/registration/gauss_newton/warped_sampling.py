@@ -4,8 +4,6 @@ A warp is a pair of cubic polynomials, for x and for y, of the normalised positi
 monomials 1, u, v, u^2, uv, v^2, u^3, u^2 v, u v^2, v^3: a few operations per pixel.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -9,8 +9,6 @@ for every pixel. Choices where the paper leaves them open, for sources without s
   fraction of the best block's structure have no weight; a thin plate through the other shifts fills them in.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray

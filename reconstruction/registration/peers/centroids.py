@@ -5,8 +5,6 @@ follows each star: the background (median of its border) and a fraction of the s
 values are cut off, and the window moves to the centre of gravity until it stays.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ the 3 x 3 values about the best one. The mismatch is the sum of squared differen
 cross-correlation by FFT (both after Löfdahl 2010, Astronomy & Astrophysics 524, A90).
 """
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 import numpy as np

@@ -4,8 +4,6 @@ A flow d(x) is the displacement, px, of the light at every pixel x of the refere
 for all lenslets yields the coefficients c_q.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage
 

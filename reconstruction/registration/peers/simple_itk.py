@@ -11,8 +11,6 @@ SimpleITK is optional and registers one pair of images per call. Its calls relea
 the lenslets.
 """
 
-from __future__ import annotations
-
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Compilation of the fake DCAM library."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Test control of the fake DCAM library: its clock, plug and faults."""
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import c_double
 from enum import IntEnum

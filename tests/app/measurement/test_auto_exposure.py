@@ -58,15 +58,7 @@ def true_fill(scene: Scene, found: AutoExposure) -> float:
 @example(allowed=WIDEST, right=0.999, start=1.0, current_a=0.35, image="spots", noise=40.0, is_on=False, seed=1)
 @example(allowed=WIDEST, right=0.5, start=1.0, current_a=0.0, image="broad", noise=40.0, is_on=False, seed=1)
 def test_exposure_is_found_within_six_frames(
-    *,
-    allowed: Range,
-    right: float,
-    start: float,
-    current_a: float,
-    image: str,
-    noise: float,
-    is_on: bool,
-    seed: int,
+    *, allowed: Range, right: float, start: float, current_a: float, image: str, noise: float, is_on: bool, seed: int
 ) -> None:
     def exposure_s(part: float) -> float:
         return float(allowed.minimum ** (1 - part) * allowed.maximum**part)

@@ -272,9 +272,7 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
     assert acquisition.submit(lambda instrument: instrument.bench).result(HANG_S) == acquisition.bench
 
 
-def test_restored_area_makes_dark_and_reference_valid_again(
-    live_small: tuple[Acquisition, list[Measurement]],
-) -> None:
+def test_restored_area_makes_dark_and_reference_valid_again(live_small: tuple[Acquisition, list[Measurement]]) -> None:
     acquisition, measurements = live_small
     whole = acquisition.submit(lambda instrument: SensorArea.of(instrument.devices.camera)).result(HANG_S)
     acquisition.set_area(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)

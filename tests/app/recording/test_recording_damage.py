@@ -28,10 +28,7 @@ def calibration(small_bench: SmallBench) -> Calibration:
         (lambda folder: folder.mkdir(), "holds no recording"),
         (lambda folder: (folder.mkdir(), (folder / "run.json").write_text("{")), "cannot be read"),
         (lambda folder: (folder.mkdir(), (folder / "run.json").write_bytes(b"\xff\xfe")), "cannot be read"),
-        (
-            lambda folder: (folder.mkdir(), (folder / "run.json").write_text('{"command": "live"}')),
-            "not the file of",
-        ),
+        (lambda folder: (folder.mkdir(), (folder / "run.json").write_text('{"command": "live"}')), "not the file of"),
         (lambda folder: (folder.mkdir(), (folder / "run.json").write_text("[]")), "not the file of"),
     ],
 )
@@ -53,11 +50,7 @@ def test_folder_without_a_recording_is_reported(tmp_path: Path, make: Callable[[
         (lambda r: None, lambda r: r.calibration(7), "7"),
         (lambda r: None, lambda r: r.line(2), "has no frame 2; it has 2"),
         (lambda r: None, lambda r: r.line(-1), "has no frame -1"),
-        (
-            lambda r: (r / "frames.zarr/0/zarr.json").write_text("{}"),
-            lambda r: r.pixels(0),
-            "not an array of",
-        ),
+        (lambda r: (r / "frames.zarr/0/zarr.json").write_text("{}"), lambda r: r.pixels(0), "not an array of"),
         (lambda r: (r / "frames.zarr/0/zarr.json").unlink(), lambda r: r.pixels(0), "pixels of frame 0 are missing"),
     ],
 )

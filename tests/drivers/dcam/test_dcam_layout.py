@@ -12,16 +12,7 @@ from support.dcam_tools import compiling
 from drivers.dcam import structures
 from drivers.dcam.errors import ERRORS, NotThere, error_of
 from drivers.dcam.library import PROTOTYPES, DcamLibrary
-from drivers.errors import (
-    BadValue,
-    Busy,
-    DeviceError,
-    DeviceTimeout,
-    Disconnected,
-    FrameLost,
-    Unsupported,
-    WrongState,
-)
+from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 from simulated_devices.wires.dcam.build import SOURCES, build_program
 
 # Name in C, size and some offsets, as gcc gave them for Hamamatsu's own header with 64-bit pointers.

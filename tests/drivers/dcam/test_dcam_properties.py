@@ -7,13 +7,7 @@ from support.dcam_tools import open_camera
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
-from drivers.interface import (
-    BadValue,
-    DeviceError,
-    Range,
-    Region,
-    Unsupported,
-)
+from drivers.interface import BadValue, DeviceError, Range, Region, Unsupported
 from simulated_devices.wires.dcam.stand_in import StandIn
 
 SENSOR = Region(0, 0, 512, 512)

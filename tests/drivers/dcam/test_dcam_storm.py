@@ -13,15 +13,7 @@ from support.storm import storm_settings
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.errors import ERRORS, NotThere
 from drivers.dcam.library import PROTOTYPES
-from drivers.interface import (
-    BadValue,
-    DeviceError,
-    DeviceTimeout,
-    Disconnected,
-    FrameLost,
-    Region,
-    Unsupported,
-)
+from drivers.interface import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
 from simulated_devices.wires.dcam.stand_in import Plug, StandIn
 
 

@@ -7,12 +7,7 @@ import pytest
 from support.dcam_tools import open_camera
 
 from drivers.dcam.camera import DcamCamera
-from drivers.interface import (
-    DeviceTimeout,
-    Disconnected,
-    FrameLost,
-    Region,
-)
+from drivers.interface import DeviceTimeout, Disconnected, FrameLost, Region
 from simulated_devices.wires.dcam.stand_in import StandIn, pattern
 
 SENSOR = Region(0, 0, 512, 512)

@@ -225,8 +225,7 @@ def test_unplugged_during_command_raises(device: CoolLEDWire, light: CoolLED, cl
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"channel": "E"}, {"full_current_a": 0.0}, {"wavelength_nm": 5}, {"limit_a": float("nan")}, {"port": ""}],
+    "wrong", [{"channel": "E"}, {"full_current_a": 0.0}, {"wavelength_nm": 5}, {"limit_a": float("nan")}, {"port": ""}]
 )
 def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -48,12 +48,7 @@ def _found(bench: SmallBench, frame: Image, warp: Warp, threads: int = 2) -> Dis
 def test_compiled_registration_matches_plain_numpy(bench: SmallBench, warp: Warp, seed: int) -> None:
     frame = _random_frame(bench, seed)
     plain = plain_registration(
-        bench.reference,
-        frame,
-        sensor=bench.sensor,
-        lattice=bench.lattice,
-        field=FIELD,
-        field_modes=FIELD_MODES[warp],
+        bench.reference, frame, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, field_modes=FIELD_MODES[warp]
     )
     found = _found(bench, frame, warp)
     assert found.valid.all()

@@ -105,9 +105,7 @@ def test_moving_image_and_lattice_does_not_change_result(
         return np.pad(image, ((down, 0), (right, 0)), mode="edge")[: image.shape[0], : image.shape[1]]
 
     lattice = replace(
-        bench.lattice,
-        center_x_px=bench.lattice.center_x_px + right,
-        center_y_px=bench.lattice.center_y_px + down,
+        bench.lattice, center_x_px=bench.lattice.center_x_px + right, center_y_px=bench.lattice.center_y_px + down
     )
     other = _compare(_estimator(bench, moved(bench.reference), lattice), moved(frame))
     np.testing.assert_allclose(other.coefficients, plain.coefficients, atol=1e-3)

@@ -94,10 +94,7 @@ def test_experiment_sample_is_the_ensemble_bit_for_bit() -> None:
     )
 
 
-ENLARGED = {
-    "border lenslets": Simulation(border_lenslets=2),
-    "drift": Simulation(screen=Screen(drift_x_m_per_s=2e-4)),
-}
+ENLARGED = {"border lenslets": Simulation(border_lenslets=2), "drift": Simulation(screen=Screen(drift_x_m_per_s=2e-4))}
 
 
 @pytest.mark.parametrize("enlarged", ENLARGED.values(), ids=ENLARGED)

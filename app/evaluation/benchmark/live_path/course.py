@@ -1,7 +1,5 @@
 """One run: first wavefront, warm-up, measured span. A window's timer or a loop polls it some ten times a second."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future

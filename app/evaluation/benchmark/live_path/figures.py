@@ -1,7 +1,5 @@
 """Figures of both runs with their limits, as JSON and as a table on the terminal."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

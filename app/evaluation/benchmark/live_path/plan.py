@@ -1,7 +1,5 @@
 """Durations of the live-path benchmark, and the temporary folder of its recording."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Iterator

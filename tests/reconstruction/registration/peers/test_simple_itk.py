@@ -113,9 +113,7 @@ def test_non_rigid_methods_follow_a_bend_beyond_the_affine_map(
 
 
 @pytest.mark.parametrize(
-    "prepare",
-    [ItkAffine, lambda reference: Demons(reference, FLOW_MODES["views"])],
-    ids=["affine", "demons"],
+    "prepare", [ItkAffine, lambda reference: Demons(reference, FLOW_MODES["views"])], ids=["affine", "demons"]
 )
 def test_missing_simple_itk_names_the_package_to_install(
     reference: ReferenceSubimages,
