@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.bench.config import Bench
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms, without_piston
 from simulated_devices.optics.forward_model import ForwardModel
@@ -63,14 +63,13 @@ def run_checks() -> Iterator[Check]:
     """Render and reconstruct every phase."""
     model = ForwardModel(SENSOR, LATTICE, FIELD, rows=FRAME_SHAPE[0], columns=FRAME_SHAPE[1], pupil_samples=12)
     source = square(Source(), object_samples=25)
-    reconstructor = Reconstructor(
-        model.irradiance(source),
+    bench = Bench(
         sensor=SENSOR,
-        lattice=LATTICE,
         field=FIELD,
         registration=RegistrationSettings(warp="affine"),
-        reconstruction=ReconstructionSettings(method="modal", pupil_modes=6),
+        reconstruction=ReconstructionSettings(pupil_modes=6),
     )
+    reconstructor = bench.reconstructor(model.irradiance(source), lattice=LATTICE)
     sample_x_m, sample_y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
     for name, phase in PHASES.items():
 
