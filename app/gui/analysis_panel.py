@@ -6,12 +6,12 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.presentation import number, place
-from app.gui.widgets import ElidedLabel, label, unfocused
+from app.gui.widgets import ElidedLabel, column, label, row, unfocused
 from app.results.view_analysis import Analysis
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import Mtf
@@ -29,23 +29,16 @@ class AnalysisPanel(QWidget):
         self.mtf = MtfPlot()
         self.structure = StructurePlot()
         self.sentence = ElidedLabel()
-        plots = QHBoxLayout()
-        plots.setSpacing(16)
-        plots.addWidget(self.mtf, 1)
-        plots.addWidget(self.structure, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(plots, 1)
-        layout.addWidget(self.sentence)
+        column((row((self.mtf, 1), (self.structure, 1), spacing=16), 1), self.sentence, parent=self)
 
     def show_analysis(self, analysis: Analysis) -> None:
         """Show the analysis of one view and of the field."""
         request = analysis.request
         if request.view is None:
             return
-        row, column = request.view
+        view_row, view_column = request.view
         field = request.wavefront.field
-        _, where, _ = place(float(field.view_x_m[column]), float(field.view_y_m[row]))
+        _, where, _ = place(float(field.view_x_m[view_column]), float(field.view_y_m[view_row]))
         self.mtf.show_transfer(analysis.transfer, where)
         self.structure.show_structure(analysis.isoplanatism)
         if analysis.isoplanatism is not None:
@@ -88,18 +81,12 @@ class _Plot(QWidget):
         grid.addItem(self._view, 0, 1)
         grid.addItem(axes["bottom"], 1, 1)
         self._graphics.setCentralItem(grid)
-        header = QHBoxLayout()
-        header.setSpacing(8)
-        header.addWidget(self.title, 1)
+        header = row((self.title, 1), spacing=8)
         for text, colour in keys:
             key = label(text)
             key.setStyleSheet(f"color: {colour.name()};")
             header.addWidget(key)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
-        layout.addLayout(header)
-        layout.addWidget(self._graphics, 1)
+        column(header, (self._graphics, 1), spacing=2, parent=self)
 
     def _add_curve(
         self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine
@@ -151,7 +138,7 @@ class StructurePlot(_Plot):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         keys = (("with tilt", theme.ACCENT), ("tilt removed", theme.GREEN))
-        super().__init__("Change (rad)", "separation in the field (mm)", keys, parent)
+        super().__init__("Wavefront change (rad)", "separation in the field (mm)", keys, parent)
         self.setToolTip(
             "RMS difference between the wavefronts at two field positions over their separation.\n"
             "The band holds all pairs. The isoplanatic patch ends where the difference reaches 1 rad.\n"

@@ -4,12 +4,12 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
 from app.gui.lattice_overlay import arrow_length_px, arrows, lattice_lines, lenslet_at, lost_boxes
-from app.gui.widgets import ElidedLabel, label, toggle, unfocused
+from app.gui.widgets import ElidedLabel, column, label, row, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
@@ -68,7 +68,9 @@ class CameraPanel(QWidget):
         self.caption = ElidedLabel("dim")
         self._title = label("Camera", "title")
         self._placeholder = label("no frame yet", "dim")
-        self._lay_out()
+        header = row((self._title, 1), self.lattice_toggle, self.arrows_toggle, self._contrast_choice, self._colours)
+        column(header, (self._graphics, 1), self.caption, parent=self)
+        column(self._placeholder, parent=self._graphics).setAlignment(Qt.AlignmentFlag.AlignCenter)
 
     def show_running(self, *, is_running: bool) -> None:
         """Show in the title whether the camera runs."""
@@ -115,19 +117,6 @@ class CameraPanel(QWidget):
             self.caption.setStyleSheet(f"color: {(theme.AMBER if peak >= 1 else theme.DIM).name()};")
         self.caption.setText("    ".join([*parts, self._pointed_at()]))
 
-    def _lay_out(self) -> None:
-        header = QHBoxLayout()
-        header.addWidget(self._title)
-        header.addStretch()
-        for widget in (self.lattice_toggle, self.arrows_toggle, self._contrast_choice, self._colours):
-            header.addWidget(widget)
-        QVBoxLayout(self._graphics).addWidget(self._placeholder, alignment=Qt.AlignmentFlag.AlignCenter)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(header)
-        layout.addWidget(self._graphics, 1)
-        layout.addWidget(self.caption)
-
     def _restart_contrast(self) -> None:
         self._contrast.restart()
         if self._frame is not None:
@@ -169,10 +158,10 @@ class CameraPanel(QWidget):
         frame, pointer = self._frame, self._pointer
         if frame is None or pointer is None:
             return ""
-        column, row = round(pointer.x()), round(pointer.y())
-        if not (0 <= row < frame.pixels.shape[0] and 0 <= column < frame.pixels.shape[1]):
+        x, y = round(pointer.x()), round(pointer.y())
+        if not (0 <= y < frame.pixels.shape[0] and 0 <= x < frame.pixels.shape[1]):
             return ""
-        text = f"x {column}  y {row}: {frame.pixels[row, column]} counts"
+        text = f"x {x}  y {y}: {frame.pixels[y, x]} counts"
         displacement, lattice = self._displacement, self._lattice
         lenslet = (
             None

@@ -10,7 +10,7 @@ from app.acquisition.instrument import Status, Validity
 from app.bench.config import AUTOMATIC
 from app.gui import theme
 from app.gui.number_field import NumberField
-from app.gui.widgets import button, label, toggle
+from app.gui.widgets import Slot, button, label, row, toggle
 from app.measurement.routines.averages import AVERAGED_FRAMES
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
@@ -54,85 +54,78 @@ class ControlsPanel(QFrame):
 
     def _make_camera(self) -> None:
         self._is_running = False
-        self.start = button("Start", "Start or stop taking frames (Space)")
-        self.start.clicked.connect(lambda: self.running_requested.emit(not self._is_running))
-        self.sensor_region = button("Region\N{HORIZONTAL ELLIPSIS}", "Choose the sensor region and the binning (P)")
-        self.sensor_region.clicked.connect(self.sensor_region_requested)
+        self.start = button("Start", "Start or stop taking frames (Space)", self._toggle_running)
+        self.sensor_region = button(
+            "Region\N{HORIZONTAL ELLIPSIS}",
+            "Choose the sensor region and the binning (P)",
+            self.sensor_region_requested,
+        )
         self.exposure = NumberField(unit=1e-3, suffix=" ms", decimals=3, tool_tip="Exposure time in force (E)")
         self.exposure.entered.connect(self.exposure_requested)
-        self.amplifier = _choice("Output amplifier; a change restarts the camera")
-        self.amplifier.textActivated.connect(self.amplifier_requested)
-        self.readout_speed = _choice("Readout speed: faster is noisier; a change restarts the camera")
-        self.readout_speed.setMinimumWidth(40)
-        self.readout_speed.textActivated.connect(lambda speed: self.readout_speed_requested.emit(int(speed)))
         self.em_gain = NumberField(decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise")
         self.em_gain.setPrefix("\N{MULTIPLICATION SIGN} ")
         self.em_gain.entered.connect(self.em_gain_requested)
-        grid = self._section("Camera")
-        grid.addLayout(_side_by_side(self.start, self.sensor_region), 1, 0, 1, 2)
-        grid.addWidget(label("Exposure", "dim"), 2, 0)
-        grid.addWidget(self.exposure, 2, 1)
-        mode = _side_by_side(label("Gain", "dim"), self.em_gain, self.amplifier, self.readout_speed)
-        for narrow in (0, 3):
-            mode.setStretch(narrow, 0)
-        grid.addLayout(mode, 3, 0, 1, 2)
+        self.amplifier = _choice("Output amplifier; a change restarts the camera", self.amplifier_requested)
+        self.readout_speed = _choice(
+            "Readout speed: faster is noisier; a change restarts the camera",
+            lambda speed: self.readout_speed_requested.emit(int(speed)),
+        )
+        self.readout_speed.setMinimumWidth(40)
+        gain = row(label("Gain", "dim"), (self.em_gain, 1), (self.amplifier, 1), self.readout_speed)
+        self._add_section("Camera", _pair(self.start, self.sensor_region), ("Exposure", self.exposure), gain)
 
     def _make_bench(self) -> None:
-        self.light = toggle("Light off", "Switch the light (L)")
-        self.light.clicked.connect(self.light_requested)
-        self.sample = toggle("Sample out", "Move the sample into or out of the beam (S)")
-        self.sample.clicked.connect(self.sample_requested)
+        self.light = toggle("Light off", "Switch the light (L)", self.light_requested)
+        self.sample = toggle("Sample out", "Move the sample into or out of the beam (S)", self.sample_requested)
         self.current = NumberField(unit=1e-3, suffix=" mA", decimals=1, tool_tip="Current of the light while on (C)")
         self.current.entered.connect(self.current_requested)
-        self.mask_choice = _choice("Mask in front of the light; a new mask needs a new reference (R)")
-        self.mask_choice.textActivated.connect(self.mask_requested)
-        grid = self._section("Light and stage")
-        grid.addLayout(_side_by_side(self.light, self.sample), 1, 0, 1, 2)
-        grid.addWidget(label("Current", "dim"), 2, 0)
-        grid.addWidget(self.current, 2, 1)
-        grid.addWidget(label("Mask", "dim"), 3, 0)
-        grid.addWidget(self.mask_choice, 3, 1)
+        self.mask_choice = _choice(
+            "Mask in front of the light; a new mask needs a new reference (R)", self.mask_requested
+        )
+        switches = _pair(self.light, self.sample)
+        self._add_section("Light and stage", switches, ("Current", self.current), ("Mask", self.mask_choice))
 
     def _make_calibration(self, frames: int) -> None:
         self.frames = NumberField(tool_tip="Number of frames averaged into a dark or a reference")
         self.frames.show_value(frames, _FRAMES_RANGE)
-        self.dark = button("Dark", "Average frames with the light off: the background of all frames (D)")
-        self.dark.clicked.connect(lambda: self.dark_requested.emit(round(self.frames.value())))
-        self.reference = button("Reference", "Average frames without the sample: zero point of the displacements (R)")
-        self.reference.clicked.connect(lambda: self.reference_requested.emit(round(self.frames.value())))
-        self.lattice = button("Lattice", "Find the lenslets in the reference and propose a lattice (N)")
-        self.lattice.clicked.connect(self.lattice_requested)
-        self.auto_exposure = button(
-            "Expose", "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)"
+        self.dark = button(
+            "Dark",
+            "Average frames with the light off: the background of all frames (D)",
+            lambda: self.dark_requested.emit(round(self.frames.value())),
         )
-        self.auto_exposure.clicked.connect(self.auto_exposure_requested)
-        grid = self._section("Calibration")
-        grid.addLayout(_side_by_side(self.dark, self.reference), 1, 0, 1, 2)
-        grid.addWidget(label("Frames", "dim"), 2, 0)
-        grid.addWidget(self.frames, 2, 1)
-        grid.addLayout(_side_by_side(self.lattice, self.auto_exposure), 3, 0, 1, 2)
+        self.reference = button(
+            "Reference",
+            "Average frames without the sample: zero point of the displacements (R)",
+            lambda: self.reference_requested.emit(round(self.frames.value())),
+        )
+        self.lattice = button(
+            "Lattice", "Find the lenslets in the reference and propose a lattice (N)", self.lattice_requested
+        )
+        self.auto_exposure = button(
+            "Expose",
+            "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)",
+            self.auto_exposure_requested,
+        )
+        averages, searches = _pair(self.dark, self.reference), _pair(self.lattice, self.auto_exposure)
+        self._add_section("Calibration", averages, ("Frames", self.frames), searches)
 
     def _make_reconstruction(self) -> None:
         self.registration = self._setting(
-            "registration",
-            "method",
+            "registration.method",
             "How subimages are matched with the reference: gauss_newton is this instrument's own method;\n"
             "the others come from the paper and related software, and some are too slow for live use",
         )
         self.warp = self._setting(
-            "registration",
-            "warp",
+            "registration.warp",
             "Allowed distortion of a subimage: shift (translation), affine, quadratic or cubic.\n"
             "More freedom resolves finer changes over the field. Most other methods ignore this",
         )
         self.method = self._setting(
-            "reconstruction",
-            "method",
+            "reconstruction.method",
             "How slopes become wavefronts: lenslet by lenslet (zonal) or by polynomials (modal)",
         )
         self.basis = self._setting(
-            "reconstruction",
-            "basis",
+            "reconstruction.basis",
             "Polynomials of the modal method: legendre for a square pupil, zernike for a circular one",
         )
         self.pupil_modes = NumberField(
@@ -141,46 +134,50 @@ class ControlsPanel(QFrame):
             lowest=AUTOMATIC,
         )
         self.pupil_modes.entered.connect(
-            lambda value: self.setting_requested.emit(
-                "reconstruction", "pupil_modes", None if value < PUPIL_MODES.start else round(value)
-            )
+            lambda value: self._request("reconstruction.pupil_modes", round(value) if value in PUPIL_MODES else None)
         )
         self.refine = toggle(
-            "Refine", "Correct systematic errors by a simulation of your bench, updated about every second (F)"
+            "Refine",
+            "Correct systematic errors by a simulation of your bench, updated about every second (F)",
+            lambda on: self._request("reconstruction.refine", on),
         )
-        self.refine.clicked.connect(lambda on: self.setting_requested.emit("reconstruction", "refine", on))
-        grid = self._section("Reconstruction", is_last=True)
-        grid.addWidget(label("Matching", "dim"), 1, 0)
-        grid.addLayout(_side_by_side(self.registration, self.warp), 1, 1)
-        grid.addWidget(label("Wavefront", "dim"), 2, 0)
-        grid.addLayout(_side_by_side(self.method, self.basis), 2, 1)
-        grid.addWidget(label("Modes", "dim"), 3, 0)
-        grid.addLayout(_side_by_side(self.pupil_modes, self.refine), 3, 1)
+        self._add_section(
+            "Reconstruction",
+            ("Matching", _pair(self.registration, self.warp)),
+            ("Wavefront", _pair(self.method, self.basis)),
+            ("Modes", _pair(self.pupil_modes, self.refine)),
+        )
 
-    def _setting(self, section: str, key: str, tool_tip: str) -> QComboBox:
+    def _setting(self, key: str, tool_tip: str) -> QComboBox:
         """Make a choice for a setting of the bench."""
-        choice = _choice(tool_tip)
-        choice.textActivated.connect(
-            lambda value: self.setting_requested.emit(section, key, None if value == AUTOMATIC else value)
-        )
-        return choice
+        return _choice(tool_tip, lambda value: self._request(key, None if value == AUTOMATIC else value))
 
-    def _section(self, title: str, *, is_last: bool = False) -> QGridLayout:
-        """Start a column of controls under a title, with a line towards the next."""
+    def _request(self, key: str, value: object) -> None:
+        self.setting_requested.emit(*key.split("."), value)
+
+    def _toggle_running(self) -> None:
+        self.running_requested.emit(not self._is_running)
+
+    def _add_section(self, title: str, *lines: QHBoxLayout | tuple[str, QWidget | QHBoxLayout]) -> None:
+        """Add a column of controls under a title, separated from the previous one; some have a label."""
+        if self._layout.count():
+            rule = QFrame()
+            rule.setFixedWidth(1)
+            rule.setStyleSheet(f"background: {theme.LINE.name()};")
+            self._layout.addWidget(rule)
         grid = QGridLayout()
         grid.setVerticalSpacing(5)
         grid.setHorizontalSpacing(8)
         grid.setColumnStretch(1, 1)
         grid.addWidget(label(title, "title"), 0, 0, 1, 2)
-        for row in range(1, 4):
-            grid.setRowMinimumHeight(row, self.start.sizeHint().height())  # aligns the rows of all sections
-        self._layout.addLayout(grid, 2 if is_last else 1)  # the last has the longest texts
-        if not is_last:
-            rule = QFrame()
-            rule.setFixedWidth(1)
-            rule.setStyleSheet(f"background: {theme.LINE.name()};")
-            self._layout.addWidget(rule)
-        return grid
+        for index, line in enumerate(lines, 1):
+            grid.setRowMinimumHeight(index, self.start.sizeHint().height())  # aligns the rows of all sections
+            if not isinstance(line, tuple):
+                grid.addLayout(line, index, 0, 1, 2)
+                continue
+            grid.addWidget(label(line[0], "dim"), index, 0)
+            grid.addLayout(row((line[1], 1)), index, 1)
+        self._layout.addLayout(grid, 2 if title == "Reconstruction" else 1)  # it has the longest texts
 
     def show_status(self, status: Status, *, is_settled: bool) -> None:
         """Show the status; a focused field changes only when all commands are finished (`is_settled`)."""
@@ -226,16 +223,13 @@ def _uses_warp(registration: RegistrationSettings) -> bool:
     return registration.method == "gauss_newton"
 
 
-def _side_by_side(*widgets: QWidget) -> QHBoxLayout:
-    row = QHBoxLayout()
-    row.setSpacing(6)
-    for widget in widgets:
-        row.addWidget(widget, 1)
-    return row
+def _pair(left: QWidget, right: QWidget) -> QHBoxLayout:
+    return row((left, 1), (right, 1))
 
 
-def _choice(tool_tip: str) -> QComboBox:
+def _choice(tool_tip: str, chosen: Slot) -> QComboBox:
     choice = QComboBox()
+    choice.textActivated.connect(chosen)
     choice.setToolTip(tool_tip)
     choice.setMinimumWidth(64)
     choice.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)

@@ -4,11 +4,11 @@ import time
 
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QProgressBar, QPushButton, QWidget
+from PyQt6.QtWidgets import QFrame, QProgressBar, QPushButton, QWidget
 
 from app.acquisition.worker import Activity
 from app.gui import theme
-from app.gui.widgets import ElidedLabel, button
+from app.gui.widgets import ElidedLabel, button, row
 
 _NOTICE_S = 8.0  # how long a notice is shown
 
@@ -30,23 +30,17 @@ class MessageStrip(QFrame):
         self.reconnect = QPushButton("Reconnect")
         self.reconnect.setToolTip("Open the devices again, take dark and reference, and start measuring (Ctrl+R)")
         self.reconnect.clicked.connect(self.reconnect_requested)
-        self.accept = button("Use it", "Accept the proposal (Return)")
-        self.accept.clicked.connect(lambda: self._answer(is_accepted=True))
-        self.discard = button("Discard", "Change nothing (Esc)")
-        self.discard.clicked.connect(lambda: self._answer(is_accepted=False))
-        self.dismiss = button("Dismiss", "Remove this message (Esc)")
-        self.dismiss.clicked.connect(lambda: self.alarm(""))
-        self.cancel = button("Cancel", "Stop, and restore the devices (Esc)")
-        self.cancel.clicked.connect(self.cancel_requested)
+        self.accept = button("Use it", "Accept the proposal (Return)", lambda: self._answer(is_accepted=True))
+        self.discard = button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
+        self.dismiss = button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
+        self.cancel = button("Cancel", "Stop, and restore the devices (Esc)", self.cancel_requested)
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
         self.progress.setFormat("%p %")
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(10, 3, 6, 3)
-        layout.addWidget(self.text, 1)
-        for widget in (self.reconnect, self.accept, self.discard, self.dismiss, self.progress, self.cancel):
+        hidden = (self.reconnect, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
+        for widget in hidden:
             widget.hide()
-            layout.addWidget(widget)
+        row((self.text, 1), *hidden, parent=self).setContentsMargins(10, 3, 6, 3)
         self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # the same with and without a button
 
     def warn(self, text: str) -> None:

@@ -12,21 +12,29 @@ from reconstruction.arrays import Floats
 from reconstruction.wavefront import peak_to_valley, rms
 
 NOTHING = "\N{EN DASH}"
-_SHOWN_PERCENT = 99.5  # of the lenslets lie within the colour scale
+
+
+def _phase_caption(phase: Floats, decimals: int = 2) -> tuple[str, ...]:
+    pv = number(float(peak_to_valley(phase)), decimals)
+    return _wordings("RMS", number(float(rms(phase)), decimals), f"PV {pv}")
+
+
+def _phase_summary(maps: Floats, decimals: int = 2) -> str:
+    return f"mean RMS {number(_mean(rms(maps)), decimals)} rad"
 
 
 @dataclass(frozen=True, slots=True)
 class Presentation:
-    """How one quantity is shown."""
+    """How one quantity is shown; the defaults are those of a phase."""
 
     about: str  # tool tip
-    scale: Callable[[float], ColourScale]  # of a limit
-    family: str  # quantities of one family share the limit and can be compared
-    finest: float  # lowest limit: a lower one would show noise in full colours
-    shown_percent: float  # of the values that lie within the limit
-    caption: Callable[[Floats], tuple[str, ...]]  # of one map (row, column): wordings, longest first
-    summary: Callable[[Floats], str]  # of all maps (view_row, view_column, row, column)
-    value: str  # the format of one value
+    scale: Callable[[float], ColourScale] = diverging  # of a limit
+    family: str = "phase"  # quantities of one family share the limit and can be compared
+    finest: float = 0.01  # lowest limit: a lower one would show noise in full colours
+    shown_percent: float = 99.5  # of the values that lie within the limit
+    caption: Callable[[Floats], tuple[str, ...]] = _phase_caption  # of one map: wordings, longest first
+    summary: Callable[[Floats], str] = _phase_summary  # of all maps (view_row, view_column, row, column)
+    value: str = "{:+.2f} rad"  # the format of one value
 
     def limit(self, maps: Floats) -> float:
         """Return the limit that the scale needs; NaN if all maps are NaN."""
@@ -54,11 +62,6 @@ def _wordings(name: str, value: str, more: str) -> tuple[str, ...]:
     return f"{name} {value}   {more}", f"{name} {value}", value
 
 
-def _phase_caption(phase: Floats, decimals: int = 2) -> tuple[str, ...]:
-    pv = number(float(peak_to_valley(phase)), decimals)
-    return _wordings("RMS", number(float(rms(phase)), decimals), f"PV {pv}")
-
-
 def _intensity_caption(intensity: Floats) -> tuple[str, ...]:
     middle = intensity[intensity.shape[0] // 2, intensity.shape[1] // 2]
     return _wordings("Strehl", number(float(middle), 3), f"peak {number(float(intensity.max()), 3)}")
@@ -78,21 +81,8 @@ def _most(values: Floats) -> float:
     return float(known.max()) if known.size else float("nan")
 
 
-def _phase(about: str) -> Presentation:
-    return Presentation(
-        about=about,
-        scale=diverging,
-        family="phase",
-        finest=0.01,
-        shown_percent=_SHOWN_PERCENT,
-        caption=_phase_caption,
-        summary=lambda maps: f"mean RMS {number(_mean(rms(maps)))} rad",
-        value="{:+.2f} rad",
-    )
-
-
 PRESENTATIONS = {
-    Quantity.WAVEFRONT: _phase("Wavefront of each view"),
+    Quantity.WAVEFRONT: Presentation("Wavefront of each view"),
     Quantity.PSF: Presentation(
         about="Point-spread function of each view: the image of a point of the object",
         scale=bright,
@@ -103,16 +93,13 @@ PRESENTATIONS = {
         summary=lambda _: "1 = peak without aberration",
         value="{:.4f} of the peak without aberration",
     ),
-    Quantity.MEASURED: _phase("Fitted wavefront plus the slope residuals, integrated from lenslet to lenslet"),
-    Quantity.FITTED: _phase("Pupil modes fitted to each view"),
+    Quantity.MEASURED: Presentation("Fitted wavefront plus the slope residuals, integrated from lenslet to lenslet"),
+    Quantity.FITTED: Presentation("Pupil modes fitted to each view"),
     Quantity.DIFFERENCE: Presentation(
         about="Measured minus fitted: noise and finer detail than the pupil modes resolve",
-        scale=diverging,
         family="difference",
-        finest=0.01,
-        shown_percent=_SHOWN_PERCENT,
         caption=partial(_phase_caption, decimals=3),
-        summary=lambda maps: f"mean RMS {number(_mean(rms(maps)), 3)} rad",
+        summary=partial(_phase_summary, decimals=3),
         value="{:+.3f} rad",
     ),
     Quantity.UNCERTAINTY: Presentation(
@@ -120,7 +107,6 @@ PRESENTATIONS = {
         scale=uncertain,
         family="uncertainty",
         finest=0.001,
-        shown_percent=_SHOWN_PERCENT,
         caption=_sigma_caption,
         summary=lambda maps: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(_mean(maps), 3)} rad",
         value="{:.3f} rad",

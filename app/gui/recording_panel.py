@@ -3,10 +3,10 @@
 import math
 
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from app.gui import theme
-from app.gui.widgets import ElidedLabel, button, toggle
+from app.gui.widgets import ElidedLabel, button, row, toggle
 from app.recording.recorder import RECENT_S, RecordingState
 
 _WIDEST = "000000 frames   00:00   000 wait for the disk   disk space for 000 min"
@@ -21,20 +21,18 @@ class RecordingPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.record = toggle("Record", "Record every frame with all data needed to reconstruct it again (W)")
-        self.record.clicked.connect(self.record_requested)
-        self.keep = button(f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)")
-        self.keep.clicked.connect(self.keep_requested)
+        self.record = toggle(
+            "Record", "Record every frame with all data needed to reconstruct it again (W)", self.record_requested
+        )
+        self.keep = button(
+            f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)", self.keep_requested
+        )
         self.text = ElidedLabel("dim")
         self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
         # A menu bar never updates the width of its corner.
         self.text.setFixedWidth(self.text.fontMetrics().horizontalAdvance(_WIDEST))
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        row = QHBoxLayout(self)
-        row.setContentsMargins(10, 3, 6, 3)
-        row.setSpacing(6)
-        for widget in (self.text, self.keep, self.record):
-            row.addWidget(widget)
+        row(self.text, self.keep, self.record, parent=self).setContentsMargins(10, 3, 6, 3)
         self.record.setMinimumWidth(self.record.sizeHint().width() + 20)  # room for its other text, too
         self.show_state(None)
 

@@ -1,11 +1,11 @@
 """Dialog for the sensor region and the binning; the measurement continues beside it."""
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QWidget
 
 from app.acquisition.instrument import Status
 from app.gui.number_field import NumberField
-from app.gui.widgets import button, label
+from app.gui.widgets import button, column, label, row
 from app.measurement.sensor_region import SensorArea
 from drivers.interface import Range, Region
 
@@ -30,16 +30,24 @@ class SensorRegionDialog(QDialog):
         self.binning = QComboBox()
         self.binning.setToolTip("Sensor pixels per frame pixel, along both axes")
         self.limits, self.in_force = label("", "dim"), label("", "dim")
-        self.whole = button("Whole sensor", "Fill in the whole sensor")
-        self.whole.clicked.connect(self._fill_whole)
-        self.around = button("Around the lattice", "Fill in all lenslets with a margin of half a pitch")
-        self.around.clicked.connect(self.around_requested)
-        self.apply = button("Apply", "Set the region; then take a new dark (D) and reference (R)")
+        self.whole = button("Whole sensor", "Fill in the whole sensor", self._fill_whole)
+        self.around = button(
+            "Around the lattice", "Fill in all lenslets with a margin of half a pitch", self.around_requested
+        )
+        self.apply = button("Apply", "Set the region; then take a new dark (D) and reference (R)", self._request_area)
         self.apply.setDefault(True)
-        self.apply.clicked.connect(lambda: self.area_requested.emit(self.area))
-        close = button("Close", "Change nothing (Esc)")
-        close.clicked.connect(self.close)
-        self._lay_out((self.whole, self.around), (self.apply, close))
+        close = button("Close", "Change nothing (Esc)", self.close)
+        form = QFormLayout()
+        for text, field in (
+            ("First row", self.top),
+            ("First column", self.left),
+            ("Rows", self.rows),
+            ("Columns", self.columns),
+            ("Binning", self.binning),
+        ):
+            form.addRow(label(text, "dim"), field)
+        fills, ends = row((self.whole, 1), (self.around, 1)), row((self.apply, 1), (close, 1))
+        column(self.limits, form, fills, self.in_force, ends, spacing=8, parent=self).setContentsMargins(11, 11, 11, 11)
 
     @property
     def area(self) -> SensorArea:
@@ -91,25 +99,5 @@ class SensorRegionDialog(QDialog):
         if self._status is not None and self._status.capabilities.sensor is not None:
             self.fill(self._status.capabilities.sensor)
 
-    def _lay_out(self, fills: tuple[QWidget, ...], ends: tuple[QWidget, ...]) -> None:
-        form = QFormLayout()
-        fields: tuple[tuple[str, QWidget], ...] = (
-            ("First row", self.top),
-            ("First column", self.left),
-            ("Rows", self.rows),
-            ("Columns", self.columns),
-            ("Binning", self.binning),
-        )
-        for text, field in fields:
-            form.addRow(label(text, "dim"), field)
-        layout = QVBoxLayout(self)
-        layout.setSpacing(8)
-        layout.addWidget(self.limits)
-        layout.addLayout(form)
-        for widgets in (fills, ends):
-            row = QHBoxLayout()
-            for widget in widgets:
-                row.addWidget(widget)
-            layout.addLayout(row)
-            if widgets is fills:
-                layout.addWidget(self.in_force)
+    def _request_area(self) -> None:
+        self.area_requested.emit(self.area)

@@ -38,34 +38,20 @@ class ViewGrid(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._maps: Maps | None = None
+        self.maps: Maps | None = None
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._number_width = 0  # px
-        self._captions: Mapping[tuple[int, int], Caption] = {}
+        self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self._selection: tuple[int, int] | None = None
         self.setMinimumSize(260, 220)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
-    @property
-    def maps(self) -> Maps | None:
-        """The maps that are shown, if any."""
-        return self._maps
-
-    @property
-    def captions(self) -> Mapping[tuple[int, int], Caption]:
-        """The captions by (view_row, view_column)."""
-        return self._captions
-
-    def show_maps(self, maps: Maps) -> None:
-        """Show a map of every view."""
-        self._maps, self._pixels = maps, maps.scale.pixels(maps.values)
-        numbers = (text for _, text in maps.scale.ticks)
-        self._number_width = max(self.fontMetrics().horizontalAdvance(number) for number in numbers) + 1
-        self.update()
-
-    def show_nothing(self) -> None:
-        """Show that there is no wavefront."""
-        self._maps = None
+    def show_maps(self, maps: Maps | None) -> None:
+        """Show a map of every view, or that there is no wavefront."""
+        self.maps = maps
+        if maps is not None:
+            self._pixels = maps.scale.pixels(maps.values)
+            self._number_width = max(self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks) + 1
         self.update()
 
     def select(self, view: tuple[int, int] | None) -> None:
@@ -75,8 +61,8 @@ class ViewGrid(QWidget):
 
     def set_captions(self, captions: Mapping[tuple[int, int], Caption]) -> None:
         """Show captions by (view_row, view_column), in the longest wording that fits."""
-        if captions != self._captions:
-            self._captions = captions
+        if captions != self.captions:
+            self.captions = captions
             self.update()
 
     def tile(self, view_row: int, view_column: int) -> QRect:
@@ -87,7 +73,7 @@ class ViewGrid(QWidget):
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint all views."""
         painter = QPainter(self)
-        maps = self._maps
+        maps = self.maps
         if maps is None:
             painter.setPen(theme.DIM)
             painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, "no wavefront")
@@ -123,38 +109,38 @@ class ViewGrid(QWidget):
         if event is None:
             return
         step = _STEPS.get(Qt.Key(event.key()))
-        if step is None or self._selection is None or self._maps is None:
+        if step is None or self._selection is None or self.maps is None:
             super().keyPressEvent(event)
             return
         row, column = self._selection[0] + step[0], self._selection[1] + step[1]
-        if 0 <= row < self._maps.values.shape[0] and 0 <= column < self._maps.values.shape[1]:
+        if 0 <= row < self.maps.values.shape[0] and 0 <= column < self.maps.values.shape[1]:
             self.selected.emit(row, column)
 
     def _view_at(self, position: QPoint) -> tuple[int, int] | None:
-        if self._maps is None:
+        if self.maps is None:
             return None
-        views = np.ndindex(self._maps.values.shape[:2])
+        views = np.ndindex(self.maps.values.shape[:2])
         return next(((row, column) for row, column in views if self.tile(row, column).contains(position)), None)
 
     def _value_at(self, position: QPoint) -> str:
         view = self._view_at(position)
-        if self._maps is None or view is None:
+        if self.maps is None or view is None:
             return ""
-        tile, values = self.tile(*view), self._maps.values[view]
+        tile, values = self.tile(*view), self.maps.values[view]
         inside = position - tile.topLeft()
         row = inside.y() * values.shape[0] // tile.height()
         column = inside.x() * values.shape[1] // tile.width()
-        text = self._maps.describe(row, column, float(values[row, column]))
-        return "\n".join([text, *(wordings[0] for wordings in self._captions.get(view, ()))])
+        text = self.maps.describe(row, column, float(values[row, column]))
+        return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
 
     def _has_captions(self) -> bool:
         return self._layout(captions=True)[1].width() >= _SMALLEST_CAPTIONED
 
     def _layout(self, *, captions: bool | None = None) -> tuple[QPoint, QSize, QSize]:
         """Return the first view's corner, the size of each, and the step from one to the next."""
-        if self._maps is None:
+        if self.maps is None:
             return QPoint(), QSize(), QSize()
-        view_rows, view_columns, rows, columns = self._maps.values.shape
+        view_rows, view_columns, rows, columns = self.maps.values.shape
         has_captions = self._has_captions() if captions is None else captions
         bar_space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
         below = 2 * self.fontMetrics().height() + 4 if has_captions else 0
@@ -175,7 +161,7 @@ class ViewGrid(QWidget):
             if wording is None:
                 continue
             painter.setPen(colour)
-            for (row, column), lines in self._captions.items():
+            for (row, column), lines in self.captions.items():
                 tile = self.tile(row, column)
                 place = QRect(tile.left(), tile.bottom() + 3 + index * line, tile.width(), line)
                 painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
@@ -183,7 +169,7 @@ class ViewGrid(QWidget):
     def _wording(self, line: int) -> int | None:
         """Return the longest wording of a line that fits under all views, if any."""
         width, advance = self._layout()[1].width(), self.fontMetrics().horizontalAdvance
-        by_wording = zip(*(lines[line] for lines in self._captions.values()), strict=True)
+        by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 
     def _paint_selection(self, painter: QPainter) -> None:

@@ -5,12 +5,12 @@ from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QWidget
 
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.presentation import PRESENTATIONS, Presentation, place
 from app.gui.view_grid import Maps, ViewGrid
-from app.gui.widgets import ElidedLabel, label, toggle
+from app.gui.widgets import ElidedLabel, column, label, row, toggle
 from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront
@@ -37,16 +37,8 @@ class WavefrontPanel(QWidget):
         self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.freeze_scale = toggle("Freeze scale", "Freeze the colour scale (H)")
         self.grid = ViewGrid()
-        header = QHBoxLayout()
-        header.addWidget(self._choice)
-        header.addWidget(label("over the field", "title"))
-        header.addWidget(self._summary, 1)
-        header.addSpacing(12)
-        header.addWidget(self.freeze_scale)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(header)
-        layout.addWidget(self.grid, 1)
+        header = row(self._choice, label("over the field", "title"), (self._summary, 1), self.freeze_scale)
+        column(header, (self.grid, 1), parent=self)
 
     @property
     def quantity(self) -> Quantity:
@@ -97,11 +89,8 @@ class WavefrontPanel(QWidget):
         presentation, field = PRESENTATIONS[quantity], self._wavefront.field
         self.grid.set_captions(
             {
-                (row, column): (
-                    presentation.caption(maps[row, column]),
-                    place(float(field.view_x_m[column]), float(field.view_y_m[row])),
-                )
-                for row, column in np.ndindex(maps.shape[:2])
+                (i, j): (presentation.caption(maps[i, j]), place(float(field.view_x_m[j]), float(field.view_y_m[i])))
+                for i, j in np.ndindex(maps.shape[:2])
             }
         )
         reach = f"half width {self._reach_mrad.value:g} mrad; " if quantity is Quantity.PSF else ""
@@ -130,7 +119,7 @@ class WavefrontPanel(QWidget):
 
     def _show_nothing(self) -> None:
         self._shown = None
-        self.grid.show_nothing()
+        self.grid.show_maps(None)
         self.update_text()
 
 

@@ -1,8 +1,26 @@
-"""Labels and buttons of all panels."""
+"""Labels, buttons and layouts of all panels."""
 
-from PyQt6.QtCore import QSize, Qt
+from collections.abc import Callable
+from typing import TypeVar
+
+from PyQt6.QtCore import QSize, Qt, pyqtBoundSignal
 from PyQt6.QtGui import QPainter, QPaintEvent
-from PyQt6.QtWidgets import QAbstractScrollArea, QLabel, QPushButton, QSizePolicy, QStyle, QWidget
+from PyQt6.QtWidgets import (
+    QAbstractScrollArea,
+    QBoxLayout,
+    QHBoxLayout,
+    QLabel,
+    QLayout,
+    QPushButton,
+    QSizePolicy,
+    QStyle,
+    QVBoxLayout,
+    QWidget,
+)
+
+Slot = Callable[..., object] | pyqtBoundSignal
+Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
+L = TypeVar("L", bound=QBoxLayout)
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
@@ -33,20 +51,31 @@ class ElidedLabel(QLabel):
             )
 
 
-def button(text: str, tool_tip: str) -> QPushButton:
+def button(text: str, tool_tip: str, clicked: Slot) -> QPushButton:
     """Make a button that does not take the focus when clicked."""
     made = QPushButton(text)
     made.setToolTip(tool_tip)
     made.setIconSize(QSize(14, 14))
     made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+    made.clicked.connect(clicked)
     return made
 
 
-def toggle(text: str, tool_tip: str) -> QPushButton:
+def toggle(text: str, tool_tip: str, clicked: Slot | None = None) -> QPushButton:
     """Make a checkable button."""
-    made = button(text, tool_tip)
+    made = button(text, tool_tip, clicked or (lambda: None))
     made.setCheckable(True)
     return made
+
+
+def row(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QHBoxLayout:
+    """Arrange widgets and layouts from left to right, without margins."""
+    return _filled(QHBoxLayout(parent), items, spacing)
+
+
+def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVBoxLayout:
+    """Arrange widgets and layouts from top to bottom, without margins."""
+    return _filled(QVBoxLayout(parent), items, spacing)
 
 
 def unfocused(area: QAbstractScrollArea) -> None:
@@ -54,3 +83,15 @@ def unfocused(area: QAbstractScrollArea) -> None:
     for widget in (area, area.viewport()):
         if widget is not None:
             widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+
+
+def _filled(layout: L, items: tuple[Item, ...], spacing: int) -> L:
+    layout.setContentsMargins(0, 0, 0, 0)
+    layout.setSpacing(spacing)
+    for item in items:
+        content, stretch = item if isinstance(item, tuple) else (item, 0)
+        if isinstance(content, QWidget):
+            layout.addWidget(content, stretch)
+        else:
+            layout.addLayout(content, stretch)
+    return layout
