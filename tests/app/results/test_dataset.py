@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.optics import SmallBench
-from support.paths import FOREIGN_FRAMES
+from support.paths import DOCS, FOREIGN_FRAMES
 
 from app.bench.config import load_bench, parse_bench
 from app.errors import InputError
@@ -72,6 +72,12 @@ def test_names_dimensions_and_units_of_results(dataset: xr.Dataset, tmp_path: Pa
     assert (read.attrs["frame"], read.attrs["reference"]) == ("f.tif", "r.tif")
     xr.testing.assert_identical(read["wavefront"].drop_attrs(), dataset["wavefront"].drop_attrs())
     assert not list(tmp_path.glob(".*"))
+
+
+def test_documentation_lists_every_variable(dataset: xr.Dataset) -> None:
+    text = (DOCS / "results.md").read_text("utf-8")
+    missing = [name for name in dataset.data_vars if f"`{str(name).removesuffix('_without_tilt')}`" not in text]
+    assert not missing
 
 
 def test_lost_lenslet_is_invalid_and_nan(dataset: xr.Dataset) -> None:
