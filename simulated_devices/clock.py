@@ -16,7 +16,7 @@ class Clock:
 
 
 class ManualClock(Clock):
-    """Stands still and jumps when it is told to sleep, so that a test needs no real time."""
+    """Stands still until `sleep`, then jumps, so that a test needs no real time."""
 
     def __init__(self) -> None:
         self._now = 0.0

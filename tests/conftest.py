@@ -1,4 +1,4 @@
-"""What several test files share."""
+"""Fixtures shared by several test files."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def make_window(qapp: QApplication) -> Iterator[MakeWindow]:
 def live(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, FakeCamera]:
     """A window with live wavefronts."""
     from support.gui_bench import FakeCamera  # noqa: PLC0415 - only where a window is wanted
-    from support.window_tools import wait_for_wavefront  # noqa: PLC0415 - likewise
+    from support.window_tools import wait_for_wavefront  # noqa: PLC0415 - only where a window is wanted
 
     camera = FakeCamera()
     window = make_window(camera)

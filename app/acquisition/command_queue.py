@@ -58,7 +58,7 @@ class CommandQueue:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no command waits."""
+        """True if no command waits."""
         return self._waiting.empty()
 
     def next(self, timeout_s: float = 0.0) -> Callable[[Instrument], None] | None:

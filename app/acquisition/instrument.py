@@ -276,7 +276,7 @@ def _as_averaged(now: Circumstances, average: Average) -> Circumstances:
 
 
 def _fits(taken: Circumstances | None, now: Circumstances) -> bool:
-    """Whether an average covers the same pixels as the current frames."""
+    """True if an average covers the same pixels as the current frames."""
     return taken is not None and taken.shows_same_pixels(now)
 
 

@@ -33,7 +33,7 @@ _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light mus
 
 @dataclass(frozen=True, slots=True)
 class Activity:
-    """What the worker does besides taking frames; empty text if nothing."""
+    """Work besides taking frames, with its progress; empty text if there is none."""
 
     text: str = ""
     progress: float = 0.0
@@ -95,7 +95,7 @@ class AcquisitionLoop:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the worker still runs."""
+        """True if the worker still runs."""
         return self._thread.is_alive()
 
     def _work(self) -> None:

@@ -21,7 +21,7 @@ class LiveBench:
     """The devices of one bench, opened and closed by a `with` block; iterate over it for measurements.
 
     Entering opens the devices, turns the light on, takes a dark and a reference, moves the sample in and starts the
-    camera. On a bench without motors nobody knows where the sample is: take the reference yourself. Leaving stops the
+    camera. On a bench without motors, take the reference yourself. Leaving stops the
     camera, turns the light off and closes the devices, also after an error or Ctrl-C.
 
     Parameters

@@ -75,12 +75,12 @@ class Bench:
 
     @property
     def is_simulated(self) -> bool:
-        """Whether camera, light and stage are simulated."""
+        """True if camera, light and stage are simulated."""
         return isinstance(self.camera, SimulatedCameraSettings)
 
     @property
     def has_manual_stage(self) -> bool:
-        """Whether the user moves the sample, because the devices are real and there is no motor."""
+        """True if the user moves the sample, because the devices are real and there is no motor."""
         return not isinstance(self.camera, SimulatedCameraSettings | RecordingSettings)
 
     @property

@@ -1,1 +1,1 @@
-"""What each command does, apart from parsing its arguments."""
+"""The work of each command; `cli` parses its arguments."""

@@ -94,7 +94,7 @@ def _print_device(console: Console, name: str, properties: Mapping[str, Property
 def _warn(sentence: str) -> None:
     """Print a warning before the light shines; on a terminal wait for Enter."""
     if sys.stdin.isatty():
-        ask(f"{sentence}: make sure that nobody looks into it")
+        ask(f"{sentence}: make sure that no one looks into it")
     else:
         sys.stderr.write(f"{sentence}\n")
 

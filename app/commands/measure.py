@@ -119,6 +119,6 @@ def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, progress: Prog
 
 
 def _is_refined(acquisition: Acquisition) -> bool:
-    """Whether the newest frame was refined, or cannot be reconstructed."""
+    """True if the newest frame was refined, or cannot be reconstructed."""
     newest = acquisition.newest
     return newest is not None and newest.counts.acquired > 0 and newest.refinement.stage != "preparing"

@@ -1,1 +1,1 @@
-"""How good the instrument is: self-test, studies, benchmark, and the tables of the paper."""
+"""Evaluation of the instrument: self-test, studies, benchmark, and the tables of the paper."""

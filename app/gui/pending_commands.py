@@ -28,7 +28,7 @@ class PendingCommands:
 
     @property
     def is_empty(self) -> bool:
-        """Whether all commands are finished."""
+        """True if all commands are finished."""
         return not self._pending
 
     def poll(self) -> bool:

@@ -28,7 +28,7 @@ _CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}]
 
 
 def is_array(path: Path) -> bool:
-    """Whether there is an array."""
+    """True if there is an array."""
     return (path / _METADATA).exists()
 
 
@@ -112,7 +112,7 @@ class FrameArray:
         return values.reshape(self.shape).astype(self._type.newbyteorder("="), copy=False)
 
     def is_whole(self, index: int) -> bool:
-        """Whether all values of a frame exist."""
+        """True if all values of a frame exist."""
         try:
             return self._chunk(index).stat().st_size == self._bytes
         except OSError:

@@ -76,7 +76,7 @@ class Recording:
 
     @property
     def is_complete(self) -> bool:
-        """Whether the recording was finished; if not, it still grows, or its program died (`svwfs recover`)."""
+        """True if the recording was finished; if not, it still grows, or its program died (`svwfs recover`)."""
         return bool(self.run["complete"])
 
     @property
@@ -138,12 +138,12 @@ class Recording:
         return pixels.shape
 
     def is_whole(self, index: int) -> bool:
-        """Whether all pixels of a frame exist; after a power failure some may not."""
+        """True if all pixels of a frame exist; after a power failure some may not."""
         pixels = self._array(PIXELS)
         return pixels is not None and pixels.is_whole(index)
 
     def has_results(self, line: FrameLine) -> bool:
-        """Whether the live results of a frame exist, or there were none."""
+        """True if the live results of a frame exist, or there were none."""
         if line.calibration is None or line.problem:
             return True
         group = RESULTS.format(line.calibration)

@@ -40,7 +40,7 @@ class Recovered:
 
     @property
     def readable(self) -> str:
-        """Which frames are whole and how to select them; empty if all are."""
+        """Frames that are whole and how to select them; empty if all are."""
         if len(self.whole) == self.frames:
             return ""
         if not self.whole:

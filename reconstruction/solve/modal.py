@@ -70,7 +70,7 @@ class ModalSolution:
 
     @property
     def known(self) -> Mask:
-        """Where the wavefront is known, (lenslet_row, lenslet_column)."""
+        """Lenslets at which the wavefront is known, (lenslet_row, lenslet_column)."""
         return self._equations.known
 
     def wavefront(self, field_modes: Floats) -> Floats:

@@ -41,7 +41,7 @@ def drawn(
 
 
 def image_of(shape: Shape, pitch_px: float, half_width: float, blur_px: float) -> Floats:
-    """Where the Gaussians of one lenslet's image lie about its centre, px, (N, xy); `half_width` in pitches."""
+    """Positions of the Gaussians of one lenslet's image about its centre, px, (N, xy); `half_width` in pitches."""
     half_px = half_width * pitch_px
     if shape == "pinhole":
         return np.zeros((1, 2))
@@ -106,6 +106,6 @@ def photographed(
     read_noise_e: float = 10.0,
     background_e: Floats | float = 0,
 ) -> NDArray[np.uint16]:
-    """What a camera makes of it: photon and read noise, one count an electron, an offset of 500 counts."""
+    """Camera counts: photon and read noise, one count an electron, an offset of 500 counts."""
     electrons = rng.poisson(light * peak_e + background_e) + rng.normal(500, read_noise_e, light.shape)
     return np.clip(electrons, 0, 65535).astype(np.uint16)

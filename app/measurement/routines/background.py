@@ -32,7 +32,7 @@ class BackgroundCheck:
 
     @property
     def is_good(self) -> bool:
-        """Whether the dark is still usable."""
+        """True if the dark is still usable."""
         has_drifted = self.significance > _SIGNIFICANT and abs(self.drift_counts) > _RELEVANT * self.noise_counts
         return not has_drifted and self.hot_pixels == self.cooled_pixels == 0
 

@@ -101,7 +101,7 @@ class Circumstances:
         )
 
     def shows_same_pixels(self, now: Circumstances) -> bool:
-        """Whether frames show the same pixels of the sensor as now."""
+        """True if frames show the same pixels of the sensor as now."""
         return (self.region, self.binning) == (now.region, now.binning)
 
     def differs(self, now: Circumstances, *, is_lit: bool) -> str:

@@ -40,7 +40,7 @@ class Verification:
 
     @property
     def passes(self) -> bool:
-        """Whether there was something to compare, and nothing differs."""
+        """True if there was something to compare, and nothing differs."""
         return self.frames > 0 and not self.different
 
     @property
@@ -56,7 +56,7 @@ class Verification:
 
 
 def _differences(recording: Recording, frame: Reprocessed) -> str:
-    """What differs, and by how much; empty if nothing does."""
+    """Differences and their size; empty if there are none."""
     line, wavefront = frame.line, frame.wavefront
     if line.problem != frame.problem:
         return f'the problem was "{line.problem}" and is "{frame.problem}"'
@@ -122,7 +122,7 @@ class Comparison:
 
 
 def are_alike(one: Wavefront, other: Wavefront) -> bool:
-    """Whether views and lenslets are the same, so that the wavefronts can be subtracted."""
+    """True if views and lenslets are the same, so that the wavefronts can be subtracted."""
     return (
         one.views.shape == other.views.shape
         and np.array_equal(one.field.view_x_m, other.field.view_x_m)

@@ -31,7 +31,7 @@ FRAMES = 4
 
 
 def has_same_rounding(recording: Recording) -> bool:
-    """Whether this processor and its libraries round as those of the recording."""
+    """True if this processor and its libraries round as those of the recording."""
     then, now = recording.run["versions"], software_facts()["versions"]
     same = all(then[name] == now[name] for name in ("numpy", "scipy", "numba"))
     return same and llvmlite.binding.get_host_cpu_name() == "znver4"

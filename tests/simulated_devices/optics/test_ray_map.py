@@ -1,4 +1,4 @@
-"""Where rays meet the screen, and the wavefront that follows, from the geometry of section 2 written out."""
+"""Rays at the screen and the resulting wavefront, against the geometry of physics.md, section 2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What shines: areas against closed forms, symmetry, MATLAB's peaks, and images the right way round."""
+"""Sources: areas against closed forms, symmetry, MATLAB's peaks, orientation of images."""
 
 from __future__ import annotations
 
