@@ -49,6 +49,7 @@ class MainWindow(QMainWindow):
         super().__init__()
         self._measurement: Measurement | None = None
         self._status: Status | None = None
+        self._failure = ""
         self._refreshes = 0
         self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
 
@@ -80,7 +81,7 @@ class MainWindow(QMainWindow):
 
     def connect_devices(self) -> None:
         """Open the devices and start measuring, also after a failure."""
-        self._measurement, self._status = None, None
+        self._measurement, self._status, self._failure = None, None, ""
         self.status_line.restart()
         self.controller.connect_devices()
         self._timer.start()
@@ -92,12 +93,13 @@ class MainWindow(QMainWindow):
             return
         if self.controller.pending.poll():
             self._status = None  # shown again, so that a refused value gives way to the one in force
+        self._failure = acquisition.failure  # read once: message and buttons must agree
         status = acquisition.status
-        if status is not None and acquisition.failure:
+        if status is not None and self._failure:
             status = replace(status, is_running=False, is_light_on=False)  # the state of failed devices
         if status is not None and status != self._status:
             self.show_status(status)
-        is_ready = self._status is not None and not acquisition.failure
+        is_ready = self._status is not None and not self._failure
         self.controls.setEnabled(is_ready)
         self.recording_panel.setEnabled(is_ready)
         self.messages.show_activity(acquisition.activity, may_cancel=is_ready and bool(acquisition.activity.text))
@@ -107,7 +109,7 @@ class MainWindow(QMainWindow):
             self.show_measurement(measurement)
             self._unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
         self._refreshes += 1
-        if self._refreshes % _REFRESHES_PER_TEXT == 0 or acquisition.failure:
+        if self._refreshes % _REFRESHES_PER_TEXT == 0 or self._failure:
             self.update_text()
 
     def show_measurement(self, measurement: Measurement) -> None:
@@ -144,7 +146,7 @@ class MainWindow(QMainWindow):
         is_live = status is not None and status.is_running and not activity.text
         problem = measurement.problem if is_live and measurement is not None else ""
         self.messages.show_state(
-            failure=self.controller.failure,
+            failure=self._failure,
             warning="" if status is None or activity.text else warning(status, problem),
             advice=advice(status, activity, measurement),
         )
@@ -232,7 +234,7 @@ class MainWindow(QMainWindow):
                     ("Take a reference", "R", controls.reference.click),
                     ("Find the lattice", "N", controls.lattice.click),
                     ("Find the exposure", "X", controls.auto_exposure.click),
-                    ("Compare the background with the dark", "B", self.controller.check_background),
+                    ("Check the background", "B", self.controller.check_background),
                     ("Accept the proposal", "Return", self.messages.enter),
                     ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                     ("Toggle refinement", "F", controls.refine.click),

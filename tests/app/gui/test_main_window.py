@@ -107,6 +107,23 @@ def test_device_failure_is_shown_and_window_reconnects(make_window: MakeWindow, 
     assert window.controls.isEnabled()
 
 
+def test_failure_during_refresh_changes_message_and_light_together(
+    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    acquisition, text = window.controller.acquisition, window.messages.text
+    assert acquisition is not None
+
+    def fail(*_: object, **__: object) -> None:
+        acquisition.error = Disconnected("the camera was unplugged")
+
+    monkeypatch.setattr(window.messages, "show_activity", fail)
+    for is_shown, light in ((False, "Light on"), (True, "Light off")):
+        window.refresh()
+        assert ("unplugged" in text.text()) == is_shown
+        assert window.controls.light.text() == light
+
+
 def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     window.controls.frames.setValue(500)
@@ -114,7 +131,7 @@ def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow,
     progress = window.messages.progress
     qtbot.waitUntil(lambda: progress.isVisible() and progress.value() > 10)
     qtbot.waitUntil(lambda: window.messages.text.text() == "Taking the reference, 500 frames: Esc cancels")
-    assert "reference" not in progress.text()  # the message says it
+    assert "reference" not in progress.text()  # the message names it
     press(qtbot, window, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: "ancelled" in window.messages.text.text())
     qtbot.waitUntil(lambda: camera.is_running and camera.stage.is_sample_in)
