@@ -75,7 +75,7 @@ class _Plot(QWidget):
         axes["bottom"].setHeight(2 * font.height() + 6)
         axes["bottom"].setLabel(bottom, color=theme.DIM.name())
         grid = pg.GraphicsLayout()
-        grid.setContentsMargins(0, 5, 12, 0)
+        grid.setContentsMargins(0, 5, 12, 4)  # pyqtgraph draws the label a little below its axis
         grid.setSpacing(0)
         grid.addItem(axes["left"], 0, 0)
         grid.addItem(self._view, 0, 1)
@@ -177,11 +177,11 @@ class StructurePlot(_Plot):
 
 
 def verdict(found: Isoplanatism) -> str:
-    """Summarise in one line what a single correction for the whole field would leave."""
+    """Summarise the error of a single correction for the whole field and the isoplanatic patch."""
     if math.isnan(found.error_rad):
         return "No lenslet is valid over the whole field"
     patch = _patch(found.curve.patch_m)
-    return f"A single correction would leave {number(found.error_rad)} rad RMS; isoplanatic patch {patch}"
+    return f"A single correction leaves {number(found.error_rad)} rad RMS; isoplanatic patch {patch}"
 
 
 def _explanation(found: Isoplanatism) -> str:

@@ -109,7 +109,7 @@ class Controller:
             path = Path(folder or ".") / f"svwfs-{_time_of_day()}.png"
         is_saved = picture.save(str(path))
         if is_saved:
-            self._messages.tell(f"saved {path}")
+            self._messages.inform(f"saved {path}")
         else:
             self._messages.warn(f"{path} cannot be written: check the folder and the disk space")
         return is_saved
@@ -124,12 +124,12 @@ class Controller:
         except (InputError, RunError, ValueError) as error:  # ValueError: inconsistent settings
             self._messages.warn(str(error))
         else:
-            self._messages.tell(f"saved {path}")
+            self._messages.inform(f"saved {path}")
 
     def use_recordings_folder(self, folder: Path) -> None:
         """Write later recordings into another folder."""
         self.recordings_folder = folder
-        self._messages.tell(f"recordings are saved in {folder}")
+        self._messages.inform(f"recordings are saved in {folder}")
 
     def show_recordings(self) -> None:
         """Show the state of the recordings; report each end once."""
@@ -146,7 +146,7 @@ class Controller:
         for state in (acquisition.recording, acquisition.kept):
             if state is not None and state.stage in {"finished", "ended early"} and state.folder not in self._reported:
                 self._reported.add(state.folder)
-                show = self._messages.alarm if state.stage == "ended early" else self._messages.tell
+                show = self._messages.alarm if state.stage == "ended early" else self._messages.inform
                 show(recording_ended(state))
 
     def _connect_settings(self, controls: ControlsPanel) -> None:
@@ -169,7 +169,7 @@ class Controller:
         controls.dark_requested.connect(lambda frames: self._send(lambda to: to.take_dark(frames)))
         controls.reference_requested.connect(lambda frames: self._send(lambda to: to.take_reference(frames)))
         controls.auto_exposure_requested.connect(
-            lambda: self._send(Acquisition.auto_expose, lambda found: self._messages.tell(exposure_found(found)))
+            lambda: self._send(Acquisition.auto_expose, lambda found: self._messages.inform(exposure_found(found)))
         )
         controls.lattice_requested.connect(
             lambda: self._send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
@@ -221,11 +221,11 @@ class Controller:
                 lambda to: to.submit(
                     lambda instrument: instrument.change_settings(lambda bench: replace(bench, lattice=lattice))
                 ),
-                lambda _: self._messages.tell("the lattice is in use; Ctrl+S saves it"),
+                lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
             )
 
     def _show_background(self, check: BackgroundCheck) -> None:
-        (self._messages.tell if check.is_good else self._messages.warn)(check.verdict)
+        (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
 
     def _open_region_dialog(self) -> None:
         status = self.status
@@ -246,7 +246,7 @@ class Controller:
         self._region_dialog.close()  # returns the keys to the window
         if self.status is not None:
             text, is_whole = area_taken(self.status, area)
-            (self._messages.tell if is_whole else self._messages.warn)(text)
+            (self._messages.inform if is_whole else self._messages.warn)(text)
 
     def _record(self, on: bool) -> None:
         if on:

@@ -21,7 +21,7 @@ _LAMPS: dict[Validity, QColor] = {"missing": theme.LINE, "doubtful": theme.AMBER
 
 
 class ControlsPanel(QFrame):
-    """Emits intents; it shows only the status of the instrument."""
+    """Emits the user's intents and shows the status of the instrument."""
 
     running_requested = pyqtSignal(bool)
     exposure_requested = pyqtSignal(float)  # s
@@ -112,7 +112,7 @@ class ControlsPanel(QFrame):
     def _make_reconstruction(self) -> None:
         self.registration = self._setting(
             "registration.method",
-            "How subimages are matched with the reference: gauss_newton is this instrument's own method;\n"
+            "Matching of the subimages with the reference: gauss_newton is this instrument's own method;\n"
             "the others come from the paper and related software, and some are too slow for live use",
         )
         self.warp = self._setting(
@@ -121,8 +121,7 @@ class ControlsPanel(QFrame):
             "More freedom resolves finer changes over the field. Most other methods ignore this",
         )
         self.method = self._setting(
-            "reconstruction.method",
-            "How slopes become wavefronts: lenslet by lenslet (zonal) or by polynomials (modal)",
+            "reconstruction.method", "Wavefront from the slopes: lenslet by lenslet (zonal) or as polynomials (modal)"
         )
         self.basis = self._setting(
             "reconstruction.basis",
@@ -213,8 +212,8 @@ class ControlsPanel(QFrame):
             shown.setText(texts[is_on])
             shown.setChecked(is_on)
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
-        for taken, standing in ((self.dark, status.dark), (self.reference, status.reference)):
-            taken.setIcon(theme.lamp(_LAMPS[standing]))
+        for taken, validity in ((self.dark, status.dark), (self.reference, status.reference)):
+            taken.setIcon(theme.lamp(_LAMPS[validity]))
 
 
 def _uses_warp(registration: RegistrationSettings) -> bool:

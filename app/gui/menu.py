@@ -15,7 +15,7 @@ Rows count along y, columns along x, both from 0.</p>
 <p>The wavefront is a phase in <b>radians</b>, without piston. Where it rises towards +x, the light
 moves towards <b>+x</b>: displacement&nbsp;=&nbsp;(f/k)&nbsp;d&phi;/dx.</p>
 <p>Displacements count from the <b>reference</b>, the frame without the sample.</p>
-<h3>What is shown</h3>
+<h3>Display</h3>
 <p>Each tile is the wavefront of one field position, one square for each lenslet.
 All tiles share one colour scale. <b>RMS</b> and <b>PV</b> count the valid lenslets.</p>
 <p>A lenslet that could not be measured is <b>hatched</b>, and crossed out in red on the camera image.</p>
@@ -25,7 +25,7 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_HELP_WIDTH = 720
+_HELP_WIDTH = 660  # px
 _HELP_OF_SCREEN = 0.9
 
 Entries = tuple[tuple[str, str, Callable[[], object]], ...]  # text, key, action
@@ -66,7 +66,6 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     area = QScrollArea()
     area.setWidget(text)
     area.setFrameShape(QFrame.Shape.NoFrame)
-    area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
     close = button("Close", "Close the help (Esc)", dialog.close)
     layout = QVBoxLayout(dialog)
     layout.addWidget(area)

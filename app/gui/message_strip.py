@@ -47,7 +47,7 @@ class MessageStrip(QFrame):
         """Show an amber notice: something was not done."""
         self._notify(text, theme.AMBER)
 
-    def tell(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         """Show a green notice: something was done."""
         self._notify(text, theme.GREEN)
 

@@ -25,7 +25,7 @@ def _phase_summary(maps: Floats, decimals: int = 2) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Presentation:
-    """How one quantity is shown; the defaults are those of a phase."""
+    """Display format of one quantity; the defaults are those of a phase."""
 
     about: str  # tool tip
     scale: Callable[[float], ColourScale] = diverging  # of a limit
@@ -84,7 +84,7 @@ def _most(values: Floats) -> float:
 PRESENTATIONS = {
     Quantity.WAVEFRONT: Presentation("Wavefront of each view"),
     Quantity.PSF: Presentation(
-        about="Point-spread function of each view: the image of a point of the object",
+        about="Point-spread function of each view, on a square-root scale",
         scale=bright,
         family="intensity",
         finest=1e-4,

@@ -9,7 +9,7 @@ from app.gui import theme
 from app.gui.widgets import ElidedLabel, button, row, toggle
 from app.recording.recorder import RECENT_S, RecordingState
 
-_WIDEST = "000000 frames   00:00   000 wait for the disk   disk space for 000 min"
+_WIDEST = "000000 frames   00:00   000 waiting for the disk   disk space for 000 min"
 _BEHIND = 70  # waiting frames from which the number is shown
 
 
@@ -53,7 +53,7 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
     if state is None:
         return ()
     minutes, seconds = divmod(round(state.seconds), 60)
-    behind = (f"{state.waiting} wait for the disk",) if state.waiting > _BEHIND else ()
+    behind = (f"{state.waiting} waiting for the disk",) if state.waiting > _BEHIND else ()
     return (f"{state.frames} frames", f"{minutes}:{seconds:02d}", *behind)
 
 

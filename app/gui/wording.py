@@ -31,7 +31,7 @@ def warning(status: Status, problem: str) -> str:
     if problem not in {"", status.warning}:
         return problem
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
-    keys = ", ".join(key for key, standing in stale if standing != "good")
+    keys = ", ".join(key for key, validity in stale if validity != "good")
     return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
 
 

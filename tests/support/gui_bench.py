@@ -39,7 +39,7 @@ BENCH = Bench(
 
 
 class FakeCamera(Camera):
-    """Takes frames of its light and stage; the next read raises `fault`."""
+    """Images its light and stage; a read raises `fault` if set."""
 
     name = "fake camera"
 

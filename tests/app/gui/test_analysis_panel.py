@@ -98,7 +98,7 @@ def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindo
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at 0, 0 mm")
     click(qtbot, grid, grid.tile(0, 2).center())
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at +0.50, \N{MINUS SIGN}0.50 mm")
-    for key in (Qt.Key.Key_Up, Qt.Key.Key_Right, Qt.Key.Key_Down, Qt.Key.Key_Left):  # the first two lead nowhere
+    for key in (Qt.Key.Key_Up, Qt.Key.Key_Right, Qt.Key.Key_Down, Qt.Key.Key_Left):  # the first two have no effect
         press(qtbot, grid, key)
     qtbot.waitUntil(lambda: mtf.title.text() == "MTF at 0, 0 mm")
     x, y = mtf._limits[0].getData()
@@ -155,7 +155,7 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
 
 def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    measurement = make_measurement(dim_frame(), views())  # its solution knows nothing beside the views
+    measurement = make_measurement(dim_frame(), views())  # its solution cannot be evaluated
     window._analysis.use_settings(BENCH.reconstruction)
     window.show_measurement(measurement)
     qtbot.waitUntil(lambda: "Analysis failed" in window.messages._notice)
@@ -222,9 +222,9 @@ def curve(*rms_rad: float) -> StructureCurve:
 
 def test_verdict_states_error_and_patch() -> None:
     found = Isoplanatism(curve(0.5, 1.5), curve(0.1, 0.2), 0.42, 0.1, np.zeros((3, 3)))
-    assert verdict(found) == "A single correction would leave 0.42 rad RMS; isoplanatic patch 0.15 mm"
+    assert verdict(found) == "A single correction leaves 0.42 rad RMS; isoplanatic patch 0.15 mm"
     wide = Isoplanatism(curve(0.1, 0.2), curve(0.1, 0.2), 0.04, 0.01, np.zeros((3, 3)))
-    assert verdict(wide).endswith("leave 0.04 rad RMS; isoplanatic patch wider than the field")
+    assert verdict(wide).endswith("leaves 0.04 rad RMS; isoplanatic patch wider than the field")
 
 
 def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:
@@ -243,4 +243,4 @@ def test_space_variant_sample_leaves_an_error_of_single_correction(make_window: 
     wait_for_wavefront(qtbot, window)
     sentence = window.analysis_panel.sentence
     qtbot.waitUntil(lambda: sentence.text().startswith("A single correction"))
-    assert float(sentence.text().partition("leave ")[2].partition(" rad")[0]) > 0.1
+    assert float(sentence.text().partition("leaves ")[2].partition(" rad")[0]) > 0.1

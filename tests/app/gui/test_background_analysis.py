@@ -40,7 +40,7 @@ def wait(thread: AnalysisThread) -> Analysis:
 
 def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThread) -> None:
     first = request(Quantity.PSF)
-    began_s = time.monotonic()  # the second waits from here on, however long the first analysis takes
+    began_s = time.monotonic()  # the second waits from here, however long the first takes
     thread.submit(first)
     assert wait(thread).request is first
     thread.submit(first)

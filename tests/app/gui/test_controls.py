@@ -38,7 +38,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
         qtbot.waitUntil(is_done)
         qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     assert camera.is_running
-    qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # what the camera made of it
+    qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # as rounded by the camera
     assert controls.light.text() == "Light off"
     assert controls.amplifier.currentText() == "normal"
     controls.light.click()
@@ -75,7 +75,7 @@ def test_return_applies_typed_number_and_escape_restores_it(live: tuple[MainWind
         qtbot.waitUntil(lambda: window.controller.pending.is_empty)
         assert field.value() == 40
         assert field.text() == "40.000 ms"
-        assert not field.hasFocus()  # digits choose what is shown again
+        assert not field.hasFocus()  # digits are shortcuts again
     assert not answers
     press(qtbot, window, Qt.Key.Key_Return)
     assert answers == [True]
@@ -86,7 +86,7 @@ def test_notice_disappears_at_the_next_command(
 ) -> None:
     monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not expire
     window, _ = live
-    window.messages.tell("the exposure was found")
+    window.messages.inform("the exposure was found")
     window.update_text()
     assert window.messages.text.text() == "The exposure was found"
     window.controls.light.click()
@@ -132,7 +132,7 @@ def test_fields_take_their_limits_from_settings_and_devices(live: tuple[MainWind
         assert (field.minimum() * unit, field.maximum() * unit) == pytest.approx((allowed.minimum, allowed.maximum))
 
 
-def test_lamps_show_standing_of_dark_and_reference(live: tuple[MainWindow, FakeCamera]) -> None:
+def test_lamps_show_validity_of_dark_and_reference(live: tuple[MainWindow, FakeCamera]) -> None:
     window, _ = live
     assert window._status is not None
     status = window._status

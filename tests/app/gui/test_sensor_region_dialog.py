@@ -84,7 +84,7 @@ def test_region_is_applied_and_calibrated_again(window: MainWindow, qtbot: QtBot
     assert "(R)" in text(window)
     press(qtbot, window, Qt.Key.Key_P)
     assert "220 x 390" in dialog.in_force.text()
-    assert dialog.area.region == Region(0, 40, 220, 390)  # what the camera took
+    assert dialog.area.region == Region(0, 40, 220, 390)  # as rounded by the camera
     dialog.close()
     window.messages.clear_notice()
     assert text(window).endswith("take it again  (D: dark, R: reference)")
@@ -98,7 +98,7 @@ def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtB
     window.controls.sensor_region.click()
     dialog = window.region_dialog
     dialog.around.click()
-    assert dialog.area.region == SENSOR  # half a pitch about the lattice reaches beyond it
+    assert dialog.area.region == SENSOR  # the margin reaches beyond the sensor
     fill_in(window, Region(10, 20, 100, 110))
     assert dialog.area.region == Region(10, 20, 100, 110)
     window.controls.light.click()  # other changes keep the filled-in values

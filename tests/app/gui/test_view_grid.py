@@ -77,7 +77,7 @@ def test_captions_ignore_lenslets_without_value(make_window: MakeWindow) -> None
     picture(window.wavefront_panel.grid)
 
 
-def test_scale_rises_at_once_and_falls_reluctantly() -> None:
+def test_scale_rises_at_once_and_falls_only_when_clearly_too_large() -> None:
     scale = AdaptiveScale(MAGNIFICATIONS)
     assert [scale.follow(needed) for needed in (1.7, 2.1, 1.9, 1.7, 1.5, np.nan, 0.0)] == [2, 5, 5, 5, 2, 2, 2]
     assert AdaptiveScale(RANGES).follow(11) == 15

@@ -119,7 +119,7 @@ def test_keys_do_not_answer_a_hidden_question(live: tuple[MainWindow, FakeCamera
 def test_alarm_stays_until_it_is_dismissed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     window.messages.alarm("the disk is full")
-    window.messages.tell("something nice")
+    window.messages.inform("something nice")
     window.update_text()
     assert window.messages.text.text() == "The disk is full"
     press(qtbot, window, Qt.Key.Key_Escape)

@@ -93,7 +93,7 @@ def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera],
     window.controller.acquisition._recorder.stop("the disk is full")
     qtbot.waitUntil(window.messages.dismiss.isVisible)
     assert "the disk is full" in window.messages.text.text()
-    assert camera.light.shines  # nothing else has ended
+    assert camera.light.shines  # only the recording has ended
     press(qtbot, window, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: not window.messages.dismiss.isVisible())
 

@@ -25,7 +25,7 @@ LONG = "the recording ended early, 1203 frames are saved: the disk is full, free
 
 @pytest.fixture
 def large_font(qapp: QApplication) -> Iterator[None]:
-    """The application's font, half as large again for this test."""
+    """Enlarge the application's font by half during a test."""
     usual = QFont(qapp.font())
     font = QFont(usual)
     font.setPointSizeF(1.5 * usual.pointSizeF())
