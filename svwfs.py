@@ -26,7 +26,16 @@ if TYPE_CHECKING:
     from app.measurement.bench_reconstructor import BenchReconstructor
     from app.measurement.measurement import Measurement
     from app.results.opened_recording import OpenedRecording
-    from drivers.errors import DeviceError, DeviceTimeout, Disconnected
+    from drivers.errors import (
+        BadValue,
+        Busy,
+        DeviceError,
+        DeviceTimeout,
+        Disconnected,
+        FrameLost,
+        Unsupported,
+        WrongState,
+    )
     from reconstruction.arrays import Counts
     from reconstruction.displacement import Displacement, Outcome
     from reconstruction.errors import ReconstructionError
@@ -34,12 +43,15 @@ if TYPE_CHECKING:
     from reconstruction.wavefront import Wavefront
 
 _TYPES = {
+    "BadValue": "drivers.errors",
     "Bench": "app.bench.config",
     "BenchReconstructor": "app.measurement.bench_reconstructor",
+    "Busy": "drivers.errors",
     "DeviceError": "drivers.errors",
     "DeviceTimeout": "drivers.errors",
     "Disconnected": "drivers.errors",
     "Displacement": "reconstruction.displacement",
+    "FrameLost": "drivers.errors",
     "InputError": "app.errors",
     "Interrupted": "app.errors",
     "Lattice": "reconstruction.geometry",
@@ -50,16 +62,21 @@ _TYPES = {
     "ReconstructionError": "reconstruction.errors",
     "RunError": "app.errors",
     "SimulatedFrames": "app.evaluation.simulated_frames",
+    "Unsupported": "drivers.errors",
     "Wavefront": "reconstruction.wavefront",
+    "WrongState": "drivers.errors",
 }
 
 __all__ = [
+    "BadValue",
     "Bench",
     "BenchReconstructor",
+    "Busy",
     "DeviceError",
     "DeviceTimeout",
     "Disconnected",
     "Displacement",
+    "FrameLost",
     "InputError",
     "Interrupted",
     "Lattice",
@@ -70,7 +87,9 @@ __all__ = [
     "ReconstructionError",
     "RunError",
     "SimulatedFrames",
+    "Unsupported",
     "Wavefront",
+    "WrongState",
     "find_lattice",
     "live",
     "load_bench",
@@ -91,7 +110,8 @@ def load_bench(source: str | Path, *overrides: str) -> Bench:
     Parameters
     ----------
     source
-        Path of a TOML file, or one of the presets `live_demo`, `paper_simulation` and `paper_experiment`.
+        Path of a TOML file, or one of the presets `live_demo`, `small_demo`, `paper_simulation` and
+        `paper_experiment`.
     *overrides
         Single settings as "section.key=value".
 
@@ -137,7 +157,7 @@ def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> Simu
     Raises
     ------
     InputError
-        If the bench cannot be rendered, or not so many frames.
+        If the bench cannot be rendered, or `frames` exceeds the states of a drifting sample.
 
     Examples
     --------
@@ -152,7 +172,7 @@ def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> Simu
     return simulated_frames(bench, frames, noise_free=noise_free)
 
 
-def find_lattice(reference: Counts, bench: Bench) -> Lattice:
+def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None) -> Lattice:
     """Find the lenslets on a reference.
 
     Parameters
@@ -161,6 +181,8 @@ def find_lattice(reference: Counts, bench: Bench) -> Lattice:
         Frame without the sample, (row, column), counts.
     bench
         The bench; its `[sensor]` gives the number of lenslets and the designed pitch.
+    dark
+        Frame without light, (row, column), counts.
 
     Returns
     -------
@@ -180,12 +202,16 @@ def find_lattice(reference: Counts, bench: Bench) -> Lattice:
     >>> round(svwfs.find_lattice(images.reference, bench).pitch_px, 2)
     31.25
     """
-    from reconstruction.lattice.search import find_lattice as find
+    from app.measurement.bench_reconstructor import as_image
+    from reconstruction.lattice.search import survey
 
-    return find(reference, bench.sensor)
+    background = None if dark is None else as_image(dark, "dark")
+    return survey(as_image(reference, "reference"), bench.sensor, dark=background).lattice
 
 
-def reconstructor(bench: Bench, reference: Counts, *, dark: Counts | None = None) -> BenchReconstructor:
+def reconstructor(
+    bench: Bench, reference: Counts, *, dark: Counts | None = None, full_scale: float | None = None
+) -> BenchReconstructor:
     """Prepare the reconstruction of frames against a reference.
 
     Parameters
@@ -196,6 +222,8 @@ def reconstructor(bench: Bench, reference: Counts, *, dark: Counts | None = None
         Frame without the sample, (row, column), counts.
     dark
         Frame without light, (row, column), counts. Without one, the darkest percent of each image is the background.
+    full_scale
+        Count at which a pixel saturates, such as 4095 for a 12-bit camera; by default that of 16 bits.
 
     Returns
     -------
@@ -220,7 +248,7 @@ def reconstructor(bench: Bench, reference: Counts, *, dark: Counts | None = None
     """
     from app.measurement.bench_reconstructor import BenchReconstructor
 
-    return BenchReconstructor(bench, reference, dark=dark)
+    return BenchReconstructor(bench, reference, dark=dark, full_scale=full_scale)
 
 
 def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:
@@ -229,11 +257,11 @@ def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) ->
     Parameters
     ----------
     reconstructor
-        What `svwfs.reconstructor` returned; it keeps the model for the next frame.
+        Result of `svwfs.reconstructor`; it keeps the model for the next frame.
     frame
         Frame with the sample, (row, column), counts.
     rounds
-        Rounds of refinement at most, about half a second each; it ends early when a round no longer improves.
+        Rounds of refinement at most, 0 or more; it ends early when a round no longer improves.
 
     Returns
     -------
@@ -255,10 +283,10 @@ def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) ->
     >>> bool(abs(wavefront.views - images.truth).mean() < 0.05)  # rad
     True
     """
-    wavefront = reconstructor(frame)
+    wavefront = None
     for step in reconstructor.rounds(frame, rounds):
         wavefront = step.wavefront
-    return wavefront
+    return wavefront or reconstructor(frame)
 
 
 def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
@@ -305,7 +333,7 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
 
 
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:
-    """Turn a wavefront into the dataset that `svwfs reconstruct` writes.
+    """Turn a wavefront into a dataset with names and units (docs/results.md).
 
     Parameters
     ----------
@@ -333,7 +361,7 @@ def to_dataset(wavefront: Wavefront) -> xr.Dataset:
 
 
 def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
-    """Write a wavefront to a NetCDF file, as `svwfs reconstruct` does, with the bench as an attribute.
+    """Write the dataset of a wavefront to a NetCDF file, with the bench as an attribute.
 
     Parameters
     ----------
@@ -342,7 +370,7 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     wavefront
         A reconstructed wavefront.
     bench
-        The bench it was reconstructed with.
+        The bench it was reconstructed with; `reconstructor.bench` includes the lattice.
 
     Raises
     ------
@@ -436,7 +464,7 @@ def live(bench: Bench, *, average: int = 20) -> LiveBench:
 
     Entering turns the light on, takes a dark and a reference, moves the sample in and starts the camera. Leaving stops
     the camera, turns the light off and closes the devices, also after an error. On a bench without motors, take the
-    sample out, call `take_reference()`, and put it in again.
+    sample out, call `take_reference()`, put it in again, and call `note_sample_in()`.
 
     Parameters
     ----------

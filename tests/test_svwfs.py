@@ -5,8 +5,10 @@ from __future__ import annotations
 import doctest
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from app.bench.config import Bench
 from app.evaluation.simulated_frames import SimulatedFrames
 from app.files import read_image
 from drivers.dcam.settings import DcamSettings
+from drivers.interface import LightSource
 from drivers.serial_lights.settings import DC4100Settings
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import rms
@@ -139,6 +142,115 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
     assert np.array_equal(frames[1:3, 5, ::-7].values, frames.values[1:3, 5, ::-7])
     assert frames[2:2].values.shape == (0, 240, 256)
     assert recording.results()["wavefront"].sizes["frame"] == 4
+
+
+def test_recording_needs_a_frame(bench: Bench, tmp_path: Path) -> None:
+    with svwfs.live(bench, average=2) as live, pytest.raises(svwfs.InputError, match="at least 1"):
+        live.record(tmp_path / "run", frames=0)
+
+
+def test_first_measurement_after_a_reference_uses_it(bench: Bench) -> None:
+    with svwfs.live(bench, average=2) as live:
+        before = next(iter(live)).calibration
+        live.take_reference(3)
+        after = next(iter(live)).calibration
+    assert before is not None
+    assert after is not None
+    assert (before.reference.frames, after.reference.frames) == (2, 3)
+
+
+def test_live_bench_outside_its_block_refuses_requests(bench: Bench) -> None:
+    live = svwfs.live(bench, average=2)
+    for request in (live.take_dark, live.auto_expose, lambda: next(iter(live)), lambda: live.record("run", frames=1)):
+        with pytest.raises(svwfs.WrongState, match="with block"):
+            request()
+    with live, pytest.raises(svwfs.WrongState, match="entered before"):
+        live.__enter__()
+    with pytest.raises(svwfs.WrongState):
+        live.take_dark()
+
+
+@pytest.mark.parametrize("cause", [None, ZeroDivisionError("division")], ids=["end of block", "error in block"])
+def test_light_that_cannot_be_switched_off_is_reported_on_leaving(cause: Exception | None, bench: Bench) -> None:
+    def fail(_: object) -> None:
+        raise svwfs.DeviceError("the light may still be on")
+
+    def run() -> None:
+        with svwfs.live(bench, average=2) as live:
+            live._result(live._acquisition.submit(lambda instrument: _spoil(instrument.devices.light, fail)))
+            if cause is not None:
+                raise cause
+
+    with pytest.raises((svwfs.DeviceError, ZeroDivisionError)) as caught:
+        run()
+    text = "".join([str(caught.value), *getattr(caught.value, "__notes__", [])])
+    assert "the light may still be on" in text
+
+
+def _spoil(light: LightSource, close: Callable[[object], None]) -> None:
+    light._close = close.__get__(light)  # type: ignore[method-assign] # a light that does not answer
+
+
+@pytest.mark.parametrize(
+    "image",
+    [np.zeros((3, 240, 256)), np.zeros((0, 0)), 7, [[True] * 256] * 240, np.zeros((240, 256), complex)],
+    ids=["stack", "empty", "number", "booleans", "complex"],
+)
+def test_image_that_is_none_is_refused(image: Any, bench: Bench, images: SimulatedFrames) -> None:
+    sentence = r"must be an array \(row, column\) of counts"
+    reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    with pytest.raises(svwfs.ReconstructionError, match=f"frame {sentence}"):
+        reconstruct(image)
+    with pytest.raises(svwfs.ReconstructionError, match=f"reference {sentence}"):
+        svwfs.reconstructor(bench, image)
+    with pytest.raises(svwfs.ReconstructionError, match=f"dark {sentence}"):
+        svwfs.find_lattice(images.reference, bench, dark=image)
+
+
+def test_photons_beyond_the_cameras_range_are_not_saturated(bench: Bench) -> None:
+    bright = svwfs.simulate(
+        svwfs.load_bench("small_demo", "light.current_a=1.0", "camera.exposure_s=1.0"), noise_free=True
+    )
+    assert bright.reference.max() > 2**16
+    wavefront = svwfs.reconstructor(bench, bright.reference, dark=bright.dark)(bright.frames[0])
+    assert wavefront.displacement.valid.all()
+
+
+def test_clipped_frame_of_a_12_bit_camera_is_refused(bench: Bench, images: SimulatedFrames) -> None:
+    scale = 4095 / np.quantile(images.frames[0], 0.9)
+    clipped = np.minimum(images.frames[0] * scale, 4095).astype(np.uint16)
+    reference = np.minimum(images.reference * scale * 0.5, 4095)
+    reconstruct = svwfs.reconstructor(bench, reference, dark=images.dark * scale, full_scale=4095)
+    with pytest.raises(svwfs.ReconstructionError, match="saturated"):
+        reconstruct(clipped)
+
+
+def test_refine_counts_its_rounds(bench: Bench, images: SimulatedFrames) -> None:
+    reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    once = reconstruct(images.frames[0])
+    assert np.array_equal(svwfs.refine(reconstruct, images.frames[0], rounds=0).views, once.views)
+    with pytest.raises(svwfs.InputError, match="-1 rounds"):
+        svwfs.refine(reconstruct, images.frames[0], rounds=-1)
+
+
+def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
+    reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    svwfs.save_result(tmp_path / "r.nc", reconstruct(images.frames[0]), reconstruct.bench)
+    with svwfs.open_result(tmp_path / "r.nc") as result:
+        (tmp_path / "b.toml").write_text(result.attrs["bench"])
+    assert svwfs.load_bench(tmp_path / "b.toml").lattice == reconstruct.bench.lattice != bench.lattice
+
+
+def test_results_of_another_bench_are_not_taken_for_the_recordings_own(bench: Bench, tmp_path: Path) -> None:
+    with svwfs.live(bench, average=2) as live:
+        folder = live.record(tmp_path / "run", frames=2)
+    recording = svwfs.open_recording(folder)
+    own = recording.results()
+    reconstruct = svwfs.reconstructor(
+        svwfs.load_bench("small_demo", "registration.warp=translation"), recording.frames[0].values
+    )
+    svwfs.save_result(folder / "results.nc", reconstruct(recording.frames[0].values), reconstruct.bench)
+    assert svwfs.open_recording(folder).results().equals(own)
 
 
 def test_live_bench_closes_the_devices_after_an_error(bench: Bench) -> None:

@@ -3,16 +3,19 @@
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from app.acquisition.devices import open_devices
 from app.acquisition.start_up import FRAMES, start_up
+from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import Measurement
+from drivers.interface import WrongState
 
 _WAIT_S = 0.1  # between two checks whether the acquisition still runs
 
@@ -33,35 +36,44 @@ class LiveBench:
     """
 
     def __init__(self, bench: Bench, *, average: int = FRAMES) -> None:
-        self._average = average
+        self._bench, self._average = bench, average
         self._arrived = threading.Condition()
         self._newest: Measurement | None = None
-        self._acquisition = Acquisition(bench, open_devices, (self._take,))
+        self._entered: Acquisition | None = None
+        self._streams = ExitStack()
 
     def __enter__(self) -> Self:
-        self._acquisition.start()
+        if self._entered is not None:
+            raise WrongState("this live bench was entered before: call svwfs.live again")
+        sinks = self._streams.enter_context(stream_sinks(self._bench))
+        self._entered = acquisition = Acquisition(self._bench, open_devices, (self._take, *sinks))
+        acquisition.start()
         try:
-            for step in start_up(self._acquisition, self._average):
+            for step in start_up(acquisition, self._average):
                 self._result(step)
         except BaseException:
-            self._acquisition.close()
+            self._close()
             raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._acquisition.close()
-        self._newest = None
+        self._close()
+        if error is None:
+            self._raise_failure()
+        elif self._acquisition.failure and self._acquisition.error is not error:
+            error.add_note(self._acquisition.failure)  # the light may still be on
 
     def __iter__(self) -> Iterator[Measurement]:
         """Yield the newest measurement whenever there is one; frames that come in between are skipped.
 
         `measurement.counts` counts them; `record` keeps every frame. Raises the error that ended the acquisition.
         """
+        acquisition = self._acquisition
         while True:
             with self._arrived:
-                while self._newest is None and self._acquisition.is_alive:
+                while self._newest is None and acquisition.is_alive:
                     self._arrived.wait(_WAIT_S)
                 measurement, self._newest = self._newest, None
             if measurement is None:
@@ -73,7 +85,7 @@ class LiveBench:
     def bench(self) -> Bench:
         """The bench with the lattice, exposure, gain and current now in force."""
         status = self._acquisition.status
-        return self._acquisition.bench if status is None else status.bench_in_force
+        return self._bench if status is None else status.bench_in_force
 
     @property
     def warning(self) -> str:
@@ -89,6 +101,10 @@ class LiveBench:
         """Average `frames` frames without the sample and use the mean as reference from now on."""
         self._result(self._acquisition.take_reference(frames))
 
+    def note_sample_in(self) -> None:
+        """Note in recordings that the sample is in the beam; only needed on a bench without motors."""
+        self._result(self._acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)))
+
     def auto_expose(self) -> float:
         """Set exposure and light current so that the brightest lenslets fill 70 % of full scale; return the exposure.
 
@@ -103,7 +119,7 @@ class LiveBench:
         Raises
         ------
         InputError
-            If the folder holds a recording already.
+            If the folder holds a recording already, or `frames` is less than 1.
         RunError
             If the recording ended early; the frames so far are kept.
         """
@@ -115,8 +131,20 @@ class LiveBench:
             if not self._acquisition.is_alive:
                 self._raise_failure()
         if state is not None and state.problem:
+            self._raise_failure()
             raise RunError(state.problem)
         return folder
+
+    @property
+    def _acquisition(self) -> Acquisition:
+        if self._entered is None:
+            raise WrongState("a live bench works in a with block: with svwfs.live(bench) as live: ...")
+        return self._entered
+
+    def _close(self) -> None:
+        with self._streams:
+            self._acquisition.close()
+        self._newest = None
 
     def _take(self, measurement: Measurement) -> None:
         with self._arrived:
@@ -130,6 +158,8 @@ class LiveBench:
         except Exception:
             self._raise_failure()
             raise
+        with self._arrived:
+            self._newest = None  # measured before the command
 
     def _raise_failure(self) -> None:
         if self._acquisition.error is not None:

@@ -111,7 +111,7 @@ def reconstruct(
     dataset = result_dataset(reconstructed.wavefront, with_psf=True).assign_attrs(
         refinement_rounds=len(reconstructed.changes_rad)
     )
-    write_results(out, dataset, bench=loaded, inputs=inputs)
+    write_results(out, dataset, bench=reconstructed.bench, inputs=inputs)
     if plot is not None:
         plot_views(reconstructed.wavefront, plot)
     print_views(reconstructed.wavefront)

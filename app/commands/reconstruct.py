@@ -20,6 +20,7 @@ class Reconstructed:
     """Wavefront of a frame, and the steps of its refinement."""
 
     wavefront: Wavefront
+    bench: Bench  # with the lattice in force
     changes_rad: tuple[float, ...]  # RMS change by each round of refinement, mean over the views
 
 
@@ -47,7 +48,7 @@ def reconstruct_files(
                 wavefront = step.wavefront
                 changes_rad.append(step.change_rad)
                 progress("refining", done / refine)
-        return Reconstructed(wavefront, tuple(changes_rad))
+        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad))
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
 

@@ -3,15 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from app.bench.config import Bench
+from app.errors import InputError
 from app.measurement.imaging_model import BenchModel
 from reconstruction.arrays import Counts
-from reconstruction.lattice.search import find_lattice
+from reconstruction.errors import ReconstructionError
+from reconstruction.lattice.search import survey
 from reconstruction.refinement import Refinement, Round
 from reconstruction.wavefront import Wavefront
 
@@ -28,7 +30,7 @@ class BenchReconstructor:
     dark
         Frame without light, (row, column), counts. Without one, the darkest percent of each image is the background.
     full_scale
-        Count at which a pixel saturates; by default that of the camera's bits and of the reference's integers.
+        Count at which a pixel saturates; by default see `full_scale_of`.
 
     Raises
     ------
@@ -39,28 +41,44 @@ class BenchReconstructor:
     def __init__(
         self, bench: Bench, reference: Counts, *, dark: Counts | None = None, full_scale: float | None = None
     ) -> None:
-        lattice = bench.lattice or find_lattice(reference, bench.sensor)
+        reference, dark = as_image(reference, "reference"), None if dark is None else as_image(dark, "dark")
+        most = full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale
+        lattice = bench.lattice or survey(reference, bench.sensor, dark=dark, full_scale=most).lattice
         self.bench = replace(bench, lattice=lattice)
-        self._reconstructor = bench.reconstructor(
-            reference,
-            lattice=lattice,
-            dark=dark,
-            full_scale=full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale,
-        )
+        self._reconstructor = bench.reconstructor(reference, lattice=lattice, dark=dark, full_scale=most)
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
-        return self._reconstructor(frame)
+        return self._reconstructor(as_image(frame, "frame"))
 
     def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
-        return self._refinement.rounds(self._reconstructor.register(frame), most)
+        if most < 0:
+            raise InputError(f"{most} rounds of refinement are impossible: give 0 or more")
+        return self._refinement.rounds(self._reconstructor.register(as_image(frame, "frame")), most)
 
     @cached_property
     def _refinement(self) -> Refinement:
-        return Refinement(self._reconstructor, BenchModel(self.bench, self._reconstructor))
+        try:
+            return Refinement(self._reconstructor, BenchModel(self.bench, self._reconstructor))
+        except ValueError as error:  # the reference does not allow a model
+            raise ReconstructionError(str(error), image="reference") from error
+
+
+def as_image(image: ArrayLike, what: str) -> Counts:
+    """Return an image (row, column), counts, as an array; `ReconstructionError` if it is none."""
+    array = np.asarray(image)
+    if array.ndim != 2 or not array.size or array.dtype.kind not in "uif":
+        size = " x ".join(map(str, array.shape)) or "a single number"
+        raise ReconstructionError(
+            f"the {what} must be an array (row, column) of counts: this is {size}, {array.dtype}", image=what
+        )
+    return cast("Counts", array)
 
 
 def full_scale_of(image: NDArray[Any], bits: int) -> float:
-    """Count at which a camera of so many bits saturates, or at which the image's integers do."""
-    return min(2.0**bits, np.iinfo(image.dtype).max + 1.0 if image.dtype.kind in "ui" else np.inf) - 1
+    """Saturation level: the lower maximum of camera and integer type; infinite for floats beyond the camera's range."""
+    camera = 2.0**bits - 1
+    if image.dtype.kind in "ui":
+        return min(camera, float(np.iinfo(image.dtype).max))
+    return camera if not image.size or np.max(image) <= camera else np.inf

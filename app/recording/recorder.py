@@ -214,6 +214,8 @@ class Recorder:
         `facts` of bench and devices go into `run.json`. With `may_rename` a number is appended to a name that is taken;
         `state` has the folder. `InputError` if the folder holds a recording, or a recording is on.
         """
+        if frames is not None and frames < 1:
+            raise InputError(f"{frames} frames cannot be recorded: at least 1 is needed")
         if not may_rename:
             check_free(folder)
         with self._changing:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from app.bench.config import Bench
+from app.bench.config import Bench, parse_bench
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
@@ -61,16 +61,21 @@ class OpenedRecording:
     def results(self) -> xr.Dataset:
         """Results of all frames that can be reconstructed, along `frame`; `recording_index` says which these are.
 
-        Taken from `results.nc` where `svwfs measure` or `svwfs replay` wrote it, else reconstructed now.
+        Taken from `results.nc` if that has the bench of the recording, else reconstructed now. `InputError` if no frame
+        can be reconstructed, or the settings changed between the frames.
         """
         path = self._recording.folder / "results.nc"
         if path.exists():
             with open_results(path) as results:
-                return results.load()
+                if parse_bench(str(results.attrs.get("bench", "")), f"{path}: bench") == self.bench:
+                    return results.load()
         pieces = list(results_in_pieces((made, {}) for made in reprocess(self._recording)))
         if not pieces:
             raise InputError(f"{self._recording.folder}: no frame can be reconstructed")
-        return xr.concat(pieces, "frame", join="exact", coords="minimal", compat="override")
+        try:
+            return xr.concat(pieces, "frame", join="exact", coords="minimal", compat="override")
+        except ValueError as error:
+            raise InputError(f"{self._recording.folder}: the settings changed between the frames") from error
 
 
 class _Pixels(BackendArray):
