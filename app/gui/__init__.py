@@ -1,1 +1,1 @@
-"""The Qt window: it shows results and emits intents; it computes nothing."""
+"""Qt window: shows results and emits the user's intents."""

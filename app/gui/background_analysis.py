@@ -1,4 +1,4 @@
-"""Background analysis: computes what the panels show beside the wavefront on a thread of its own."""
+"""Background analysis: computes the maps and plots of the panels on its own thread."""
 
 import math
 import time
@@ -31,7 +31,7 @@ class AnalysisThread:
     def submit(self, request: AnalysisRequest) -> None:
         """Analyse a request unless the thread is busy or the request is unchanged.
 
-        A request that differs by its wavefront alone waits for its turn; any other change is analysed at once.
+        A new wavefront alone waits until the interval is over; any other change is analysed immediately.
         """
         if self._future is not None or request == self._request:
             return
@@ -61,7 +61,7 @@ class AnalysisThread:
 
 
 class BackgroundAnalysis(QObject):
-    """Requests an analysis of what is visible and shows its result."""
+    """Analyses the visible quantity and view, and shows the result."""
 
     failed = pyqtSignal(str)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QEvent, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QFileDialog, QMainWindow, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFileDialog, QMainWindow, QSplitter, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, start_up
@@ -25,6 +25,7 @@ from app.gui.recording_panel import RecordingPanel
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.status_line import StatusLine
 from app.gui.wavefront_panel import WavefrontPanel
+from app.gui.widgets import column
 from app.gui.wording import advice, warning
 from app.results.view_analysis import Quantity
 from app.timing import Timings
@@ -45,7 +46,7 @@ class MainWindow(QMainWindow):
         *,
         begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
     ) -> None:
-        """Show nothing yet; `connect_devices` makes and starts an acquisition and calls `begin` with it."""
+        """Make an empty window; `connect_devices` starts an acquisition and calls `begin` with it."""
         super().__init__()
         self._measurement: Measurement | None = None
         self._status: Status | None = None
@@ -196,18 +197,11 @@ class MainWindow(QMainWindow):
         images.addWidget(self.wavefront_panel)
         images.setSizes([1000, 1000])
         images.setHandleWidth(16)
-        framed = QVBoxLayout()  # a splitter's own margins do not count in its minimum size
-        framed.setContentsMargins(10, 8, 10, 6)
-        framed.addWidget(images)
+        framed = column(images)
+        framed.setContentsMargins(10, 8, 10, 6)  # a splitter's own margins do not count in its minimum size
         body = QWidget()
-        layout = QVBoxLayout(body)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
+        layout = column((framed, 1), self.messages, self.controls, self.status_line, spacing=4, parent=body)
         layout.addStrut(_MIN_WIDTH)  # a larger font may need more
-        layout.addLayout(framed, 1)
-        layout.addWidget(self.messages)
-        layout.addWidget(self.controls)
-        layout.addWidget(self.status_line)
         self.setCentralWidget(body)
         if (bar := self.menuBar()) is not None:
             bar.setNativeMenuBar(False)  # a native one has no corner

@@ -90,7 +90,7 @@ class MessageStrip(QFrame):
         """Show the message of highest priority."""
         self.reconnect.setVisible(bool(failure))
         if failure:
-            self._question = ""  # nothing is left to execute it
+            self._question = ""  # no device is left to apply it
         asks = bool(self._question) and not self._alarm
         for widget, is_shown in (
             (self.accept, asks),

@@ -9,13 +9,13 @@ from statistics import median
 import numpy as np
 from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QResizeEvent
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
 from app.gui import theme
 from app.gui.timing_row import Summaries, TimingRow, timing_table
-from app.gui.widgets import label
+from app.gui.widgets import column, label, row
 from app.gui.wording import lenslet_summary
 from app.measurement.live_refinement import RefinementState
 from reconstruction.displacement import Displacement
@@ -37,26 +37,19 @@ class StatusLine(QWidget):
         self._recent: deque[Measurement] = deque()
         self.shown = 0
         self.timing_row = TimingRow()
-        self.row = row = FittingRow()
+        self.row = line = FittingRow()
         self.devices = label("", "dim")
-        line = QHBoxLayout()
-        line.addWidget(row, 1)
-        line.addWidget(self.devices)
-        both = QVBoxLayout(self)
-        both.setContentsMargins(10, 0, 10, 2)
-        both.setSpacing(2)
-        both.addWidget(self.timing_row)
-        both.addLayout(line)
+        column(self.timing_row, row((line, 1), self.devices), spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
         count, time_s = "00000", "0000.0 ms"
-        self.acquired = row.add("acquired", "Frames read from the camera", widest=count, importance=7)
-        self.reconstructed = row.add("reconstructed", "Frames with a wavefront", widest=count, importance=6)
-        self.shown_count = row.add("shown", _SHOWN, widest=count, importance=8)
-        self.lost = row.add("lost", "Frames that the camera overwrote before they were read", widest="0", importance=2)
-        self.rate = row.add("frames/s", "Frames acquired per second", widest="00.0", importance=1)
-        self.delay = row.add("delay", _DELAY, widest=time_s, importance=4)
-        self.age = row.add("frame age", "Time since the exposure of the shown frame", widest=time_s, importance=5)
-        self.valid = row.add("valid", _VALID, widest="000 of 000", importance=0)
-        self.correction = row.add("correction", _CORRECTION, widest="computing", importance=3)
+        self.acquired = line.add("acquired", "Frames read from the camera", widest=count, importance=7)
+        self.reconstructed = line.add("reconstructed", "Frames with a wavefront", widest=count, importance=6)
+        self.shown_count = line.add("shown", _SHOWN, widest=count, importance=8)
+        self.lost = line.add("lost", "Frames that the camera overwrote before they were read", widest="0", importance=2)
+        self.rate = line.add("frames/s", "Frames acquired per second", widest="00.0", importance=1)
+        self.delay = line.add("delay", _DELAY, widest=time_s, importance=4)
+        self.age = line.add("frame age", "Time since the exposure of the shown frame", widest=time_s, importance=5)
+        self.valid = line.add("valid", _VALID, widest="000 of 000", importance=0)
+        self.correction = line.add("correction", _CORRECTION, widest="computing", importance=3)
 
     def count(self, measurement: Measurement) -> None:
         """Count a shown measurement."""
@@ -136,11 +129,8 @@ class FittingRow(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._parts: list[_Part] = []
-        self._row = QHBoxLayout(self)
-        self._row.setContentsMargins(0, 0, 0, 0)
-        self._row.setSpacing(_GAP)
         self._more = label("\N{HORIZONTAL ELLIPSIS}", "dim")
-        self._row.addWidget(self._more)
+        self._row = row(self._more, spacing=_GAP, parent=self)
         self._row.addStretch()
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
@@ -149,11 +139,7 @@ class FittingRow(QWidget):
         value = label("\N{EN DASH}")
         value.setMinimumWidth(value.fontMetrics().horizontalAdvance(widest))
         shown = QWidget()
-        row = QHBoxLayout(shown)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(_WITHIN)
-        for widget in (label(name, "dim"), value):
-            row.addWidget(widget)
+        row(label(name, "dim"), value, spacing=_WITHIN, parent=shown)
         shown.setToolTip(tool_tip)
         value.setToolTip(tool_tip)
         self._row.insertWidget(len(self._parts), shown)

@@ -50,7 +50,7 @@ def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThr
         thread.submit(second)
     assert time.monotonic() - began_s > 0.1
     wait(thread)
-    thread.submit(replace(second, quantity=Quantity.DIFFERENCE))  # the user's choice is analysed at once
+    thread.submit(replace(second, quantity=Quantity.DIFFERENCE))  # a choice of the user is analysed immediately
     assert thread._future is not None
 
 
