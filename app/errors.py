@@ -1,5 +1,7 @@
 """Errors that end a command: one sentence each, and an exit status for scripts."""
 
+SETTINGS_CHANGED = "the settings changed between these frames: select frames with equal settings (--frames)"
+
 
 class InputError(Exception):
     """Unusable input: a file, a setting, a frame. Exit status 2."""

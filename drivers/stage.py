@@ -85,11 +85,11 @@ class OneMaskStage(Stage):
 
 
 class ManualStage(OneMaskStage):
-    """A stage without a motor: a person moves the sample and says so. The sample starts out of the beam."""
+    """A stage without a motor: a person moves the sample and confirms it. The sample starts out of the beam."""
 
     def __init__(self, mask: str) -> None:
         super().__init__(mask)
-        self._name = "a person's hands"
+        self._name = "manual stage"
         self._is_in = False
 
     def note_sample(self, sample_in: bool) -> None:
@@ -103,7 +103,7 @@ class ManualStage(OneMaskStage):
     def _set_sample_in(self, *, sample_in: bool) -> None:
         if sample_in != self._is_in:
             request = "put the sample into the beam" if sample_in else "take the sample out of the beam"
-            raise WrongState(f"{request}, and then say so: nothing here can move it")
+            raise WrongState(f"the stage is manual: {request}, then confirm (S)")
 
     def _close(self) -> None:
         """Nothing to do."""

@@ -49,12 +49,12 @@ class Acquisition(AcquisitionLoop):
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.
 
-        Refused during a recording, whose frames must be alike; for the same reason the last seconds are dropped.
+        Refused during a recording; the last seconds are dropped, since all frames of a recording have one size.
         """
 
         def command(instrument: Instrument) -> SensorArea:
             if self.recording is not None and self.recording.stage == "recording":
-                raise WrongState("a recording is under way, and its frames must all be alike: stop it first")
+                raise WrongState("the region cannot change during a recording: stop the recording (W)")
             before, taken = SensorArea.of(instrument.devices.camera), instrument.set_area(area)
             if taken != before:
                 self._recorder.forget_recent()

@@ -84,7 +84,7 @@ def benchmark(
         float | None,
         typer.Option(
             metavar="SECONDS",
-            help="Measure the live path instead for so long, with window and recording; typically 60.",
+            help="Measure the live path instead for SECONDS, with window and recording; typically 60.",
         ),
     ] = None,
     record_in: Annotated[

@@ -25,7 +25,12 @@ def live(
     frames: FramesOption = None,
     seconds: Annotated[
         float | None,
-        typer.Option(min=0.1, max=86400, help="Close by itself so long after the first wavefront, saving the results."),
+        typer.Option(
+            min=0.1,
+            max=86400,
+            metavar="SECONDS",
+            help="Close by itself SECONDS after the first wavefront, saving the results.",
+        ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for screenshot, results and timings of such a run.")] = _LIVE_OUT,
 ) -> None:

@@ -21,7 +21,7 @@ _UNATTENDED_S = 5.0
 def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Player | None = None) -> int:
     """Run the window and return the exit status; a `player` replaces the bench's devices by a recording.
 
-    Without a display, or with `seconds`, the window closes by itself so long after the first wavefront and writes
+    Without a display, or with `seconds`, the window closes by itself that time after the first wavefront and writes
     `window.png`, `result.nc` and `run.json` into the folder `out`; without a wavefront it fails.
     """
     if not use_display():

@@ -179,7 +179,7 @@ class RecordedCamera(Camera):
             raise Disconnected(str(error)) from error
 
     def _taken(self) -> Average | FrameLine:
-        """Holder of exposure and gain of what is in view."""
+        """Average or frame line that supplies exposure and gain."""
         return self._average() or self.line
 
     def _read_exposure(self) -> float:

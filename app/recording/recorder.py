@@ -47,7 +47,7 @@ class RecordingState:
 class BackgroundRecording:
     """One recording and the thread that writes it, started at once.
 
-    `records` are written first; with `frames`, the recording ends after so many more.
+    `records` are written first. With `frames`, recording stops after that many further frames.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from app.bench.config import Bench, write_bench
-from app.errors import InputError, RunError
+from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write
 from app.results.view_quality import Variable, about, point_spread, structure, transfer
 from reconstruction.arrays import Floats
@@ -159,7 +159,7 @@ def _append(path: Path, piece: xr.Dataset) -> None:
 
 def _require_alike(sizes: Mapping[Hashable, int], others: Mapping[Hashable, int]) -> None:
     if dict(sizes) != dict(others):
-        raise InputError("the settings changed between the frames: choose some that go together")
+        raise InputError(SETTINGS_CHANGED)
 
 
 def _wavefront_variables(views: Floats, sensor: Sensor) -> dict[str, Variable]:

@@ -91,7 +91,7 @@ class GenicamCamera(Camera):
         return chosen
 
     def _prepare(self) -> None:
-        """Put the camera into a known mode, whatever state it was left in."""
+        """Reset the camera to a defined mode."""
         line, settings = self._line, self._settings
         for feature, value in (("ExposureAuto", "Off"), ("GainAuto", "Off"), ("AcquisitionMode", "Continuous")):
             if value in line.choices(feature):

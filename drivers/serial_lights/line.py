@@ -20,7 +20,7 @@ from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected
 from drivers.serial_lights.ports import connected, no_permission
 
 try:
-    from termios import error as TerminalError  # noqa: N812 - a class, whatever its module calls it
+    from termios import error as TerminalError  # noqa: N812 - a class in spite of its lower-case name
 except ImportError:  # Windows
     TerminalError = OSError  # type: ignore[misc, assignment] # the only error there
 

@@ -55,7 +55,7 @@ def _stands_out(image: Floats) -> Mask:
 
 
 def repaired(light: NDArray[Any], bad: Mask) -> Image:
-    """Copy of an image (row, column), its bad pixels replaced by good neighbours, lest a spline spread them."""
+    """Copy of an image (row, column), its bad pixels replaced by good neighbours; a spline would spread them."""
     row, column = np.nonzero(bad)
     if not row.size:
         return light

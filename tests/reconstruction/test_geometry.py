@@ -30,7 +30,7 @@ def test_camera_transforms_are_inverse() -> None:
     np.testing.assert_allclose(lattice.from_camera_px(lattice.to_camera_px(position)), position, atol=1e-12)
 
 
-def test_slope_per_pixel_of_displacement() -> None:
+def test_slope_per_px_is_wavenumber_times_pixel_angle() -> None:
     sensor = sensor_of(3, 3)
     # One pixel over the focal length is the ray's angle; times k it is the phase slope.
     assert sensor.slope_per_px == pytest.approx(2 * math.pi / 462e-9 * 16e-6 / 46.7e-3)

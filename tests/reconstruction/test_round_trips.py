@@ -57,7 +57,7 @@ def test_displacement_of_tilt_is_slope_over_slope_per_px(small_bench: SmallBench
     np.testing.assert_allclose(displacement.coefficients[:, :, 0], np.broadcast_to(expected, (7, 9, 2)), atol=3e-3)
 
 
-def test_wavefront_at_any_field_position(small_bench: SmallBench) -> None:
+def test_wavefront_is_recovered_at_any_field_position(small_bench: SmallBench) -> None:
     phase = PHASES["astigmatism that turns over the field"]
     u, v = small_bench.samples()
     wavefront = small_bench.reconstructor()(small_bench.frame(lambda x, y: phase(u, v, x, y).astype(np.float32)))

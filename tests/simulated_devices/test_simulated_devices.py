@@ -90,7 +90,7 @@ def test_late_reader_gets_newest_eight_frames(bench: SimulatedBench, camera: Sim
         camera.read(0.0)
 
 
-def test_timeout_lasts_as_long_as_asked(bench: SimulatedBench, camera: SimulatedCamera) -> None:
+def test_timeout_lasts_the_requested_time(bench: SimulatedBench, camera: SimulatedCamera) -> None:
     camera.set_exposure(1.0)
     camera.start()
     with pytest.raises(DeviceTimeout):
@@ -177,7 +177,7 @@ def test_stalled_camera_times_out_until_restart(camera: SimulatedCamera) -> None
     assert camera.read(1.0).index == 0
 
 
-def test_both_paper_exposures_near_70_percent_of_full_scale(tmp_path: Path) -> None:
+def test_both_paper_exposures_reach_70_percent_of_full_scale(tmp_path: Path) -> None:
     simulation = replace(STILL, object_samples=37, pupil_samples=20)
     settings = replace(CAMERA, readout_speed=2, exposure_s=0.15)
     bench = open_bench(tmp_path, simulation, settings)

@@ -50,11 +50,11 @@ class SimulatedCameraStorm(CameraStorm):
             getattr(self.hand, fault)()
 
     def recover(self) -> None:
-        """Nothing to do: every camera has a plug of its own."""
+        """Nothing to do: a new camera is plugged in."""
 
 
 class Lamp:
-    """The light on the bench, seen by whoever stands beside it."""
+    """Light of the bench and its state as an observer sees it."""
 
     def __init__(self) -> None:
         self.bench = bench()
@@ -91,7 +91,7 @@ class SimulatedLightStorm(LightStorm):
         return not any([light._is_unplugged, light._refuses_next, light._fails_next])
 
     def recover(self) -> None:
-        """Nothing to do: every light has a plug of its own."""
+        """Nothing to do: a new light is plugged in."""
 
 
 TestSimulatedCamera = SimulatedCameraStorm.TestCase

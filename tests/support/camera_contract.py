@@ -43,7 +43,7 @@ class CameraFaults(Protocol):
 
 class CameraContract:
     @pytest.mark.parametrize("check", CAMERA_CHECKS, ids=lambda check: check.__name__)
-    def test_contract(self, camera: Camera, check: Callable[[Camera], None]) -> None:
+    def test_camera_keeps_the_contract(self, camera: Camera, check: Callable[[Camera], None]) -> None:
         check(camera)
         _expect_state(camera, "stopped")
 

@@ -44,7 +44,7 @@ class LightFaults(Protocol):
 
 class LightContract:
     @pytest.mark.parametrize("check", LIGHT_CHECKS, ids=lambda check: check.__name__)
-    def test_contract(self, light: LightSource, check: Callable[[LightSource], None]) -> None:
+    def test_light_keeps_the_contract(self, light: LightSource, check: Callable[[LightSource], None]) -> None:
         check(light)
         assert not light.is_on
 
@@ -162,7 +162,7 @@ class LightFaultContract(LightContract):
 
 class StageContract:
     @pytest.mark.parametrize("check", STAGE_CHECKS, ids=lambda check: check.__name__)
-    def test_contract(self, stage: Stage, check: Callable[[Stage], None]) -> None:
+    def test_stage_keeps_the_contract(self, stage: Stage, check: Callable[[Stage], None]) -> None:
         check(stage)
 
     def test_closes_and_refuses_further_calls(self, stage: Stage) -> None:

@@ -9,7 +9,7 @@ import xarray as xr
 from app.evaluation.cases import REPEAT, CaseResult, collect, rows
 from app.progress import Progress
 
-_TURN_S = 0.02  # quicker calls are repeated for so long before the next one's turn
+_TURN_S = 0.02  # minimum duration of a turn; quicker calls are repeated
 _LEAST_CALLS = 3
 
 

@@ -1,4 +1,4 @@
-"""FramePair of the tables: one bench with several masks."""
+"""Reference and frame of each mask for the paper's tables."""
 
 from collections.abc import Callable, Mapping
 from contextlib import closing

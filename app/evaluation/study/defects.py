@@ -16,7 +16,7 @@ from reconstruction.geometry import Lattice
 from reconstruction.settings import Warp
 
 _DEAD = (0.0, 0.05, 0.1, 0.2, 0.3)
-_WARPS: tuple[Warp, ...] = ("quadratic", "cubic")  # affine shows nothing more
+_WARPS: tuple[Warp, ...] = ("quadratic", "cubic")  # affine adds no information
 
 _Error = Callable[[Bench, float], Bench]  # returns the bench with a wrong setting
 

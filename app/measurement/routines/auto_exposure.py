@@ -86,7 +86,7 @@ class _LightControl:
         self._exposures_s: Range = devices.camera.capabilities.exposure_range_s
         allowed = devices.light.current_range_a
         if not allowed.maximum > 0:
-            raise RoutineError("the light may have no current at all: raise its limit, or look at its head")
+            raise RoutineError("the allowed current is zero: raise limit_a, or check the LED head")
         least_a = max(allowed.minimum, _LEAST_CURRENT * allowed.maximum)
         self._currents_a = Range(least_a, max(least_a, allowed.maximum))
         is_usable = initial_current_a >= least_a
@@ -114,9 +114,7 @@ class _LightControl:
         limits = f"the longest exposure, {self._exposures_s.maximum:g} s, and the highest current,"
         limits += f" {self._currents_a.maximum:g} A"
         if light == math.inf:
-            raise RoutineError(
-                f"no light is to be seen, and {limits} would not be enough: is the lamp plugged in, the way free?"
-            )
+            raise RoutineError(f"no light detected, even at {limits}: check the lamp and the beam path")
         if light > reach.highest * _HOPELESS or (light >= reach.highest and is_tried):
             raise RoutineError(
                 f"too little light: {limits} would have to be {light / reach.highest:.2g} times as much;"

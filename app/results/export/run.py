@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from app.bench.config import write_bench
-from app.errors import InputError, RunError
+from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write
 from app.progress import Progress
 from app.recording.reader import Recording
@@ -84,7 +84,7 @@ def _row(frame: Reprocessed, names: list[str]) -> list[float]:
     if frame.wavefront is not None:
         values = _values(frame.wavefront)
         if list(values) != names:
-            raise InputError("the settings changed between the frames: choose some that go together")
+            raise InputError(SETTINGS_CHANGED)
     valid = 0 if frame.registered is None else int(frame.registered.valid.sum())
     return [line.index, line.camera_index, line.camera_time_s, line.exposure_s, line.em_gain, valid, *values.values()]
 

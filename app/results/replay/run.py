@@ -25,7 +25,7 @@ class Replay:
     comparison: Comparison | None
     frames: int = 0
     reconstructed: int = 0
-    unrefined: int = 0  # frames that were refined live, and are not with this bench
+    unrefined: int = 0  # frames refined live but not in this replay
     problem: str = ""  # of the first frame that could not be reconstructed
 
     def take(self, frame: Reprocessed) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.errors import InputError
+from app.errors import SETTINGS_CHANGED, InputError
 from app.measurement.calibration import Calibration
 from app.progress import Progress
 from app.recording.frame_lines import FrameLine
@@ -112,7 +112,7 @@ class _Sums:
             return
         views, variance = wavefront.views, wavefront.sigma() ** 2
         if self._wavefront is not None and not are_alike(wavefront, self._wavefront):
-            raise InputError("the settings changed between the frames: choose some that go together")
+            raise InputError(SETTINGS_CHANGED)
         if is_early or self._wavefront is None:
             self._wavefront = wavefront
         self._views, self._known = self._views + np.nan_to_num(views), self._known + np.isfinite(views)

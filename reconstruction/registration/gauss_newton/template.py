@@ -1,4 +1,4 @@
-"""Template: what the Gauss-Newton steps of a warp need of the reference, computed once.
+"""Steepest-descent images and pseudo-inverse of each reference lenslet, precomputed.
 
 The steepest-descent images, d(residual)/dc_q = d(I0 T_q)/dx, are those of the reference, so that their pseudo-inverse
 does not depend on the frame and a step is one product with the residual (after Baker and Matthews 2004, International

@@ -124,7 +124,9 @@ def test_software_trigger_yields_frames(bench: Bench) -> None:
     assert acquisition.failure == ""
 
 
-def test_camera_unplugged_while_recording(bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path) -> None:
+def test_unplugged_camera_ends_recording_that_stays_readable(
+    bench: Bench, camera: StandIn, lamp: DC4100Wire, tmp_path: Path
+) -> None:
     acquisition = started(bench)
     assert lamp.is_lit
     acquisition.start_recording(tmp_path / "r", command="test").result(HANG_S)

@@ -34,7 +34,7 @@ class Live:
         self.acquisition.start()
 
     def _open(self, *arguments: object) -> Devices:
-        self.devices = open_devices(*arguments)  # type: ignore[arg-type]
+        self.devices = open_devices(*arguments)  # type: ignore[arg-type] # passed through
         return self.devices
 
     def do(self, command: Callable[[Instrument], object]) -> None:
@@ -58,7 +58,7 @@ def started(live: Live) -> None:
     assert live.status.warning == ""
 
 
-def test_auto_expose_by_command(live: Live) -> None:
+def test_auto_expose_command_reaches_target_and_restores_state(live: Live) -> None:
     started(live)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
     texts = set[str]()
@@ -80,7 +80,7 @@ def test_auto_expose_by_command(live: Live) -> None:
 def test_failed_auto_exposure_keeps_loop_running(small_toml: Path) -> None:
     dim = Live(small_toml, "light.maximum_current_a=1e-6", "light.current_a=0.0")
     try:
-        with pytest.raises(RoutineError, match="lamp plugged in"):
+        with pytest.raises(RoutineError, match="check the lamp"):
             dim.acquisition.auto_expose().result(HANG_S)
         status = dim.status
         assert (status.is_light_on, status.current_a, status.exposure_s) == (False, 0.0, 0.02)
@@ -123,7 +123,7 @@ def _no_frame(_timeout_s: float) -> None:
     raise DeviceTimeout("no frame came")
 
 
-def test_background_check_by_command(live: Live) -> None:
+def test_background_check_command_needs_a_matching_dark(live: Live) -> None:
     with pytest.raises(RoutineError, match="no dark yet"):
         live.acquisition.check_background(4).result(HANG_S)
     started(live)
@@ -188,7 +188,7 @@ def paused(change: Callable[[Instrument], object]) -> Callable[[Instrument], Non
         (lambda instrument: instrument.devices.light.set_current(0.2), "good", "good", ""),
     ],
 )
-def test_changes_that_make_dark_and_reference_stale(
+def test_changes_make_dark_and_reference_stale(
     live: Live, change: Callable[[Instrument], object], dark: str, reference: str, warning: str
 ) -> None:
     started(live)

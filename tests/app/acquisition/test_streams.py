@@ -184,7 +184,7 @@ def test_subscriber_receives_only_its_topics(publisher: Publisher, port: int, me
 def test_unsubscribed_topics_are_not_computed(
     publisher: Publisher, port: int, measurement: Measurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Wavefront, "sigma", lambda _: pytest.fail("computed for nobody"))
+    monkeypatch.setattr(Wavefront, "sigma", lambda _: pytest.fail("computed without a subscriber"))
     with closing(Subscriber(port, "coefficients")) as subscriber:
         _until_heard(publisher, subscriber, measurement)  # an error would have ended the publisher's thread
         assert _until_heard(publisher, subscriber, measurement) == 1
@@ -263,7 +263,7 @@ def test_close_sends_waiting_messages(bench: Bench, port: int, measurement: Meas
         free.bind(("127.0.0.1", port))
 
 
-def test_no_socket_without_port(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_port_no_socket_is_opened(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zmq, "Context", lambda: pytest.fail("a socket was made"))
     with stream_sinks(bench) as sinks:
         assert sinks == ()
@@ -315,7 +315,7 @@ def test_invalid_settings_are_one_line(setting: str, sentence: str, small_toml: 
     assert "\n" not in str(error.value)
 
 
-def test_streams_section_round_trip(small_toml: Path) -> None:
+def test_streams_section_survives_write_and_read(small_toml: Path) -> None:
     bench = load_bench(small_toml, ("streams.port=5560", "streams.address=0.0.0.0"))
     assert parse_bench(write_bench(bench), "again") == bench
     assert load_bench(small_toml).streams.port is None

@@ -249,7 +249,7 @@ def test_settings_change_while_running(running: Running) -> None:
     )
 
 
-def test_close_before_start_and_twice(small_toml: Path) -> None:
+def test_close_works_before_start_and_twice(small_toml: Path) -> None:
     acquisition = Acquisition(load_bench(small_toml), open_devices)
     acquisition.close()
     acquisition.close()

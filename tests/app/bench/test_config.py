@@ -16,7 +16,7 @@ MINIMAL = (FOREIGN_FRAMES / "bench.toml").read_text()
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_presets_round_trip(preset: str) -> None:
+def test_presets_survive_write_and_read(preset: str) -> None:
     bench = load_bench(preset)
     assert parse_bench(write_bench(bench), "again") == bench
 
@@ -84,7 +84,10 @@ BAD_DEVICES = {
     "a number for a region": (GENICAM + "region = 3\n" + DC4100, "camera.region: must be a section"),
     "a missing port": (GENICAM + DC4100.replace('port = "/dev/ttyUSB0"\n', ""), "light: .*port"),
     "no light": (GENICAM, 'light.driver is missing: camera.driver = "genicam" needs one of "thorlabs_dc4100"'),
-    "a light that nobody sees": (DC4100, 'light.driver = "thorlabs_dc4100" cannot be used: a simulated camera sees no'),
+    "a light that a simulated camera cannot see": (
+        DC4100,
+        'light.driver = "thorlabs_dc4100" cannot be used: a simulated camera sees no',
+    ),
     "no section": ("", "camera: must be a section"),
 }
 
@@ -96,7 +99,7 @@ def test_device_error_is_one_line(text: str, sentence: str) -> None:
     assert "\n" not in str(refused.value)
 
 
-def test_real_bench_round_trip() -> None:
+def test_real_bench_survives_write_and_read() -> None:
     bench = parse_bench(MINIMAL + GENICAM + DC4100, "b")
     assert (bench.camera.driver, bench.light.driver) == ("genicam", "thorlabs_dc4100")
     assert isinstance(bench.camera, GenicamSettings)

@@ -68,7 +68,9 @@ def test_written_bench_has_lattice_and_comments(
     assert "pitch is -1.8 % off the design" in said.err
 
 
-def test_json_output(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reference: Path) -> None:
+def test_json_option_prints_figures_and_differences(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reference: Path
+) -> None:
     assert run(monkeypatch, *command(reference, "--json", "--set", "sensor.lenslet_rows=13")) == 0
     said = capsys.readouterr()
     figures = json.loads(said.out)

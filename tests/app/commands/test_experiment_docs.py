@@ -133,7 +133,7 @@ def test_linked_pictures_and_pages_exist() -> None:
             assert_drawn(DOCS / name)
 
 
-def test_measure_options_mask_average_auto_expose(
+def test_measure_applies_mask_average_and_auto_expose(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     (tmp_path / "bench.toml").write_text(SMALL)

@@ -57,7 +57,7 @@ def test_benchmark_is_written_and_printed(result: Json, tmp_path: Path, capsys: 
     assert OURS in capsys.readouterr().out
 
 
-def test_peers_measure_the_wavefront_and_ours_measures_it_best(result: Json, bench: Bench) -> None:
+def test_svwfs_measures_the_wavefront_better_than_peers(result: Json, bench: Bench) -> None:
     truth = noise_free(bench).truth
     assert truth is not None
     for kind in ("noise_free", "noisy"):

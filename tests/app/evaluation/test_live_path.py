@@ -268,7 +268,7 @@ def test_empty_run_misses_limits_and_is_valid_json() -> None:
     print_figures(figures)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="others do not tell it")
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report the memory")
 def test_resident_memory_matches_the_system() -> None:
     before_mb = resident_mb()
     held = np.ones(64 << 17)  # 64 MB

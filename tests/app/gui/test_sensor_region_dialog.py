@@ -115,7 +115,7 @@ def test_region_is_refused_while_recording(window: MainWindow, qtbot: QtBot, tmp
     window.controls.sensor_region.click()
     fill_in(window, Region(0, 0, 100, 100))
     window.region_dialog.apply.click()
-    qtbot.waitUntil(lambda: "A recording is under way" in text(window))
+    qtbot.waitUntil(lambda: "The region cannot change during a recording" in text(window))
     assert window._status is not None
     assert window._status.area.region == SENSOR
 

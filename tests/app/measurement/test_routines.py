@@ -178,7 +178,7 @@ def test_routine_restores_devices(devices: Devices, name: str, state: State) -> 
     assert name == "exposure" or left == state
 
 
-def test_light_and_sample_states_during_averages(devices: Devices) -> None:
+def test_averages_set_light_and_sample(devices: Devices) -> None:
     seen: set[tuple[bool, bool]] = set()
 
     def note(*_: object) -> None:

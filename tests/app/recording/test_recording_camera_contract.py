@@ -134,7 +134,7 @@ class TestRecordedLight(LightContract):
         with reopen() as light:
             yield light
 
-    def test_its_current_is_that_of_the_frames(self, light: LightSource) -> None:
+    def test_light_current_is_that_of_the_frames(self, light: LightSource) -> None:
         assert light.current_a == LIGHT_A
         with pytest.raises(BadValue):
             light.set_current(0.3)

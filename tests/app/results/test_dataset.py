@@ -28,7 +28,7 @@ def dataset(small_bench: SmallBench) -> xr.Dataset:
     return result_dataset(small_bench.reconstructor()(frame))
 
 
-def test_names_dimensions_and_units_of_results(dataset: xr.Dataset, tmp_path: Path) -> None:
+def test_results_have_documented_names_dimensions_and_units(dataset: xr.Dataset, tmp_path: Path) -> None:
     write_results(tmp_path / "r.nc", dataset, bench=BENCH, inputs={"frame": "f.tif", "reference": "r.tif"})
     with xr.open_dataset(tmp_path / "r.nc") as read:
         read.load()

@@ -208,7 +208,7 @@ def test_unknown_view_is_left_out(tmp_path: Path) -> None:
     assert not np.isnan(tifffile.imread(tmp_path / "psf.tif")).any()
 
 
-def test_psf_grid_of_a_recording(recording: Recording, tmp_path: Path) -> None:
+def test_exported_psf_grid_matches_recorded_wavefronts(recording: Recording, tmp_path: Path) -> None:
     bench = recording.bench
     with tifffile.TiffFile(exported(recording, "psf", tmp_path / "psf.tif")) as file:
         assert file.imagej_metadata is not None

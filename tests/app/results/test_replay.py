@@ -278,7 +278,9 @@ def test_changed_settings_do_not_fit_one_file(
     eventful: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_once: int
 ) -> None:
     monkeypatch.setattr(dataset, "_PIECE", at_once)
-    with pytest.raises(InputError, match="the settings changed between the frames: choose some that go together"):
+    with pytest.raises(
+        InputError, match="the settings changed between these frames: select frames with equal settings"
+    ):
         replayed(eventful.folder, out=tmp_path / "r.nc")
     assert not list(tmp_path.iterdir())
     replayed(eventful.folder, out=tmp_path / "r.nc", frames=f"{CHANGED}:")

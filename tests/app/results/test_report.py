@@ -257,7 +257,7 @@ def test_report_without_wavefronts_shows_images(mine: Recording, tmp_path: Path)
     assert not (tmp_path / "s.pdf").exists()
 
 
-def test_report_of_unfinished_or_single_frame_recordings(mine: Recording, tmp_path: Path) -> None:
+def test_unfinished_and_single_frame_recordings_are_reported(mine: Recording, tmp_path: Path) -> None:
     path = mine.folder / "run.json"
     whole = json.loads(path.read_text())
     short = {key: whole[key] for key in ("format", "bench", "complete")} | {"complete": False}

@@ -104,7 +104,7 @@ def test_recording_of_0_1_plays_as_a_camera() -> None:
         reference = devices.camera.read(1).pixels
         devices.stage.set_sample_in(True)
         frames = [devices.camera.read(1).pixels for _ in range(FRAMES)]
-    assert dark.mean() == pytest.approx(recording.calibration(0).dark.mean.mean(), abs=2)  # type: ignore[union-attr]
+    assert dark.mean() == pytest.approx(recording.calibration(0).dark.mean.mean(), abs=2)  # type: ignore[union-attr] # it has a dark
     assert reference.mean() == pytest.approx(recording.calibration(0).reference.mean.mean(), abs=2)
     np.testing.assert_array_equal(frames, [recording.pixels(index) for index in range(FRAMES)])
 

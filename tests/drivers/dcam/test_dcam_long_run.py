@@ -111,7 +111,7 @@ def test_long_run_accounts_for_every_frame() -> None:
     assert tally.read + tally.missing.total() == tally.next_index == taken
     assert taken >= duration_s / PERIOD_S
     assert set(tally.missing) - {""} == {"overwritten", "lost on the way", "damaged"}
-    print(f"{taken} frames: {tally.read} read, {dict(tally.missing)}, {time.perf_counter() - start_s:.0f} s")  # noqa: T201
+    print(f"{taken} frames: {tally.read} read, {dict(tally.missing)}, {time.perf_counter() - start_s:.0f} s")  # noqa: T201 - the figures of the run
 
 
 @pytest.mark.parametrize("speed", [50.0, 2000.0])

@@ -92,7 +92,7 @@ SWITCHING_ON = [
 CLOSING = [(b"CSF\r", b""), (b"CSS?\r", b"CSSAXF020BSF020CXF020DXF100\r\n")]
 
 
-def test_opening_switching_and_closing_byte_by_byte(clock: ManualClock) -> None:
+def test_bytes_from_opening_to_closing_match_protocol(clock: ManualClock) -> None:
     port = ScriptedPort(OPENING + SWITCHING_ON + CLOSING, clock)
     settings = CoolLEDSettings(port="COM7", channel="B", full_current_a=0.5, wavelength_nm=460)
     light = CoolLED(settings, wire=Wire(open_port=port.opener({}), clock=clock.now), sleep=clock.sleep)
@@ -127,7 +127,7 @@ def test_turned_knob_changes_current(device: CoolLEDWire, light: CoolLED) -> Non
         _ = light.is_on
 
 
-def test_wavelengths(device: CoolLEDWire, clock: ManualClock) -> None:
+def test_configured_wavelength_is_loaded_into_channel(device: CoolLEDWire, clock: ManualClock) -> None:
     with open_light(device, clock, channel="B", wavelength_nm=490) as light:
         assert device.lamps["B"].wavelength_nm == 490
         assert light.properties()["wavelength_nm"] == 490
@@ -135,7 +135,7 @@ def test_wavelengths(device: CoolLEDWire, clock: ManualClock) -> None:
         open_light(device, clock, channel="B", wavelength_nm=385)
 
 
-def test_a_pe_300(clock: ManualClock) -> None:
+def test_pe_300_opens_channels_without_wavelengths(clock: ManualClock) -> None:
     device = CoolLEDWire("pE-300")
     with open_light(device, clock, channel="C") as light:
         assert light.name == "CoolLED pE-300 channel C"

@@ -70,7 +70,7 @@ class TestContract(SerialLightContract):
     """In memory."""
 
 
-def test_opening_setting_and_closing_byte_by_byte(clock: ManualClock) -> None:
+def test_bytes_from_opening_to_closing_match_protocol(clock: ManualClock) -> None:
     setting = [
         (b"ml? 1\r\n", b"350\r\n"),
         (b"l? 1\r\n", b"200\r\n"),
@@ -160,7 +160,7 @@ def test_current_limit_is_no_fault() -> None:
     assert not status.fault
 
 
-def test_properties(device: DC4100Wire, light: ThorlabsDC4100) -> None:
+def test_properties_describe_channel_and_head(device: DC4100Wire, light: ThorlabsDC4100) -> None:
     assert light.properties() == {
         "name": "Thorlabs DC4100 M00266001 LED1",
         "is_on": False,
@@ -226,7 +226,7 @@ def test_lost_command_is_noticed(device: DC4100Wire, light: ThorlabsDC4100) -> N
     def lose_sets(command: str) -> Any:
         return [] if command.startswith("cc 0") else original(command)
 
-    device.answer = lose_sets  # type: ignore[method-assign]
+    device.answer = lose_sets  # type: ignore[method-assign] # injected fault
     with pytest.raises(DeviceError, match="set 200 mA instead of 100 mA"):
         light.set_current(0.1)
     assert not device.is_lit

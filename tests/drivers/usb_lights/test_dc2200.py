@@ -68,7 +68,7 @@ class TestContractGated(TestContract):
         return lambda: open_light(device, clock, gate="ttl", terminal=2)
 
 
-def test_opening_setting_and_closing_command_by_command(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+def test_commands_from_opening_to_closing_match_protocol(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     assert device.received == [
         "*IDN?",
         "OUTP 0",
@@ -144,7 +144,7 @@ def test_errors_are_queried_after_each_command(device: DC2200Wire, light: Thorla
             assert after == "SYST:ERR?"
 
 
-def test_properties(light: ThorlabsDC2200) -> None:
+def test_properties_describe_terminal_and_head(light: ThorlabsDC2200) -> None:
     light.set_current(0.2)
     light.set_on(True)
     properties = light.properties()

@@ -22,7 +22,7 @@ def test_values_match_scipy() -> None:
         np.testing.assert_allclose(values[k], special.eval_legendre(m, x) * special.eval_legendre(n, y), atol=1e-12)
 
 
-def test_positions_broadcast() -> None:
+def test_positions_are_broadcast() -> None:
     x, y = np.array([0.1, 0.5, -0.3]), np.array([[0.2], [-0.8]])
     grid = legendre(6, *np.meshgrid(x, y.ravel()))
     np.testing.assert_allclose(legendre(6, x, y), grid)

@@ -78,7 +78,7 @@ def test_efficiency_dark_current_and_clock_induced_charge_add_up() -> None:
 
 
 @pytest.mark.parametrize(("amplifier", "noise"), [("normal", 10.0), ("em", 37.0)])
-def test_read_noise_and_offset_of_each_amplifier(amplifier: str, noise: float) -> None:
+def test_each_amplifier_has_its_read_noise_and_offset(amplifier: str, noise: float) -> None:
     settings = replace(BARE, em_read_noise_e=(8.0, 25.0, 37.0), normal_read_noise_e=10.0, offset_counts=500.0)
     detector = Detector(settings, seed=5)
     exposure = replace(NORMAL, amplifier=amplifier)  # type: ignore[arg-type] # both literals, from parametrize
@@ -117,7 +117,7 @@ def test_multiplied_electrons_are_distributed_as_in_a_register(mean: float) -> N
     assert stats.ks_2samp(counts, truth).statistic < 1.95 * math.sqrt(2 / PIXELS) + 0.002
 
 
-def test_no_multiplication_at_gain_one_or_normal_amplifier() -> None:
+def test_gain_one_and_normal_amplifier_do_not_multiply() -> None:
     plain = counts_with(40.0)
     np.testing.assert_array_equal(plain, counts_with(40.0, replace(NORMAL, amplifier="em", em_gain=1.0)))
     np.testing.assert_array_equal(plain, counts_with(40.0, replace(NORMAL, em_gain=100.0)))

@@ -141,7 +141,7 @@ def test_tilt_moves_light_to_positive_x_by_f_over_k_times_slope() -> None:
     np.testing.assert_allclose(moved, np.broadcast_to(expected, moved.shape), atol=0.2)  # coarse pixels
 
 
-def test_the_screen_moves_with_its_shift() -> None:
+def test_screen_moves_with_its_shift() -> None:
     along_m = (np.arange(281) - 140) * 25e-6
     bowl = 4e6 * along_m[None, :] ** 2 / 2 - 3e6 * along_m[:, None] ** 2 / 2
     curved = PhaseScreen(bowl, 25e-6)

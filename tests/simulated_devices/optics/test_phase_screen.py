@@ -212,7 +212,7 @@ def test_too_large_screen_is_refused_with_allowed_values() -> None:
             make_sample(Simulation(screen=screen), SENSOR, FIELD)
 
 
-def test_screens_from_files(tmp_path: Path) -> None:
+def test_screens_are_read_from_files(tmp_path: Path) -> None:
     samples = quick(20)
     np.save(tmp_path / "screen.npy", samples)
     np.testing.assert_array_equal(read_screen(tmp_path / "screen.npy"), samples)

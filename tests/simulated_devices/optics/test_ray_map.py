@@ -20,13 +20,13 @@ def plane_and_bowl(slope_x: float, slope_y: float, bend_x: float) -> PhaseScreen
     return PhaseScreen(slope_x * x + slope_y * y + bend_x * x**2, 25e-6)
 
 
-def test_ray_through_collimated_beam() -> None:
+def test_collimated_beam_keeps_pupil_scale() -> None:
     rays = RayMap.near_pupil(distance_m=0.195, collimator_focal_length_m=0.2)
     assert rays.pupil_scale == 1
     assert rays.field_scale == pytest.approx(0.975)
 
 
-def test_ray_near_source() -> None:
+def test_ray_scales_near_source_depend_on_distance() -> None:
     rays = RayMap.near_source(distance_m=0.02, collimator_focal_length_m=0.2)
     # In the mask's own plane a ray is where its object point is; at the collimator it is where its pupil point is.
     assert (rays.pupil_scale, rays.field_scale) == pytest.approx((0.1, 0.9))
@@ -41,7 +41,7 @@ def test_footprint_is_pupil_plus_field() -> None:
     np.testing.assert_allclose(rays.footprint_half_width_m((4.0, 3.0), 1.0), [4.0, 3.5])
 
 
-def test_truth_of_a_plane_and_a_bowl_in_closed_form() -> None:
+def test_truth_of_plane_and_bowl_matches_closed_form() -> None:
     slope_x, slope_y, bend_x = 3000.0, -1000.0, 2e6
     rays = RayMap.near_pupil(distance_m=0.1, collimator_focal_length_m=0.2)
     shift_x, shift_y = 0.2e-3, -0.3e-3

@@ -75,7 +75,7 @@ class Course:
         return self._expected
 
     def poll(self) -> bool:
-        """Do what is due; return True once all is measured. Raises `RunError` or `InputError` if that is impossible."""
+        """Run the steps that are due; True at the end. Raises `RunError` or `InputError` if a step fails."""
         return next(self._steps, _DONE) is _DONE
 
     @property

@@ -1,4 +1,4 @@
-"""Counts of the frames of an acquisition by what became of them, and the memory of the process."""
+"""Frame counts of an acquisition by outcome, and the memory of the process."""
 
 from __future__ import annotations
 
