@@ -193,11 +193,11 @@ def _override(tree: dict[str, Any], override: str) -> None:
     except tomllib.TOMLDecodeError:
         parsed = value.strip()  # a bare word is a string
     if parsed is None or not sections or not key:
-        raise InputError(f"{override}: write section.key=value, for example registration.warp=affine")
+        raise InputError(f"setting {override!r}: write section.key=value, for example registration.warp=affine")
     for section in sections:
         tree = tree.setdefault(section, {})
         if not isinstance(tree, dict):
-            raise InputError(f"{override}: {section} is not a section")
+            raise InputError(f"setting {override!r}: {section} is not a section")
     tree[key] = parsed
 
 
