@@ -120,7 +120,7 @@ def test_overrides_change_settings() -> None:
 
 @pytest.mark.parametrize("override", ["warp=affine", "registration.warp", "=", "sensor.wavelength_m.x=1", ""])
 def test_malformed_override_is_refused(override: str) -> None:
-    with pytest.raises(InputError, match="^setting '"):
+    with pytest.raises(InputError, match=r"^setting '"):
         load_bench("live_demo", (override,))
 
 
