@@ -165,7 +165,7 @@ def test_auto_exposure_succeeds_with_8_bits() -> None:
         (Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], well_counts=30_000), "fill 47% .* do not follow"),
         (
             Scene(counts_per_a_s=1e6, exposure_range_s=C9100["em3"], current_range_a=Range(0.0, 0.0)),
-            "no current at all",
+            "the allowed current is zero",
         ),
     ],
 )
