@@ -35,7 +35,7 @@ _KEPT = 4096  # times per stage; a minute at the highest frame rate
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class StageTimes:
     """Statistics of one stage."""
 
     count: int = 0  # since the start
@@ -56,12 +56,12 @@ class _Ring:
         self._count += 1
         self._max_s = max(self._max_s, seconds)
 
-    def summary(self) -> Summary:
+    def summary(self) -> StageTimes:
         count = self._count
         if not count:
-            return Summary()
+            return StageTimes()
         p50_s, p99_s = np.percentile(self._times_s[:count], (50, 99))
-        return Summary(count, float(p50_s), float(p99_s), self._max_s)
+        return StageTimes(count, float(p50_s), float(p99_s), self._max_s)
 
 
 _TURN_S = 0.0005
@@ -115,6 +115,6 @@ class Timings:
         yield
         self.note(stage, time.perf_counter() - start_s)
 
-    def summary(self) -> dict[Stage, Summary]:
+    def summary(self) -> dict[Stage, StageTimes]:
         """Statistics of every stage."""
         return {stage: ring.summary() for stage, ring in self._rings.items()}

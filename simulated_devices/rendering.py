@@ -30,7 +30,7 @@ from simulated_devices.settings import Simulation
 _FORMAT = 3  # 3: an enlarged screen is the ensemble's own in its middle
 _FOLDERS_KEPT = 12
 
-Progress = Callable[[float], None]
+OnFraction = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,11 +94,11 @@ class Renderer:
         simulation = self.scene.simulation
         return source_points(mask, simulation.source, object_samples=simulation.object_samples)
 
-    def reference(self, mask: str, progress: Progress | None = None) -> NDArray[np.float32]:
+    def reference(self, mask: str, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, without the sample."""
         return self.model.irradiance(self.points(mask), progress=progress)
 
-    def state(self, mask: str, state: int, progress: Progress | None = None) -> NDArray[np.float32]:
+    def state(self, mask: str, state: int, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, with the sample in state number `state`."""
         return self.model.irradiance(self.points(mask), self.phase(state), progress=progress)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from app.acquisition.instrument import Instrument, Reconstruction
-from app.measurement.measurement import Counts, LightState, Measurement
+from app.measurement.measurement import FrameTotals, LightState, Measurement
 from app.measurement.routines.frames import next_frame
 from app.timing import Timings
 from drivers.interface import DeviceTimeout, Frame, FrameLost
@@ -27,7 +27,7 @@ class FramePath:
         """`must_stop_waiting` is polled at 10 Hz while waiting for a frame."""
         self._sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
-        self.counts = Counts()  # immutable: other threads read it
+        self.counts = FrameTotals()  # immutable: other threads read it
         self._next_index = 0
         self._clock_lag_s = math.inf  # this computer's clock minus the camera's
 

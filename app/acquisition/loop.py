@@ -18,7 +18,7 @@ from app.acquisition.frame_path import FramePath
 from app.acquisition.instrument import Instrument, Status
 from app.bench.config import Bench
 from app.errors import InputError, RunError
-from app.measurement.measurement import Counts, LightState, Measurement
+from app.measurement.measurement import FrameTotals, LightState, Measurement
 from app.measurement.routines.frames import WAIT_SLICE_S, Cancelled
 from app.recording.recorder import Recorder
 from app.timing import Timings, short_turns
@@ -84,7 +84,7 @@ class AcquisitionLoop:
         return f"{type(self.error).__name__}: {self.error}"
 
     @property
-    def counts(self) -> Counts:
+    def counts(self) -> FrameTotals:
         """Numbers of frames acquired, reconstructed and lost so far."""
         return self._path.counts
 

@@ -6,7 +6,7 @@ from typing import Any
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 
-FRAMES = 20  # averaged into the dark, and into the reference
+FRAMES = 20  # default number averaged into the dark, and into the reference
 
 
 def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from app.acquisition.instrument import Instrument
 from app.acquisition.loop import AcquisitionLoop, Activity
 from app.bench.config import write_bench
-from app.measurement.measurement import Counts, Measurement
+from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea
@@ -17,7 +17,7 @@ from drivers.interface import Frame, WrongState
 
 T = TypeVar("T")
 
-__all__ = ["Acquisition", "Activity", "Counts", "Measurement"]
+__all__ = ["Acquisition", "Activity", "FrameTotals", "Measurement"]
 
 
 class Acquisition(AcquisitionLoop):

@@ -6,9 +6,9 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from app.gui.widgets import label
-from app.timing import MEANINGS, STAGES, Stage, Summary
+from app.timing import MEANINGS, STAGES, Stage, StageTimes
 
-Summaries = Mapping[Stage, Summary]
+Summaries = Mapping[Stage, StageTimes]
 _COLUMNS = ("median", "99 %", "max")
 _WIDEST = "0000.0"
 
@@ -57,7 +57,7 @@ def timing_table(summaries: Summaries) -> str:
     return f"<table><tr><td></td><td>{' / '.join(_COLUMNS)}, ms&nbsp;</td><td></td></tr>{rows}</table>"
 
 
-def _numbers(summary: Summary) -> tuple[str, ...]:
+def _numbers(summary: StageTimes) -> tuple[str, ...]:
     """Format the times of a stage in ms."""
     times_s = (summary.p50_s, summary.p99_s, summary.max_s)
     return tuple(f"{seconds * 1e3:.1f}" if summary.count else "\N{EN DASH}" for seconds in times_s)

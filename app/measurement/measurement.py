@@ -12,7 +12,7 @@ SKIPPED = "passed over: the computer was behind, and a newer frame was there"  #
 
 
 @dataclass(frozen=True, slots=True)
-class Counts:
+class FrameTotals:
     """Numbers of frames since the loop began."""
 
     acquired: int = 0
@@ -35,7 +35,7 @@ class Measurement:
     frame: Frame
     wavefront: Wavefront | None
     problem: str  # why there is no wavefront; empty if there is one
-    counts: Counts
+    counts: FrameTotals
     exposure_end_s: float  # end of the exposure on this computer's clock, time.perf_counter()
     latency_s: float  # from then to this result
     refinement: RefinementState = RefinementState()  # with the bias that was applied, if any

@@ -13,7 +13,7 @@ from app.files import nearest_existing
 FORMAT = "svwfs recording 1"
 
 RUN = "run.json"
-FRAMES = "frames.jsonl"
+FRAME_LINES = "frames.jsonl"
 STORE = "frames.zarr"
 START = "start.npy"  # displacement of the frame before the first, px
 BIAS = "biases/{}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy), px
@@ -42,7 +42,7 @@ def read_run(folder: Path) -> dict[str, Any]:
 def check_free(folder: Path) -> None:
     """Raise `InputError` if no recording can begin in the folder."""
     try:
-        for name in (RUN, FRAMES, STORE):
+        for name in (RUN, FRAME_LINES, STORE):
             if (folder / name).exists():
                 raise InputError(f"{folder}: holds a recording already: {name}")
         _check_writable(folder)

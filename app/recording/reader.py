@@ -12,7 +12,7 @@ from app.bench.config import Bench, parse_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.recording.calibration_files import read_array, read_calibration
-from app.recording.folder import BEFORE, BIAS, CALIBRATION, FRAMES, PIXELS, RESULTS, RUN, START, STORE, read_run
+from app.recording.folder import BEFORE, BIAS, CALIBRATION, FRAME_LINES, PIXELS, RESULTS, RUN, START, STORE, read_run
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_lines import FrameLine
 from drivers.interface import Frame
@@ -61,7 +61,7 @@ class Recording:
     def refresh(self) -> int:
         """Look for new frames and for the end of the recording; return the number of frames."""
         try:
-            with (self.folder / FRAMES).open("rb") as file:
+            with (self.folder / FRAME_LINES).open("rb") as file:
                 file.seek(self._ends[-1])
                 while piece := file.read(_PIECE_BYTES):
                     after = file.tell() - len(piece) + 1
@@ -107,7 +107,7 @@ class Recording:
         if not 0 <= index < len(self):
             raise InputError(f"{self.folder}: has no frame {index}; it has {len(self)}")
         try:
-            with (self.folder / FRAMES).open("rb") as file:
+            with (self.folder / FRAME_LINES).open("rb") as file:
                 file.seek(self._ends[index])
                 text = file.read(self._ends[index + 1] - self._ends[index])
         except OSError as error:  # for example, the disk is gone
@@ -115,10 +115,10 @@ class Recording:
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
-            raise InputError(f"{self.folder / FRAMES}: line {index + 1} is damaged; {_HINT}") from error
+            raise InputError(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
         if line.index != index:
             found = f"line {index + 1} is of frame {line.index} instead of {index}"
-            raise InputError(f"{self.folder / FRAMES}: {found}; {_HINT}")
+            raise InputError(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
         return line
 
     def pixels(self, index: int) -> NDArray[np.uint16]:
@@ -208,4 +208,4 @@ class Recording:
         return self._arrays[name]
 
     def _unreadable(self, error: OSError) -> InputError:
-        return InputError(f"{self.folder / FRAMES}: cannot be read: {error.strerror or error}")
+        return InputError(f"{self.folder / FRAME_LINES}: cannot be read: {error.strerror or error}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from app.errors import InputError, RunError
 from app.files import atomic_write
-from app.recording.folder import FRAMES, PIXELS, RESULTS, RUN, STORE, lock
+from app.recording.folder import FRAME_LINES, PIXELS, RESULTS, RUN, STORE, lock
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
@@ -57,7 +57,7 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
     unfinished recording are moved to `frames.damaged.jsonl`. `InputError` if it is still being recorded.
     """
     recording = Recording(folder)
-    path = folder / FRAMES
+    path = folder / FRAME_LINES
     try:
         if not path.exists():
             path.touch()
@@ -154,7 +154,7 @@ def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
             shutil.copyfile(path, temporary)
         with atomic_write(path) as temporary, temporary.open("wb") as file:
             file.writelines(lines.in_place(frames))
-        return f"the original {FRAMES} is in {aside.name}; in the new one every line is in its place"
+        return f"the original {FRAME_LINES} is in {aside.name}; in the new one every line is in its place"
     if is_complete:
         return ""
     put_aside = ""

@@ -23,7 +23,7 @@ from app.recording.folder import (
     BIAS,
     CALIBRATION,
     FORMAT,
-    FRAMES,
+    FRAME_LINES,
     PIXELS,
     RESULTS,
     RUN,
@@ -119,7 +119,7 @@ class RecordingWriter:
             write_record(folder / RUN, self._run)
         except BaseException:
             self._lines.close()
-            (folder / FRAMES).unlink()
+            (folder / FRAME_LINES).unlink()
             raise
         self._arrays: dict[str, FrameArray] = {}
         self._calibrations = _Numbered[Calibration](
@@ -222,9 +222,9 @@ class _Numbered(Generic[T]):
 def _create_lines(folder: Path) -> IO[bytes]:
     """Create and lock `frames.jsonl`; refused to the second of two programs that begin at the same moment."""
     try:
-        lines = (folder / FRAMES).open("xb", buffering=0)
+        lines = (folder / FRAME_LINES).open("xb", buffering=0)
     except FileExistsError as error:
-        raise InputError(f"{folder}: holds a recording already: {FRAMES}") from error
+        raise InputError(f"{folder}: holds a recording already: {FRAME_LINES}") from error
     lock(lines)
     return lines
 

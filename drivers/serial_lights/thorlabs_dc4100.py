@@ -35,7 +35,7 @@ def discover() -> tuple[DiscoveredDevice, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class ChannelStatus:
     """Status register of one channel."""
 
     is_supply_bad: bool
@@ -45,7 +45,7 @@ class Status:
     is_at_limit: bool
 
     @classmethod
-    def decode(cls, register: int, channel: int) -> Status:
+    def decode(cls, register: int, channel: int) -> ChannelStatus:
         """Decode the odd bits, the states; the even bits flag changes since the last read."""
         bits = (1, 3, 5 + 2 * channel, 13 + 2 * channel, 21 + 2 * channel)
         return cls(*(bool(register >> bit & 1) for bit in bits))
@@ -158,8 +158,8 @@ class ThorlabsDC4100(LightSource):
     def _is_output_on(self) -> bool:
         return self._line.query(f"o? {self._channel}", "[01]")[0] == "1"
 
-    def _status(self) -> Status:
-        return Status.decode(int(self._line.query("r?", r"\d{1,10}")[0]), self._channel)
+    def _status(self) -> ChannelStatus:
+        return ChannelStatus.decode(int(self._line.query("r?", r"\d{1,10}")[0]), self._channel)
 
     def _choose(self, word: str, value: str) -> None:
         if self._line.query(f"{word}?", "[0-9]")[0] != value:

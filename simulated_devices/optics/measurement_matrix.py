@@ -23,7 +23,7 @@ from simulated_devices.optics.forward_model import ForwardModel, PointPhase
 
 _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an efficient matrix product
 
-Progress = Callable[[float], None]
+OnFraction = Callable[[float], None]
 
 
 class MeasurementMatrix:
@@ -64,7 +64,7 @@ class MeasurementMatrix:
         position_m: Floats,
         phase: PointPhase | None = None,
         *,
-        progress: Progress | None = None,
+        progress: OnFraction | None = None,
     ) -> Self:
         """Compute the matrix of `model` behind `phase` (None: the reference) for points (point, xy), and write it.
 

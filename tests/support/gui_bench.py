@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from app.acquisition.worker import Counts, Measurement
+from app.acquisition.worker import FrameTotals, Measurement
 from app.bench.config import Bench
 from drivers.interface import (
     BadValue,
@@ -215,7 +215,7 @@ def make_measurement(
     )
     wavefront = Wavefront(SENSOR, FIELD, displacement, _NoSolution(), views)
     return Measurement(
-        make_frame(pixels, index=index), wavefront, "", Counts(index + 1, index + 1, 0), time.perf_counter(), 0.004
+        make_frame(pixels, index=index), wavefront, "", FrameTotals(index + 1, index + 1, 0), time.perf_counter(), 0.004
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench, write_bench
-from app.measurement.measurement import Counts, Measurement
+from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import PIXELS, STORE
 from app.recording.frame_array import FrameArray
 from app.recording.reader import Recording
@@ -57,7 +57,7 @@ def record(
                     frame,
                     made.wavefront,
                     made.problem,
-                    Counts(),
+                    FrameTotals(),
                     exposure_end_s=0.0,
                     latency_s=0.0,
                     refinement=made.refinement,

@@ -17,7 +17,7 @@ from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 _DRIFT_M = 5e-6  # of the screen between the two frames: 0.03 rad, more than a live frame changes
 _BRIGHTEST = 2000.0  # counts of the noisy reference's brightest pixel
 _OFFSET, _READ_NOISE = 100.0, 8.0  # counts
-_REFERENCE_FRAMES = 20
+_REFERENCE_FRAMES = 20  # as start_up.FRAMES, whose import would add to the measured memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -30,7 +30,7 @@ from app.bench.settings import StreamSettings
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
 from app.measurement.live_refinement import RefinementState
-from app.measurement.measurement import Counts, Measurement
+from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.averages import Average
 from app.recording.reader import Recording
 from drivers.interface import Frame
@@ -75,7 +75,7 @@ def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Mea
         em_gain=8.0,
     )
     refinement = RefinementState("applied", 0.75, 0.01) if index % 2 else RefinementState()
-    return Measurement(frame, wavefront, problem, Counts(9, 8, 1), now_s - 0.02, 0.02, refinement)
+    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, refinement)
 
 
 class Subscriber:

@@ -33,7 +33,7 @@ from app.evaluation.benchmark.live_path.course import Course, Span
 from app.evaluation.benchmark.live_path.figures import LiveFigures, print_figures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
 from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
-from app.measurement.measurement import SKIPPED, Counts
+from app.measurement.measurement import SKIPPED, FrameTotals
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 from app.signals import ended_by
@@ -193,11 +193,11 @@ def test_figures_are_written_and_printed(seen: Seen, capsys: pytest.CaptureFixtu
 def test_tally_counts_frames_by_outcome() -> None:
     tally = Tally()
     made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
-    tally.take(replace(made, wavefront=None, problem="too dark", counts=Counts(1, 0, 0)))
+    tally.take(replace(made, wavefront=None, problem="too dark", counts=FrameTotals(1, 0, 0)))
     assert tally.first_wavefront_s is None
     before = tally.counts
-    tally.take(replace(made, wavefront=None, problem=SKIPPED, counts=Counts(2, 0, 1)))
-    tally.take(replace(made, counts=Counts(3, 1, 5)))
+    tally.take(replace(made, wavefront=None, problem=SKIPPED, counts=FrameTotals(2, 0, 1)))
+    tally.take(replace(made, counts=FrameTotals(3, 1, 5)))
     assert tally.first_wavefront_s is not None
     assert tally.counts == FrameCounts(acquired=3, reconstructed=1, passed_over=1, failed=1, lost=5)
     assert tally.counts.since(before) == FrameCounts(acquired=2, reconstructed=1, passed_over=1, failed=0, lost=5)

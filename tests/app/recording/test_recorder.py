@@ -15,7 +15,7 @@ from support.patience import HANG_S
 from support.records import FACTS, make_frame, make_record, wait, write
 
 from app.errors import InputError, RunError
-from app.measurement.measurement import Counts, Measurement
+from app.measurement.measurement import FrameTotals, Measurement
 from app.recording import recorder, writer
 from app.recording.reader import Recording
 from app.recording.recorder import BackgroundRecording, Recorder
@@ -25,7 +25,7 @@ from app.timing import Timings
 
 def measurement(index: int, *, host_time_s: float, lost: int = 0) -> Measurement:
     frame = replace(make_frame(index), host_time_s=host_time_s)
-    return Measurement(frame, None, "dark", Counts(index + 1, 0, lost), host_time_s, 0.01)
+    return Measurement(frame, None, "dark", FrameTotals(index + 1, 0, lost), host_time_s, 0.01)
 
 
 def test_recording_ends_after_the_requested_frames(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from app.bench.settings import Pace, RecordingSettings
 from app.commands.measure import measure
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import Counts, Measurement
+from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.averages import Average, average, take_dark, take_reference
 from app.recording.reader import Recording
 from app.recording.recorded_camera import AveragedFrames, RecordedCamera
@@ -263,7 +263,7 @@ def written(source: Recording, folder: Path, calibrations: tuple[Calibration | N
         for index in range(FRAMES):
             calibration = calibrations[index * len(calibrations) // FRAMES]
             frame = replace(source.frame(index), exposure_s=0.02 if index < FRAMES // 2 else 0.04)
-            writer.write(Record.of(Measurement(frame, None, "", Counts(), 0, 0, calibration=calibration), 0))
+            writer.write(Record.of(Measurement(frame, None, "", FrameTotals(), 0, 0, calibration=calibration), 0))
         writer.finish("", acquired=FRAMES, facts={})
     return Recording(folder)
 

@@ -18,7 +18,7 @@ from app.acquisition.instrument import Instrument, Reconstruction
 from app.acquisition.worker import Acquisition
 from app.bench.config import write_bench
 from app.errors import InputError
-from app.measurement.measurement import SKIPPED, Counts, Measurement
+from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from app.results.replay.player import Player
@@ -47,7 +47,7 @@ def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
         with one_blas_thread():
             wavefront = calibration.reconstructor()(recording.pixels(index))
         frame = replace(recording.frame(index), host_time_s=0.2 * index)
-        writer.write(Record.of(Measurement(frame, wavefront, "", Counts(), 0, 0, calibration=calibration), 0))
+        writer.write(Record.of(Measurement(frame, wavefront, "", FrameTotals(), 0, 0, calibration=calibration), 0))
     writer.finish("", acquired=FRAMES, facts={})
     writer.close()
     return Recording(folder)
@@ -106,7 +106,7 @@ def test_changed_settings_change_the_wavefronts(changing: Recording) -> None:
 def test_frames_without_calibration_are_refused(changing: Recording, tmp_path: Path) -> None:
     frame = changing.frame(0)
     writer = RecordingWriter(tmp_path / "run", {"command": "live", "bench": write_bench(changing.bench)})
-    writer.write(Record.of(Measurement(frame, None, "no reference yet", Counts(), 0, 0), 0))
+    writer.write(Record.of(Measurement(frame, None, "no reference yet", FrameTotals(), 0, 0), 0))
     writer.finish("", acquired=1, facts={})
     writer.close()
     with pytest.raises(InputError, match="have no calibration"):

@@ -18,7 +18,7 @@ from support.recordings import edit_line, record, remove_coefficients, replace_p
 
 from app.bench.config import write_bench
 from app.errors import InputError, Interrupted, RunError
-from app.measurement.measurement import SKIPPED, Counts, Measurement
+from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from app.results import dataset
@@ -223,7 +223,7 @@ def eventful(plain: Recording, tmp_path_factory: pytest.TempPathFactory) -> Reco
             if index == DARK:
                 frame = replace(frame, pixels=np.full_like(frame.pixels, 500))
             start = None if index == CHANGED else before
-            made = Measurement(frame, None, "", Counts(), 0, 0, calibration=calibration)
+            made = Measurement(frame, None, "", FrameTotals(), 0, 0, calibration=calibration)
             if index == UNCALIBRATED:
                 made = replace(made, calibration=None, problem="no reference yet")
             elif index == PASSED:

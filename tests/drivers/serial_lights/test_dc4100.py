@@ -14,7 +14,7 @@ from support.storm import storm_settings
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.serial_lights.line import Wire
 from drivers.serial_lights.settings import DC4100Settings
-from drivers.serial_lights.thorlabs_dc4100 import Status, ThorlabsDC4100
+from drivers.serial_lights.thorlabs_dc4100 import ChannelStatus, ThorlabsDC4100
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.serial import FaultKind, LineFault
@@ -149,13 +149,13 @@ def test_errors_are_queried_after_each_command(device: DC4100Wire, light: Thorla
     ],
 )
 def test_status_register_is_decoded(register: int, words: str) -> None:
-    fault = Status.decode(register, 2).fault
+    fault = ChannelStatus.decode(register, 2).fault
     assert words in fault
     assert bool(words) == bool(fault)
 
 
 def test_current_limit_is_no_fault() -> None:
-    status = Status.decode(1 << 25, 2)
+    status = ChannelStatus.decode(1 << 25, 2)
     assert status.is_at_limit
     assert not status.fault
 

@@ -12,7 +12,7 @@ from app.evaluation.benchmark.live_path.plan import LivePlan
 from app.evaluation.study_tables import print_line, print_table
 from app.recording.recorder import RecordingState
 from app.run_facts import machine_facts, timing_facts, versions
-from app.timing import Summary
+from app.timing import StageTimes
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,7 @@ def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
     ]
 
 
-def _milliseconds(times: Summary) -> str:
+def _milliseconds(times: StageTimes) -> str:
     if not times.count:
         return "none"
     return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
