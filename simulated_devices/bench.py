@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from simulated_devices.clock import Clock
+from simulated_devices.optics.forward_model import OnFraction
 from simulated_devices.rendering import ImageCache, Renderer, Scene
 from simulated_devices.rendering_ahead import RenderingAhead
 from simulated_devices.sample import Playback
@@ -25,7 +25,6 @@ the reference reach 60 % with the square and 150 ms, 86 % with the 50 um pinhole
 
 _POLL_S = 0.2
 _REFERENCE_SHARE = 0.25  # of the time to prepare
-_Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +60,7 @@ class SimulatedBench:
         *,
         cache_folder: Path,
         clock: Clock | None = None,
-        progress: _Progress | None = None,
+        progress: OnFraction | None = None,
     ) -> None:
         self.camera_settings, self.light_settings = camera_settings, light_settings
         self.sensor, self.simulation = scene.sensor, scene.simulation
@@ -92,7 +91,7 @@ class SimulatedBench:
             self._prepare(condition.mask, None)
         self._history.append((self.clock.now(), condition))
 
-    def render_reference(self, mask: str, progress: _Progress | None = None) -> NDArray[np.float32]:
+    def render_reference(self, mask: str, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, without the sample; rendered once."""
         if mask not in self._references:
             image = self._cache.load(mask, "reference")
@@ -151,7 +150,7 @@ class SimulatedBench:
         state = self._playbacks[condition.mask].state_at(time_s)
         return self._films[condition.mask][state], state
 
-    def _prepare(self, mask: str, progress: _Progress | None) -> None:
+    def _prepare(self, mask: str, progress: OnFraction | None) -> None:
         """Render the reference and the first state of `mask`, and start to render its other states."""
         self.render_reference(mask, _part(progress, 0.0, _REFERENCE_SHARE))
         if mask not in self._films:
@@ -186,6 +185,6 @@ class SimulatedBench:
         self._playbacks[mask].states = len(film)
 
 
-def _part(progress: _Progress | None, start: float, end: float) -> _Progress | None:
+def _part(progress: OnFraction | None, start: float, end: float) -> OnFraction | None:
     """Map the 0 ... 1 of one step to its part of the whole."""
     return progress and (lambda fraction: progress(start + fraction * (end - start)))

@@ -10,7 +10,6 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
-from simulated_devices.optics.forward_model import ForwardModel, PointPhase
+from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointPhase
 from simulated_devices.optics.ray_map import truth_wavefront
 from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.sample import Sample, make_sample, shift_m
@@ -29,8 +28,6 @@ from simulated_devices.settings import Simulation
 
 _FORMAT = 3  # 3: an enlarged screen is the ensemble's own in its middle
 _FOLDERS_KEPT = 12
-
-OnFraction = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,6 +29,8 @@ from simulated_devices.optics.source import SourcePoints
 Images: TypeAlias = NDArray[np.float32]
 PointPhase: TypeAlias = Callable[[float, float], Images]
 """Phase that the light of the object point (x_m, y_m) has at the pupil samples: (sample_row, sample_column), rad."""
+OnFraction: TypeAlias = Callable[[float], None]
+"""Progress callback; receives the share that is done, 0 ... 1."""
 
 _Share = TypeVar("_Share")
 
@@ -113,7 +115,7 @@ class ForwardModel:
         return phase
 
     def irradiance(
-        self, source: SourcePoints, phase: PointPhase | None = None, *, progress: Callable[[float], None] | None = None
+        self, source: SourcePoints, phase: PointPhase | None = None, *, progress: OnFraction | None = None
     ) -> Images:
         """Image of `source` on the camera, (row, column), float32, in m^2; without `phase` it is the reference.
 
@@ -151,7 +153,7 @@ class ForwardModel:
             self._share_out(work, pool)
             return self._pixels.evaluate_each(waves, pool.map)
 
-    def _accumulate(self, source: SourcePoints, phase: PointPhase | None, progress: Callable[[float], None]) -> Images:
+    def _accumulate(self, source: SourcePoints, phase: PointPhase | None, progress: OnFraction) -> Images:
         # Points of one object column share the work along x: a thread takes whole columns.
         lit = np.flatnonzero(source.area_m2)  # grids of openings contain dark points
         order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]

@@ -8,7 +8,6 @@ as a Zarr v3 array (point, row, column), a block of points per chunk, each chunk
 
 import shutil
 import uuid
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,11 +18,9 @@ from zarr.codecs import Crc32cCodec
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import require
-from simulated_devices.optics.forward_model import ForwardModel, PointPhase
+from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointPhase
 
 _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an efficient matrix product
-
-OnFraction = Callable[[float], None]
 
 
 class MeasurementMatrix:
