@@ -28,7 +28,7 @@ QUICK := tests/reconstruction tests/drivers tests/simulated_devices/detector tes
     --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py \
     --ignore tests/reconstruction/lattice/test_lattice_refusal.py
 
-check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, about a minute
+check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, one to two minutes
 	$(PYTEST) -q -m 'not soak' $(QUICK)
 
 test: setup c-compiler ## every test but the soaks, about five minutes

@@ -169,7 +169,7 @@ def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> Simu
     """
     from app.evaluation.simulated_frames import simulated_frames
 
-    return simulated_frames(bench, frames, noise_free=noise_free)
+    return simulated_frames(_bench(bench), frames, noise_free=noise_free)
 
 
 def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None) -> Lattice:
@@ -206,7 +206,7 @@ def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None)
     from reconstruction.lattice.search import survey
 
     background = None if dark is None else as_image(dark, "dark")
-    return survey(as_image(reference, "reference"), bench.sensor, dark=background).lattice
+    return survey(as_image(reference, "reference"), _bench(bench).sensor, dark=background).lattice
 
 
 def reconstructor(
@@ -248,7 +248,7 @@ def reconstructor(
     """
     from app.measurement.bench_reconstructor import BenchReconstructor
 
-    return BenchReconstructor(bench, reference, dark=dark, full_scale=full_scale)
+    return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale)
 
 
 def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:
@@ -325,7 +325,7 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
     from reconstruction.quality.image_quality import psf as point_spread
     from reconstruction.quality.image_quality import psf_angles_rad, psf_reach_rad
 
-    phase, sensor = wavefront.at(x_m, y_m), wavefront.sensor
+    phase, sensor = _wavefront(wavefront).at(x_m, y_m), wavefront.sensor
     angle_rad = psf_angles_rad(sensor, psf_reach_rad(phase, sensor))
     values = point_spread(phase, sensor, angle_rad=angle_rad)
     angles = {name: (name, angle_rad, {"units": "rad"}) for name in ("angle_y", "angle_x")}
@@ -357,7 +357,7 @@ def to_dataset(wavefront: Wavefront) -> xr.Dataset:
     """
     from app.results.dataset import result_dataset
 
-    return result_dataset(wavefront)
+    return result_dataset(_wavefront(wavefront))
 
 
 def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
@@ -389,7 +389,7 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
 
     from app.results.dataset import result_dataset, write_results
 
-    write_results(Path(path), result_dataset(wavefront), bench=bench, inputs={})
+    write_results(Path(path), result_dataset(_wavefront(wavefront)), bench=_bench(bench), inputs={})
 
 
 def open_result(path: str | Path) -> xr.Dataset:
@@ -497,7 +497,31 @@ def live(bench: Bench, *, average: int = 20) -> LiveBench:
     """
     from app.acquisition.session import LiveBench
 
-    return LiveBench(bench, average=average)
+    return LiveBench(_bench(bench), average=average)
+
+
+def _bench(bench: object) -> Bench:
+    """Refuse anything but a bench; a name is read."""
+    from app.bench.config import Bench
+    from app.errors import InputError
+
+    if isinstance(bench, str):
+        return load_bench(bench)
+    if not isinstance(bench, Bench):
+        raise InputError(f"a bench is needed, as load_bench returns it, not {type(bench).__name__}")
+    return bench
+
+
+def _wavefront(wavefront: object) -> Wavefront:
+    """Refuse anything but a wavefront."""
+    from app.errors import InputError
+    from reconstruction.wavefront import Wavefront
+
+    if not isinstance(wavefront, Wavefront):
+        raise InputError(
+            f"a wavefront is needed, not {type(wavefront).__name__}; Measurement.problem says why it is None"
+        )
+    return wavefront
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from support.documents import python_blocks
 from support.paths import DOCS, FOREIGN_FRAMES, ROOT
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 
 import svwfs
 from app.bench.config import Bench
@@ -251,6 +252,71 @@ def test_results_of_another_bench_are_not_taken_for_the_recordings_own(bench: Be
     )
     svwfs.save_result(folder / "results.nc", reconstruct(recording.frames[0].values), reconstruct.bench)
     assert svwfs.open_recording(folder).results().equals(own)
+
+
+def test_bench_may_be_a_presets_name_and_nothing_else(images: SimulatedFrames) -> None:
+    assert svwfs.simulate("small_demo", noise_free=True).frames.shape == (1, 240, 256)  # type: ignore[arg-type] # a name
+    with pytest.raises(svwfs.InputError, match="a bench is needed, as load_bench returns it, not dict"):
+        svwfs.reconstructor({}, images.reference)  # type: ignore[arg-type] # no bench
+    with pytest.raises(svwfs.InputError, match="write text"):
+        svwfs.load_bench("small_demo", None)  # type: ignore[arg-type] # no text
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        svwfs.to_dataset,
+        lambda it: svwfs.psf(it, 0, 0),
+        lambda it: svwfs.save_result("r.nc", it, svwfs.load_bench("small_demo")),
+    ],
+    ids=["to_dataset", "psf", "save_result"],
+)
+def test_missing_wavefront_is_refused(use: Callable[[Any], object]) -> None:
+    with pytest.raises(svwfs.InputError, match=r"Measurement.problem"):
+        use(None)
+
+
+@pytest.mark.parametrize("number", ["3", 2.5, None, float("nan")])
+def test_numbers_of_frames_and_rounds_are_whole(number: Any, bench: Bench, images: SimulatedFrames) -> None:
+    with pytest.raises(svwfs.InputError, match="whole number"):
+        svwfs.simulate(bench, number)
+    reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    with pytest.raises(svwfs.InputError, match="whole number"):
+        svwfs.refine(reconstruct, images.frames[0], number)
+
+
+def test_ctrl_c_ends_the_recording(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with svwfs.live(bench, average=2) as live:
+        next(iter(live))
+
+        def interrupt(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as during:
+            during.setattr(live._arrived, "wait", interrupt)
+            with pytest.raises(KeyboardInterrupt):
+                live.record(tmp_path / "first", frames=1000)
+        wait_until(lambda: live._acquisition.recording.stage == "finished")  # type: ignore[union-attr] # begun
+        live.record(tmp_path / "second", frames=2)
+    assert len(svwfs.open_recording(tmp_path / "first")) < 1000
+    assert len(svwfs.open_recording(tmp_path / "second")) == 2
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_forked_process_can_reconstruct(tmp_path: Path) -> None:
+    program = """
+import os, svwfs
+bench = svwfs.load_bench("small_demo")
+images = svwfs.simulate(bench)
+reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+reconstruct(images.frames[0])
+child = os.fork()
+if not child:
+    os._exit(int(not reconstruct(images.frames[0]).displacement.valid.all()))
+raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    command = [sys.executable, "-W", "ignore", "-c", program]
+    assert subprocess.run(command, timeout=HANG_S, check=False, cwd=tmp_path).returncode == 0  # noqa: S603 - our own
 
 
 def test_live_bench_closes_the_devices_after_an_error(bench: Bench) -> None:

@@ -14,6 +14,7 @@ from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
+from app.measurement.bench_reconstructor import whole_number
 from app.measurement.measurement import Measurement
 from drivers.interface import WrongState
 
@@ -123,13 +124,17 @@ class LiveBench:
         RunError
             If the recording ended early; the frames so far are kept.
         """
-        folder = Path(folder)
-        self._result(self._acquisition.start_recording(folder, command="python", frames=frames))
-        while (state := self._acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
-            with self._arrived:
-                self._arrived.wait(_WAIT_S)
-            if not self._acquisition.is_alive:
-                self._raise_failure()
+        folder, acquisition = Path(folder), self._acquisition
+        self._result(acquisition.start_recording(folder, command="python", frames=whole_number(frames, "frames")))
+        try:
+            while (state := acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
+                with self._arrived:
+                    self._arrived.wait(_WAIT_S)
+                if not acquisition.is_alive:
+                    self._raise_failure()
+        except BaseException:  # Ctrl-C, too: the frames so far are a recording
+            acquisition.stop_recording()
+            raise
         if state is not None and state.problem:
             self._raise_failure()
             raise RunError(state.problem)

@@ -186,6 +186,8 @@ def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
 
 
 def _override(tree: dict[str, Any], override: str) -> None:
+    if not isinstance(override, str):
+        raise InputError(f'setting {override!r}: write text "section.key=value"')
     path, equals, value = override.partition("=")
     *sections, key = path.strip().split(".")
     try:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.noise_free import NoiseFreeFrames
+from app.measurement.bench_reconstructor import whole_number
 from reconstruction.arrays import Counts, Floats, Image
 from simulated_devices.detector.emccd import Detector, Exposure
 
@@ -47,6 +48,7 @@ def simulated_frames(bench: Bench, frames: int = 1, *, noise_free: bool = False)
     InputError
         If `frames` is not 1 ... the number of states of a drifting sample, or if the bench cannot be rendered.
     """
+    frames = whole_number(frames, "frames")
     is_moving = bench.simulation.screen.is_drifting
     most = bench.simulation.drifting_states if is_moving else 10_000
     if not 1 <= frames <= most:

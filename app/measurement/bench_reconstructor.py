@@ -1,5 +1,6 @@
 """Reconstruction of frames that are arrays, with refinement by the bench's forward model."""
 
+import operator
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
@@ -53,7 +54,7 @@ class BenchReconstructor:
 
     def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
-        if most < 0:
+        if whole_number(most, "rounds") < 0:
             raise InputError(f"{most} rounds of refinement are impossible: give 0 or more")
         return self._refinement.rounds(self._reconstructor.register(as_image(frame, "frame")), most)
 
@@ -67,13 +68,26 @@ class BenchReconstructor:
 
 def as_image(image: ArrayLike, what: str) -> Counts:
     """Return an image (row, column), counts, as an array; `ReconstructionError` if it is none."""
+    if isinstance(image, np.ma.MaskedArray):
+        raise ReconstructionError(f"the {what} is a masked array: fill the masked pixels first", image=what)
     array = np.asarray(image)
     if array.ndim != 2 or not array.size or array.dtype.kind not in "uif":
         size = " x ".join(map(str, array.shape)) or "a single number"
         raise ReconstructionError(
             f"the {what} must be an array (row, column) of counts: this is {size}, {array.dtype}", image=what
         )
+    with np.errstate(over="ignore"):
+        if array.dtype.kind == "f" and not np.isfinite(array.astype(np.float32)).all():
+            raise ReconstructionError(f"the {what} holds values that are not finite", image=what)
     return cast("Counts", array)
+
+
+def whole_number(value: object, what: str) -> int:
+    """Return an integer of any type as int; `InputError` if it is none."""
+    try:
+        return operator.index(value)  # type: ignore[arg-type] # refused below
+    except TypeError as error:
+        raise InputError(f"{what} must be a whole number, not {value!r}") from error
 
 
 def full_scale_of(image: NDArray[Any], bits: int) -> float:

@@ -112,10 +112,12 @@ def stack_frames(
 
 def open_results(path: Path | str) -> xr.Dataset:
     """Open a file of results; arrays are read when they are used. `InputError` if it holds none."""
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file")
     try:
         dataset = xr.open_dataset(path, engine="h5netcdf")
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be opened as results: {error}") from error
+        raise InputError(f"{path}: cannot be opened as results: it is not a NetCDF-4 file") from error
     if "wavefront" not in dataset:
         dataset.close()
         raise InputError(f"{path}: holds no results: there is no variable wavefront in it")

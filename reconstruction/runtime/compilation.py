@@ -16,9 +16,11 @@ _SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_PACKAGE
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile with Numba on the first call; a typed wrapper of the untyped decorator."""
-    dispatcher: Any = numba.njit(nogil=True, cache=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")(
-        function
-    )
+    options: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
+    try:
+        dispatcher: Any = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # no folder for the cache can be written
+        return cast("Callable[P, R]", numba.njit(**options)(function))
     # Numba checks only the function's file for changes, but inlines functions and constants of other files. Its version
     # is checked before the rest of the cache is read, which may name classes that no longer exist.
     dispatcher._cache._cache_file._version = f"{numba.__version__} {_SOURCES}"  # noqa: SLF001 - there is no public way

@@ -1,5 +1,6 @@
 """Persistent worker threads, and a limit on the threads of BLAS."""
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -14,6 +15,10 @@ from reconstruction.runtime.process_setting import ProcessSetting
 def worker_pool(threads: int) -> ThreadPoolExecutor:
     """Pool of that many threads besides the caller, shared by the whole process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="reconstruction")
+
+
+if hasattr(os, "register_at_fork"):  # a forked process inherits the pools, but not their threads
+    os.register_at_fork(after_in_child=worker_pool.cache_clear)
 
 
 def one_blas_thread() -> AbstractContextManager[None]:

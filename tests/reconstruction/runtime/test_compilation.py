@@ -7,17 +7,41 @@ import pickle
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numba
+import pytest
 from support.patience import HANG_S
 
 import reconstruction
+from reconstruction.runtime.compilation import compiled
+from simulated_devices.optics.compiled import compiled as simulator_compiled
 
 PROGRAM = """
 import numpy as np
 from reconstruction.solve.weights import mean_variance
 print(mean_variance(np.ones((1, 1, 2, 1, 2))))
 """
+
+
+@pytest.mark.parametrize("compiled", [compiled, simulator_compiled], ids=["reconstruction", "simulator"])
+def test_code_is_compiled_uncached_where_no_cache_can_be_written(
+    compiled: Callable[[Callable[[float], float]], Callable[[float], float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    njit = numba.njit
+
+    def without_folder(**options: Any) -> Any:
+        if options.pop("cache", False):
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(**options)
+
+    def double(x: float) -> float:
+        return 2 * x
+
+    monkeypatch.setattr(numba, "njit", without_folder)
+    assert compiled(double)(21.0) == 42.0
 
 
 def test_changed_constant_of_another_file_triggers_recompilation(tmp_path: Path) -> None:
