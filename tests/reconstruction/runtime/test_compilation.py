@@ -32,10 +32,10 @@ def test_code_is_compiled_uncached_where_no_cache_can_be_written(
 ) -> None:
     njit = numba.njit
 
-    def without_folder(**options: Any) -> Any:
+    def without_folder(*functions: Any, **options: Any) -> Any:
         if options.pop("cache", False):
             raise RuntimeError("cannot cache function: no locator available")
-        return njit(**options)
+        return njit(*functions, **options)
 
     def double(x: float) -> float:
         return 2 * x
