@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from app.acquisition.start_up import FRAMES
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.noise_free import NoiseFreeFrames
 from app.measurement.bench_reconstructor import whole_number
 from reconstruction.arrays import Counts, Floats, Image
 from simulated_devices.detector.emccd import Detector, Exposure
-
-_AVERAGED = 20  # frames in the dark and in the reference, as in the live program
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,12 +74,12 @@ def simulated_frames(bench: Bench, frames: int = 1, *, noise_free: bool = False)
             return detector.counts(photons, replace(settings, index=index))
 
         def mean(photons: Image, first: int) -> Image:
-            total = sum(counts(photons, first + index).astype(np.float64) for index in range(_AVERAGED))
-            return np.asarray(total / _AVERAGED, np.float32)
+            total = sum(counts(photons, first + index).astype(np.float64) for index in range(FRAMES))
+            return np.asarray(total / FRAMES, np.float32)
 
         return SimulatedFrames(
-            reference=mean(reference, _AVERAGED),
+            reference=mean(reference, FRAMES),
             dark=mean(np.zeros_like(reference), 0),
-            frames=np.stack([counts(photons, 2 * _AVERAGED + index) for index, photons in enumerate(light)]),
+            frames=np.stack([counts(photons, 2 * FRAMES + index) for index, photons in enumerate(light)]),
             truth=truth,
         )

@@ -312,7 +312,7 @@ def test_area_change_is_refused_during_recording(
     acquisition, measurements = live_small
     area = SensorArea(Region(0, 0, 160, 160), 1)
     acquisition.start_recording(tmp_path / "whole").result(HANG_S)
-    with pytest.raises(WrongState, match="stop it first"):
+    with pytest.raises(WrongState, match="stop the recording"):
         acquisition.set_area(area).result(HANG_S)
     assert measurements[-1].frame.pixels.shape == (172, 240)
     acquisition.stop_recording()
