@@ -21,8 +21,10 @@ setup: qt-libraries .venv/ready ## make .venv; with root, install the system lib
 run: setup ## the live window on the simulated bench
 	.venv/bin/svwfs live
 
-# Two processes, each with one thread of linear algebra; a file's tests stay together because they share fixtures.
-PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n 2 --dist loadfile
+# Some tests wait for a clock, so one process more than a small computer has cores; each has one thread of linear
+# algebra. The tests of a file stay together because they share fixtures.
+PROCESSES ?= 3
+PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(PROCESSES) --dist loadfile
 
 QUICK := tests/reconstruction tests/drivers tests/simulated_devices/detector tests/app/bench \
     --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py \
