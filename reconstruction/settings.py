@@ -7,12 +7,12 @@ from typing import Literal
 from reconstruction.geometry import require
 
 PupilBasis = Literal["legendre", "zernike"]
-Warp = Literal["translation", "affine", "quadratic", "cubic"]
+Warp = Literal["translation", "affine", "quadratic", "cubic", "quartic"]
 Method = Literal[
     "gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine", "block_flow", "demons", "ffd"
 ]
 PUPIL_MODES = range(3, 1001)  # allowed numbers
-FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10}
+FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

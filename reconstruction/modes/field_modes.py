@@ -83,7 +83,7 @@ def gradient_basis(modes: PolynomialModes) -> Floats:
     Returns
     -------
     (parameter, 2Q)
-        Orthonormal coefficients (x modes, y modes): 2, 5, 9, 14 for Q = 1, 3, 6, 10.
+        Orthonormal coefficients (x modes, y modes): 2, 5, 9, 14, 20 for Q = 1, 3, 6, 10, 15.
     """
     degree = round((math.sqrt(8 * modes.count + 1) - 3) / 2)
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)))

@@ -57,9 +57,9 @@ class ReferenceSubimages:
         cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
         self.turn = np.array([[cosine, sine], [-sine, cosine]])  # row vectors: lattice frame @ turn = camera
 
-        steps = centered_steps(int(lattice.pitch_px))
-        self.width = steps.size
-        y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
+        self.steps_px = centered_steps(int(lattice.pitch_px))  # of a window's columns, and of its rows
+        self.width = self.steps_px.size
+        y, x = (grid.ravel() for grid in np.meshgrid(self.steps_px, self.steps_px, indexing="ij"))
         self.offset_px = np.stack([x, y], axis=-1)  # window positions about the centre, lattice frame, (N, xy)
         position_px = self.center_px[:, None] + self.offset_px @ self.turn
         edge = np.array(reference.shape[::-1]) - 1

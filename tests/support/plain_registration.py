@@ -14,7 +14,7 @@ from scipy import ndimage
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
 
-_ORDERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))  # degrees along x, along y
+_ORDERS = [(degree - n, n) for degree in range(5) for n in range(degree + 1)]  # degrees along x, along y
 _MARGIN_BLURS = 1.3
 _STEP_PX = 1e-3  # of numerical derivatives
 _STEPS = 40
@@ -28,8 +28,9 @@ def plain_registration(
     lattice: Lattice,
     field: Field,
     field_modes: int,
+    rotation: bool = True,
 ) -> Floats:
-    """Coefficients c_q, px, (lenslet_row, lenslet_column, field_mode, xy)."""
+    """Coefficients c_q, px, (lenslet_row, lenslet_column, field_mode, xy); without `rotation`, of a gradient."""
     half_width_px = field.half_width_px(sensor)
     blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
     reach = int(half_width_px + _MARGIN_BLURS * blur_px)
@@ -38,8 +39,8 @@ def plain_registration(
     orders = _ORDERS[:field_modes]
 
     def modes(x: Floats, y: Floats) -> Floats:
-        along_x = legendre.legvander(x / half_width_px, 3)
-        along_y = legendre.legvander(y / half_width_px, 3)
+        along_x = legendre.legvander(x / half_width_px, 4)
+        along_y = legendre.legvander(y / half_width_px, 4)
         return np.stack([along_x[:, m] * along_y[:, n] for m, n in orders])
 
     def by_x(function: object) -> Floats:
@@ -52,6 +53,14 @@ def plain_registration(
 
     splines = [ndimage.spline_filter(image.astype(float), order=3, mode="mirror") for image in (reference, frame)]
     mode_values, mode_by_x, mode_by_y = modes(x, y), by_x(modes), by_y(modes)
+    basis = np.eye(2 * field_modes)
+    if not rotation:
+        powers = [(m - n, n) for m in range(1, orders[-1][1] + 2) for n in range(m + 1)]
+        potentials = (lambda x, y, m=m, n=n: (x / half_width_px) ** m * (y / half_width_px) ** n for m, n in powers)
+        gradients = [np.concatenate([by_x(potential), by_y(potential)]) for potential in potentials]
+        displacements = np.kron(np.eye(2), mode_values)
+        basis = np.linalg.lstsq(displacements.T, np.transpose(gradients))[0].T
+        basis = np.linalg.qr(basis.T)[0].T
     found = np.zeros((sensor.lenslet_rows, sensor.lenslet_columns, field_modes, 2))
     centers = lattice.lenslet_centers_px(sensor.lenslet_rows, sensor.lenslet_columns)
     for row, column in np.ndindex(found.shape[:2]):
@@ -66,7 +75,7 @@ def plain_registration(
             return np.asarray(look(splines[0], x, y) * modes(x, y))
 
         light = look(splines[0], x, y)
-        descent = np.concatenate([by_x(carried), by_y(carried), [light, np.ones_like(light)]])
+        descent = np.concatenate([basis @ np.concatenate([by_x(carried), by_y(carried)]), [light, np.ones_like(light)]])
         inverse = np.linalg.pinv(descent @ descent.T, rcond=1e-12, hermitian=True) @ descent
         c, gain, offset = np.zeros((field_modes, 2)), 1.0, 0.0
         for _ in range(_STEPS):
@@ -75,7 +84,7 @@ def plain_registration(
             stretch = (1 + xu) * (1 + yv) - xv * yu
             residual = (gain * look(splines[1], x + d[0], y + d[1]) + offset) * stretch - light
             step = inverse @ residual
-            c = c - step[:-2].reshape(2, field_modes).T
+            c = c - (step[:-2] @ basis).reshape(2, field_modes).T
             gain, offset = gain * (1 - step[-2]), offset * (1 - step[-2]) - step[-1]
             if np.abs(step[:-2]).max() < 1e-6:
                 break

@@ -32,7 +32,7 @@ _PIVOT = 1e-12  # of the elimination; below it the remaining pixels do not deter
 class Grid(NamedTuple):
     """The reference as one warp uses it: L lenslets, N pixels, Q field modes, P parameters (gain, offset last)."""
 
-    uv: Image  # normalised positions of the pixels about the lenslet centre, (xy, N)
+    steps: Image  # normalised positions of the window's columns about the lenslet centre, and of its rows
     scale: tuple[np.float32, np.float32]  # px per unit of u and v; its inverse if flux is conserved, else 0
     monomials: Image  # the field modes as polynomials of u and v, (Q, monomial)
     basis: Image  # the displacement (x modes, y modes) of each parameter, (P - 2, 2Q)
@@ -85,7 +85,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
         if not np.max(np.abs(displacement)) < _BOUND_PX:
             return State(np.float32(np.inf), LOST_PX, gain, contrast, is_partial)
         warp = warp_polynomials(displacement, grid.monomials)
-        sample_warped(frame.coefficients, warp, grid.uv, frame.center_px[lenslet], frame.turn, grid.scale, scratch)
+        sample_warped(frame.coefficients, warp, grid.steps, frame.center_px[lenslet], frame.turn, grid.scale, scratch)
         if iteration == 0:
             gain, offset, contrast = _brightness(scratch.light, grid.light[lenslet])
             gain_before, offset_before = gain, offset
@@ -165,7 +165,7 @@ def _shift(change: Image, warp: Image, grid: Grid, shift: Image) -> None:
 @compiled
 def _leaves_cell(warp: Image, grid: Grid, half_cell_px: np.float32) -> bool:
     """True if a warp (xy, monomial) moves the window's border into a neighbour's cell."""
-    edge = abs(grid.uv[0, 0])  # the first pixel is a corner
+    edge = abs(grid.steps[0])
     for row in range(-1, 2):
         for column in range(-1, 2):
             u, v = edge * np.float32(column), edge * np.float32(row)

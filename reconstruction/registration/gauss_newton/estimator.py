@@ -53,19 +53,18 @@ class GaussNewton:
     ) -> None:
         """Prepare for warps of the given field modes, and for that many threads."""
         self._reference, self._modes, self._threads = reference, modes, threads
-        offset_px = reference.offset_px
-        near = np.abs(offset_px).max(axis=1) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
-        coarse = near & np.all(np.mod(offset_px - offset_px[0], 2) == 0, axis=1)
+        near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
+        coarse = near & (np.arange(reference.width) % 2 == 0)
         self._start = prepare_template(reference, LegendreModes(1), coarse, conserve_flux=conserve_flux)
         self._warp = prepare_template(
             reference, modes, near, conserve_flux=conserve_flux, rotation=rotation, noise=reference.noise
         )
         self._search = prepare_search(reference)
-        self._errors = ErrorPropagation(reference, self._warp, near)
+        self._errors = ErrorPropagation(reference, self._warp, np.outer(near, near).ravel())
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
-        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(near)
+        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(near) ** 2
         self._limits = FitLimits(
             start_iterations=8,
             start_tolerance_px=np.float32(0.1),  # only the start of the warp
@@ -93,7 +92,7 @@ class GaussNewton:
             self._modes,
             fits.displacement.astype(np.float64),
             covariance=errors.covariance,
-            residual_rms=np.sqrt(fits.square / warp.grid.uv.shape[1]) / warp.contrast.max(),
+            residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.contrast.max(),
             chi_square=errors.chi_square,
             contrast=fits.contrast,
             faults={

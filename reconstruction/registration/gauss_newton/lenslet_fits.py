@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.registration.gauss_newton.alignment import LOST_PX, FrameData, Grid, State, fit_warp
-from reconstruction.registration.gauss_newton.warped_sampling import Scratch, new_scratch, sample_warped
+from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS, Scratch, new_scratch, sample_warped
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 
@@ -18,7 +18,7 @@ class WholePixelSearch(NamedTuple):
     """Whole-pixel correlation search, used when Gauss-Newton fails, with the middle of the reference's windows."""
 
     light: Image  # minus its mean, over its contrast, (L, rows, columns)
-    uv: Image  # normalised positions of a patch wider by `reach` pixels on each side, (xy, N)
+    steps: Image  # normalised positions of the columns, and rows, of a patch wider by `reach` pixels on each side
     scale: tuple[np.float32, np.float32]  # px per unit of u and v, and 0: no flux
     reach: int  # the largest shift, px
 
@@ -64,9 +64,9 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     `start` is the reference for translations on a coarse grid, `warp` that for the warps. If these fail, the
     whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
     """
-    scratch = new_scratch(warp.uv.shape[1])
-    coarse = new_scratch(start.uv.shape[1])
-    patch = new_scratch(search.uv.shape[1])
+    scratch = new_scratch(warp.steps.size)
+    coarse = new_scratch(start.steps.size)
+    patch = new_scratch(search.steps.size)
     cell = frame.half_cell_px
     settled = (limits.iterations, limits.tolerance_px)
     for lenslet in range(first, fits.gain.size, step):
@@ -140,10 +140,11 @@ def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
     light = reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner]
     light = light - light.mean(axis=(1, 2), keepdims=True)
     light /= np.maximum(light.std(axis=(1, 2), keepdims=True), np.finfo(np.float32).tiny)
-    near = np.abs(reference.offset_px).max(axis=1) <= (width - 1) / 2 + reach
+    steps_px = reference.steps_px
+    steps_px = steps_px[np.abs(steps_px) <= (width - 1) / 2 + reach]
     return WholePixelSearch(
         light=light.astype(np.float32),
-        uv=np.ascontiguousarray(reference.offset_px[near].T / reference.half_width_px, np.float32),
+        steps=(steps_px / reference.half_width_px).astype(np.float32),
         scale=(np.float32(reference.half_width_px), np.float32(0.0)),
         reach=reach,
     )
@@ -154,8 +155,8 @@ def _best_shift(
     frame: FrameData, search: WholePixelSearch, lenslet: int, displacement: Image, scratch: Scratch
 ) -> None:
     """Set the displacement (xy, Q) to the whole-pixel shift with the best correlation."""
-    still = np.zeros((2, 10), np.float32)
-    sample_warped(frame.coefficients, still, search.uv, frame.center_px[lenslet], frame.turn, search.scale, scratch)
+    still = np.zeros((2, len(MONOMIALS)), np.float32)
+    sample_warped(frame.coefficients, still, search.steps, frame.center_px[lenslet], frame.turn, search.scale, scratch)
     template, reach = search.light[lenslet], search.reach
     rows, columns = template.shape
     width = columns + 2 * reach

@@ -68,18 +68,19 @@ class Template:
 def prepare_template(
     reference: ReferenceSubimages,
     modes: PolynomialModes,
-    pixels: Mask,
+    columns: Mask,
     *,
     conserve_flux: bool,
     rotation: bool = True,
     noise: CameraNoise | None = None,
 ) -> Template:
-    """Prepare a warp with the field modes T_q on some pixels (N,) of the windows.
+    """Prepare a warp with the field modes T_q on some columns (width,) of the windows, and the same rows.
 
     For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, the second term from the flux;
     those of gain and offset are I0 and 1. Without `noise` all pixels have equal weight. Without `rotation` the
     displacement is the gradient of a potential over the field.
     """
+    pixels = np.outer(columns, columns).ravel()
     u, v = reference.offset_px[pixels].T / reference.half_width_px
     values = modes.values(u, v)
     slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
@@ -87,7 +88,7 @@ def prepare_template(
     basis = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
     lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
     grid = Grid(
-        uv=np.ascontiguousarray([u, v], np.float32),
+        steps=(reference.steps_px[columns] / reference.half_width_px).astype(np.float32),
         scale=(np.float32(reference.half_width_px), np.float32(flux)),
         monomials=_monomials(modes),
         basis=basis.astype(np.float32),
@@ -133,7 +134,7 @@ def _monomials(modes: PolynomialModes) -> Image:
     powers = np.stack([u**m * v**n for m, n in MONOMIALS])
     values = modes.values(u, v)
     monomials = values @ np.linalg.pinv(powers)
-    require({"the field modes of a warp must be cubic at most": bool(np.allclose(monomials @ powers, values))})
+    require({"the field modes of a warp must be quartic at most": bool(np.allclose(monomials @ powers, values))})
     return monomials.astype(np.float32)
 
 

@@ -1,10 +1,10 @@
 """Compiled inner loop of the registration: sampling a frame where a warped window lands.
 
-A warp is a pair of cubic polynomials, for x and for y, of the normalised position (u, v) in the window, with the
-monomials 1, u, v, u^2, uv, v^2, u^3, u^2 v, u v^2, v^3: a few operations per pixel.
+A warp is a pair of quartic polynomials, for x and for y, of the normalised position (u, v) in the window. In a row of
+pixels v is constant, so that a few operations per pixel remain.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, Image
 from reconstruction.runtime.compilation import compiled
 
-MONOMIALS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))  # powers of u and v
-_ONE, _TWO, _THREE, _HALF = np.float32(1.0), np.float32(2.0), np.float32(3.0), np.float32(0.5)
+MONOMIALS = tuple((degree - n, n) for degree in range(5) for n in range(degree + 1))  # powers of u and v
+_ONE, _TWO, _THREE, _FOUR, _HALF = np.float32(1.0), np.float32(2.0), np.float32(3.0), np.float32(4.0), np.float32(0.5)
 _SIXTH, _TWO_THIRDS = np.float32(1 / 6), np.float32(2 / 3)
 _NEXT, _NEXT_BUT_ONE, _LAST = np.uint64(1), np.uint64(2), np.uint64(3)  # columns of a 4 x 4 neighbourhood
+
+Polynomial: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32, np.float32]  # rising powers of u
 
 
 class Scratch(NamedTuple):
@@ -32,8 +34,9 @@ class Scratch(NamedTuple):
 
 
 @compiled
-def new_scratch(pixels: int) -> Scratch:
-    """Allocate work arrays for windows of that many pixels."""
+def new_scratch(width: int) -> Scratch:
+    """Allocate work arrays for windows of that many columns and rows."""
+    pixels = width * width
     return Scratch(
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
@@ -60,56 +63,69 @@ def warp_polynomials(displacement: Image, monomials: Image) -> Image:
 @compiled
 def warp_value(p: Image, u: np.float32, v: np.float32) -> np.float32:
     """Value of one polynomial (monomial,) at (u, v)."""
-    along = p[2] + v * (p[5] + v * p[9])
-    across = p[1] + v * (p[4] + v * p[8])
-    value: np.float32 = p[0] + v * along + u * (across + u * (p[3] + v * p[7] + u * p[6]))
+    c0, c1, c2, c3, c4 = _along_row(p, v)
+    value: np.float32 = c0 + u * (c1 + u * (c2 + u * (c3 + u * c4)))
     return value
+
+
+@compiled
+def _along_row(p: Image, v: np.float32) -> Polynomial:
+    """Coefficients of a polynomial (monomial,) in powers of u at a given v."""
+    return (
+        p[0] + v * (p[2] + v * (p[5] + v * (p[9] + v * p[14]))),
+        p[1] + v * (p[4] + v * (p[8] + v * p[13])),
+        p[3] + v * (p[7] + v * p[12]),
+        p[6] + v * p[11],
+        p[10],
+    )
+
+
+@compiled
+def _across_row(p: Image, v: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
+    """Coefficients of a polynomial's derivative with respect to v, in powers of u at a given v."""
+    return (
+        p[2] + v * (_TWO * p[5] + v * (_THREE * p[9] + v * _FOUR * p[14])),
+        p[4] + v * (_TWO * p[8] + v * _THREE * p[13]),
+        p[7] + v * _TWO * p[12],
+        p[11],
+    )
 
 
 @compiled
 def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their place
     coefficients: Image,
     warp: Image,
-    uv: Image,
+    steps: Image,
     center_px: Floats,
     turn: Image,
     scale: tuple[np.float32, np.float32],
     scratch: Scratch,
 ) -> None:
-    """Sample a frame at the positions of the warped pixels uv (xy, N) of a lenslet's window; fill `scratch`.
+    """Sample a frame at the positions of the warped pixels of a lenslet's square window; fill `scratch`.
 
     The frame is given by its spline coefficients (row, column); beyond its border the nearest inner position is
-    sampled. center_px (xy,), turn (cosine, sine) and warp (xy, monomial), px, place the window. `scale`: px per unit of
-    u and v, and its inverse to conserve flux or 0.
+    sampled. `steps` are the normalised positions of the window's columns, and of its rows. center_px (xy,), turn
+    (cosine, sine) and warp (xy, monomial), px, place the window. `scale`: px per unit of u and v, and its inverse to
+    conserve flux or 0.
     """
-    per_unit, flux = scale
     rows, columns = coefficients.shape
     last_x, last_y = np.float32(columns - 3), np.float32(rows - 3)
-    # Warp plus identity, in camera coordinates.
-    to_x, to_y = np.empty(10, np.float32), np.empty(10, np.float32)
-    for m in range(10):
-        along_x, along_y = warp[0, m], warp[1, m]
-        if m == 1:
-            along_x += per_unit
-        if m == 2:
-            along_y += per_unit
-        to_x[m], to_y[m] = turn[0] * along_x - turn[1] * along_y, turn[1] * along_x + turn[0] * along_y
-    to_x[0] += np.float32(center_px[0])
-    to_y[0] += np.float32(center_px[1])
-    a, b = warp[0] * flux, warp[1] * flux
-    u_all, v_all, x_all, y_all, weights = uv[0], uv[1], scratch.x, scratch.y, scratch.weights
+    x_all, y_all, stretch, weights = scratch.x, scratch.y, scratch.stretch, scratch.weights
+    width = steps.size
+    for row in range(width):
+        (x0, x1, x2, x3, x4), (y0, y1, y2, y3, y4) = _camera_row(warp, steps[row], center_px, turn, scale[0])
+        s0, s1, s2, s3, s4, s5, s6 = _stretch_row(warp, steps[row], scale[1])
+        first = row * width
+        for column in range(width):
+            u = steps[column]
+            x = x0 + u * (x1 + u * (x2 + u * (x3 + u * x4)))
+            y = y0 + u * (y1 + u * (y2 + u * (y3 + u * y4)))
+            x_all[first + column] = min(max(x, _ONE), last_x)
+            y_all[first + column] = min(max(y, _ONE), last_y)
+            stretch[first + column] = s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * (s5 + u * s6)))))
     for n in range(x_all.size):
-        u, v = u_all[n], v_all[n]
-        x_all[n] = min(max(warp_value(to_x, u, v), _ONE), last_x)
-        y_all[n] = min(max(warp_value(to_y, u, v), _ONE), last_y)
-        xu = _ONE + a[1] + v * (a[4] + v * a[8]) + u * (_TWO * (a[3] + v * a[7]) + _THREE * u * a[6])
-        xv = a[2] + u * (a[4] + u * a[7]) + v * (_TWO * (a[5] + u * a[8]) + _THREE * v * a[9])
-        yu = b[1] + v * (b[4] + v * b[8]) + u * (_TWO * (b[3] + v * b[7]) + _THREE * u * b[6])
-        yv = _ONE + b[2] + u * (b[4] + u * b[7]) + v * (_TWO * (b[5] + u * b[8]) + _THREE * v * b[9])
-        scratch.stretch[n] = xu * yv - xv * yu
-    for n in range(x_all.size):
-        column, row = np.int32(x_all[n]), np.int32(y_all[n])
-        t, w = x_all[n] - np.float32(column), y_all[n] - np.float32(row)
+        left, above = np.int32(x_all[n]), np.int32(y_all[n])
+        t, w = x_all[n] - np.float32(left), y_all[n] - np.float32(above)
         s, r = _ONE - t, _ONE - w
         weights[0, n], weights[3, n] = _SIXTH * s * s * s, _SIXTH * t * t * t
         weights[1, n], weights[2, n] = (
@@ -121,8 +137,59 @@ def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their
             _TWO_THIRDS - w * w * (_ONE - _HALF * w),
             _TWO_THIRDS - r * r * (_ONE - _HALF * r),
         )
-        scratch.corner[n] = (row - 1) * columns + column - 1
+        scratch.corner[n] = (above - 1) * columns + left - 1
     _interpolate(coefficients.reshape(-1), np.uint64(columns), scratch)
+
+
+@compiled
+def _camera_row(
+    warp: Image, v: np.float32, center_px: Floats, turn: Image, per_unit: np.float32
+) -> tuple[Polynomial, Polynomial]:
+    """Positions x and y on the camera, px, in the row at v of a warped window, in powers of u."""
+    x0, x1, x2, x3, x4 = _along_row(warp[0], v)
+    y0, y1, y2, y3, y4 = _along_row(warp[1], v)
+    x1, y0 = x1 + per_unit, y0 + per_unit * v
+    c, s = turn[0], turn[1]
+    return (
+        (
+            c * x0 - s * y0 + np.float32(center_px[0]),
+            c * x1 - s * y1,
+            c * x2 - s * y2,
+            c * x3 - s * y3,
+            c * x4 - s * y4,
+        ),
+        (
+            s * x0 + c * y0 + np.float32(center_px[1]),
+            s * x1 + c * y1,
+            s * x2 + c * y2,
+            s * x3 + c * y3,
+            s * x4 + c * y4,
+        ),
+    )
+
+
+@compiled
+def _stretch_row(
+    warp: Image, v: np.float32, flux: np.float32
+) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
+    """Determinant of a warp in the row at v, in powers of u: x_u y_v - y_u x_v."""
+    _, x1, x2, x3, x4 = _along_row(warp[0], v)
+    _, y1, y2, y3, y4 = _along_row(warp[1], v)
+    a0, a1, a2, a3 = _across_row(warp[0], v)
+    b0, b1, b2, b3 = _across_row(warp[1], v)
+    x1, x2, x3, x4 = _ONE + flux * x1, _TWO * flux * x2, _THREE * flux * x3, _FOUR * flux * x4
+    y1, y2, y3, y4 = flux * y1, _TWO * flux * y2, _THREE * flux * y3, _FOUR * flux * y4
+    a0, a1, a2, a3 = flux * a0, flux * a1, flux * a2, flux * a3
+    b0, b1, b2, b3 = _ONE + flux * b0, flux * b1, flux * b2, flux * b3
+    return (
+        x1 * b0 - y1 * a0,
+        x1 * b1 + x2 * b0 - y1 * a1 - y2 * a0,
+        x1 * b2 + x2 * b1 + x3 * b0 - y1 * a2 - y2 * a1 - y3 * a0,
+        x1 * b3 + x2 * b2 + x3 * b1 + x4 * b0 - y1 * a3 - y2 * a2 - y3 * a1 - y4 * a0,
+        x2 * b3 + x3 * b2 + x4 * b1 - y2 * a3 - y3 * a2 - y4 * a1,
+        x3 * b3 + x4 * b2 - y3 * a3 - y4 * a2,
+        x4 * b3 - y4 * a3,
+    )
 
 
 @compiled

@@ -59,7 +59,7 @@ class ItkAffine:
         self._scale = _BRIGHTEST / reference.light[reference.lit].max()
         windows = reference.light.reshape(-1, reference.width, reference.width)
         self._windows = (windows * self._scale).astype(np.float32)
-        every = np.ones(len(reference.offset_px), np.bool_)
+        every = np.ones(reference.width, np.bool_)
         self._covariance = prepare_template(reference, self._modes, every, conserve_flux=False).per_pixel.covariance
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew

@@ -34,7 +34,7 @@ def test_mean_displacement_is_mean_over_field() -> None:
         np.testing.assert_allclose(displacement.mean, np.einsum("rcqv,q->rcv", coefficients, values), atol=1e-4)
 
 
-@pytest.mark.parametrize(("count", "parameters"), [(1, 2), (3, 5), (6, 9), (10, 14)])
+@pytest.mark.parametrize(("count", "parameters"), [(1, 2), (3, 5), (6, 9), (10, 14), (15, 20)])
 @pytest.mark.parametrize("kind", [LegendreModes, ZernikeModes])
 def test_gradient_basis_spans_all_gradients_and_has_no_circulation(
     kind: type[LegendreModes | ZernikeModes], count: int, parameters: int
@@ -49,8 +49,8 @@ def test_gradient_basis_spans_all_gradients_and_has_no_circulation(
     np.testing.assert_allclose(curl, 0, atol=1e-10)
     values = modes.values(x, y)
     fields = np.concatenate([basis[:, :count] @ values, basis[:, count:] @ values], axis=1)
-    degree = {1: 1, 3: 2, 6: 3, 10: 4}[count]
-    powers = [(m, n) for m in range(5) for n in range(5) if 0 < m + n <= degree]
+    degree = {1: 1, 3: 2, 6: 3, 10: 4, 15: 5}[count]
+    powers = [(m, n) for m in range(6) for n in range(6) if 0 < m + n <= degree]
     assert len(powers) == parameters
     for m, n in powers:  # the potential x^m y^n
         gradient = np.concatenate([m * x ** max(m - 1, 0) * y**n, n * x**m * y ** max(n - 1, 0)])

@@ -38,19 +38,30 @@ def _random_frame(bench: SmallBench, seed: int) -> Image:
     return np.asarray(frame + rng.normal(0, 0.01 * frame.max(), frame.shape), np.float32)
 
 
-def _found(bench: SmallBench, frame: Image, warp: Warp, threads: int = 2) -> Displacement:
-    estimate = prepare_registration(bench.subimages(), RegistrationSettings(warp=warp, threads=threads), FIELD)
+def _found(bench: SmallBench, frame: Image, warp: Warp, *, rotation: bool = True, threads: int = 2) -> Displacement:
+    settings = RegistrationSettings(warp=warp, rotation=rotation, threads=threads)
+    estimate = prepare_registration(bench.subimages(), settings, FIELD)
     return estimate(frame, saturated=np.zeros(frame.shape, np.bool_))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("warp", ["affine", "quadratic", "cubic"])
-def test_compiled_registration_matches_plain_numpy(bench: SmallBench, warp: Warp, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("warp", "rotation"),
+    [(warp, rotation) for warp in ("affine", "quadratic", "cubic") for rotation in (True, False)]
+    + [("quartic", False)],
+)
+def test_compiled_registration_matches_plain_numpy(bench: SmallBench, warp: Warp, rotation: bool, seed: int) -> None:
     frame = _random_frame(bench, seed)
     plain = plain_registration(
-        bench.reference, frame, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, field_modes=FIELD_MODES[warp]
+        bench.reference,
+        frame,
+        sensor=bench.sensor,
+        lattice=bench.lattice,
+        field=FIELD,
+        field_modes=FIELD_MODES[warp],
+        rotation=rotation,
     )
-    found = _found(bench, frame, warp)
+    found = _found(bench, frame, warp, rotation=rotation)
     assert found.valid.all()
     assert np.abs(plain).max() > 0.3
     np.testing.assert_allclose(found.coefficients, plain, atol=SAME_PX)
@@ -59,6 +70,6 @@ def test_compiled_registration_matches_plain_numpy(bench: SmallBench, warp: Warp
 @pytest.mark.parametrize("threads", [2, 3])
 def test_result_does_not_depend_on_threads(bench: SmallBench, threads: int) -> None:
     frame = _random_frame(bench, 3)
-    one, more = _found(bench, frame, "quadratic", 1), _found(bench, frame, "quadratic", threads)
+    one, more = (_found(bench, frame, "quadratic", threads=count) for count in (1, threads))
     np.testing.assert_array_equal(one.coefficients, more.coefficients)
     np.testing.assert_array_equal(one.covariance, more.covariance)

@@ -12,11 +12,12 @@ from app.errors import InputError
 from app.progress import Progress
 from app.recording.recorder import RECENT_S
 from app.signals import ended_by
+from reconstruction.settings import FIELD_MODES
 
 LEAST_S, MOST_S = 1.0, 3600.0
 _WITHOUT_WINDOW_S = 20.0  # at most
 _MEMORY_S = 50.0  # at the end of the run, at most
-_MOST_FIELD_MODES = 10
+_MOST_FIELD_MODES = max(FIELD_MODES.values())
 _BLOCKS_BYTES = 4 * 4096  # overhead of a frame's folder, files and line
 _MORE_FRAMES = 50  # equivalent of dark, reference and files written once
 _MARGIN = 1.1
