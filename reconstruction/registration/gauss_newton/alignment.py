@@ -24,8 +24,10 @@ _BOUND_PX = np.float32(100.0)  # largest coefficient of a displacement; float32 
 _GROWTH = np.float32(2.0)  # reject a step if the squared residual grows more; converging fits reach 1.5
 _SMALL_PX = np.float32(0.1)  # smaller steps are never rejected
 _HALVINGS = 4
-_FIRST_SHRINKS = np.float32(0.3)  # assumed ratio of the second step to the first
-_SHRINKS = np.float32(0.15)  # smallest ratio of two steps: one coefficient may settle before the others
+_SHRINKS = np.float32(0.3)  # ratio of the second step to the first, if the reference does not show all parameters
+_SHRINKS_UNBENT = np.float32(0.02)  # the same ratio if it does show them, for a small displacement ...
+_SHRINKS_PER_GRADIENT = np.float32(1.5)  # ... and its increase with the displacement's RMS gradient
+_SHRINKS_LEAST = np.float32(0.15)  # of later steps: one parameter may settle before the others
 _PIVOT = 1e-12  # of the elimination; below it the remaining pixels do not determine the displacement
 
 
@@ -34,12 +36,15 @@ class Grid(NamedTuple):
 
     steps: Image  # normalised positions of the window's columns about the lenslet centre, and of its rows
     scale: tuple[np.float32, np.float32]  # px per unit of u and v; its inverse if flux is conserved, else 0
-    monomials: Image  # the field modes as polynomials of u and v, (Q, monomial)
-    basis: Image  # the displacement (x modes, y modes) of each parameter, (P - 2, 2Q)
+    monomials: Image  # the displacement of each parameter as polynomials of u and v, (P - 2, xy, monomial)
+    basis: Image  # the same as coefficients (x modes, y modes), (P - 2, 2Q)
     light: Image  # I0, counts, (L, N)
     inverse: Image  # A, (L, P, N)
     descent: Image  # J, the steepest-descent images, (L, P, N)
     weight: Image  # of the pixels, 1 on average, 0 for unusable ones, (L, N)
+    normal: Image  # J W J^T, (L, P, P)
+    bend: Image  # mean squared gradient of each parameter's displacement over the field, per px^2, (P - 2,)
+    is_gradient: bool  # the displacement is a gradient, of which the reference shows all parameters
 
 
 class FrameData(NamedTuple):
@@ -56,8 +61,8 @@ class FrameData(NamedTuple):
 class State(NamedTuple):
     """A fit and its quality."""
 
-    square: np.float32  # weighted sum of the residual's squares, as if no pixel were excluded
-    step_px: np.float32  # largest change of a coefficient in the last step
+    square: np.float32  # weighted sum of the residual's squares after the last step, as if no pixel were excluded
+    step_px: np.float32  # largest change of a parameter in the last step
     gain: np.float32
     contrast: np.float32  # standard deviation of the light at the start, counts
     is_partial: bool  # some pixels were excluded
@@ -67,19 +72,17 @@ class State(NamedTuple):
 def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles to fast code
     frame: FrameData, grid: Grid, lenslet: int, displacement: Image, limits: tuple[int, np.float32], scratch: Scratch
 ) -> State:
-    """Improve the displacement (xy, Q), px, of one lenslet in place.
+    """Improve the displacement of one lenslet, given by its parameters (P - 2,), px, in place.
 
     `limits`: the number of iterations, and the tolerance, px. A step that increases the residual is halved; a fit that
     still increases it, or leaves all bounds, is lost. Gain and offset start from means and contrasts.
     """
-    modes, inverse, weight = displacement.shape[1], grid.inverse[lenslet], grid.weight[lenslet]
-    parameters = inverse.shape[0]
-    change, step = np.zeros(parameters, np.float32), np.float32(np.inf)
-    shift = np.zeros(2 * modes, np.float32)
+    inverse, weight = grid.inverse[lenslet], grid.weight[lenslet]
+    change, step = np.zeros(inverse.shape[0], np.float32), np.float32(np.inf)
     gain, offset, contrast = np.float32(1.0), np.float32(0.0), np.float32(0.0)
     gain_before, offset_before, before, square = gain, offset, np.float32(np.inf), np.float32(np.inf)
     is_partial: bool = False
-    renew, halvings = True, 0
+    renew, halvings, settled = True, 0, False
     left = np.empty((0, 0), np.float64)
     for iteration in range(limits[0]):
         if not np.max(np.abs(displacement)) < _BOUND_PX:
@@ -105,61 +108,60 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
             halvings += 1
             if halvings > _HALVINGS:
                 return State(square, LOST_PX, gain, contrast, is_partial)
-            for p in range(parameters):
+            for p in range(change.size):
                 change[p] *= np.float32(0.5)
-            for axis in range(2):
-                for q in range(modes):
-                    shift[axis * modes + q] *= np.float32(0.5)
-                    displacement[axis, q] += shift[axis * modes + q]
+            for p in range(displacement.size):
+                displacement[p] += change[p]
             step *= np.float32(0.5)
         else:
             before, gain_before, offset_before = square, gain, offset
             _project(inverse, scratch.residual, change)
             if is_partial and not _solve(left.copy(), change):
                 return State(square, LOST_PX, gain, contrast, is_partial)
-            _shift(change, warp, grid, shift)
             last, step = step, np.float32(0.0)
-            for axis in range(2):
-                for q in range(modes):
-                    displacement[axis, q] -= shift[axis * modes + q]
-                    step = max(step, abs(shift[axis * modes + q]))
+            for p in range(displacement.size):
+                displacement[p] -= change[p]
+                step = max(step, abs(change[p]))
+            shrinks = _SHRINKS if is_partial else _second_step(displacement, grid)
+            if iteration > 0:
+                shrinks = min(max(step / last, min(shrinks, _SHRINKS_LEAST)), np.float32(0.9))
             # The remaining change, if the steps keep shrinking at this rate.
-            shrinks = _FIRST_SHRINKS if iteration == 0 else min(max(step / last, _SHRINKS), np.float32(0.9))
-            if step * shrinks / (np.float32(1.0) - shrinks) < limits[1]:
-                break
+            settled = bool(step * shrinks / (np.float32(1.0) - shrinks) < limits[1])
         renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two sets of excluded pixels would never settle
         fainter = np.float32(1.0) - change[-2]
         gain, offset = gain_before * fainter, offset_before * fainter - change[-1]
+        if settled:
+            if not is_partial:
+                square = max(square - _explained(grid.normal[lenslet], change), np.float32(0.0))
+            break
     if not (gain > 0 and np.max(np.abs(displacement)) < _BOUND_PX):
         step = LOST_PX
     return State(square, step, gain, contrast, is_partial)
 
 
 @compiled
-def _shift(change: Image, warp: Image, grid: Grid, shift: Image) -> None:
-    """Convert a change of the parameters (P,) to one of the displacement (2Q,) in the frame.
+def _second_step(displacement: Image, grid: Grid) -> np.float32:
+    """Expected ratio of the second step to the first, for a displacement with the parameters (P - 2,).
 
-    The mean gradient of the warp (xy, monomial) stretches it; what then lies outside the basis is projected out.
+    The steps assume that a displaced subimage keeps its shape. On the screens of docs/estimator.md the ratio is at most
+    twice the RMS gradient of the displacement, 1.1 times for most lenslets.
     """
-    basis, per_unit = grid.basis, grid.scale[0]
-    count, modes = basis.shape[0], basis.shape[1] // 2
-    shift[:] = 0
-    for p in range(count):
-        for k in range(2 * modes):
-            shift[k] += change[p] * basis[p, k]
-    for q in range(modes):
-        x, y = shift[q], shift[modes + q]
-        shift[q] += (warp[0, 1] * x + warp[0, 2] * y) / per_unit
-        shift[modes + q] += (warp[1, 1] * x + warp[1, 2] * y) / per_unit
-    if count < 2 * modes:
-        within = np.zeros(count, np.float32)
-        for p in range(count):
-            for k in range(2 * modes):
-                within[p] += basis[p, k] * shift[k]
-        shift[:] = 0
-        for p in range(count):
-            for k in range(2 * modes):
-                shift[k] += within[p] * basis[p, k]
+    if not grid.is_gradient:
+        return _SHRINKS
+    square = np.float32(0.0)
+    for p in range(displacement.size):
+        square += grid.bend[p] * displacement[p] * displacement[p]
+    return min(_SHRINKS_UNBENT + _SHRINKS_PER_GRADIENT * np.sqrt(square), _SHRINKS)
+
+
+@compiled
+def _explained(normal: Image, change: Image) -> np.float32:
+    """Weighted sum of squares that a change of the parameters (P,) removes from the residual."""
+    total = np.float32(0.0)
+    for i in range(change.size):
+        for j in range(change.size):
+            total += change[i] * normal[i, j] * change[j]
+    return total
 
 
 @compiled

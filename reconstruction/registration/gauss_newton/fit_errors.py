@@ -49,6 +49,15 @@ class ErrorPropagation:
             square[:, 0], square[:, 1], square[:, 2] = (shot + read) * self._of_reference, shot, read
         return square
 
+    @property
+    def expected_sigma_px(self) -> Floats:
+        """RMS standard error of the parameters in a frame as bright as the reference, (L,); 0 if unknown."""
+        if self._noise is None:
+            return np.zeros(len(self._template.contrast))
+        shot = self._noise.counts_per_light * self._template.per_light.covariance
+        read = self._noise.read_noise_counts**2 * self._template.per_pixel.covariance
+        return np.asarray(np.sqrt(np.einsum("lqdqd->l", shot + read) / self._template.grid.basis.shape[0]))
+
     def __call__(self, fits: Fits) -> FitErrors:
         """Errors of the fits; arbitrary for lost ones."""
         template, lenslets = self._template, len(fits.gain)

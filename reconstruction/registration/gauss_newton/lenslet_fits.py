@@ -29,19 +29,19 @@ class FitLimits(NamedTuple):
     start_iterations: int
     start_tolerance_px: np.float32
     iterations: int
-    tolerance_px: np.float32
+    tolerance_px: Image  # (L,)
     converged_px: np.float32  # largest last step of a converged fit
     poor_square: Image  # squared residual beyond which to try another start, polynomial of the gain: (L, 3), counts^2
 
 
 class Fits(NamedTuple):
-    """Fits of L lenslets with Q field modes; filled in."""
+    """Fits of L lenslets; filled in."""
 
-    displacement: Image  # in: start of the fit, or NaN; out: the fit, px, (L, xy, Q)
+    displacement: Image  # parameters; in: start of the fit, or NaN; out: the fit, px, (L, P - 2)
     contrast: Floats  # standard deviation of the frame's subimage at the start, counts, (L,)
     gain: Floats  # from the frame's light to the reference's, (L,)
-    square: Floats  # weighted sum of the residual's squares before the last step, counts^2, (L,)
-    step_px: Floats  # the largest change of a coefficient in the last step, (L,)
+    square: Floats  # weighted sum of the residual's squares after the last step, counts^2, (L,)
+    step_px: Floats  # the largest change of a parameter in the last step, (L,)
     noise_power: Floats  # share of the noise that interpolation leaves: uniform, shot, (L, 2)
     is_partial: NDArray[np.bool_]  # some pixels were excluded, (L,)
     excluded: NDArray[np.bool_]  # pixels, (L, N)
@@ -68,28 +68,28 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     coarse = new_scratch(start.steps.size)
     patch = new_scratch(search.steps.size)
     cell = frame.half_cell_px
-    settled = (limits.iterations, limits.tolerance_px)
     for lenslet in range(first, fits.gain.size, step):
         if not np.any(warp.weight[lenslet]):
             fits.step_px[lenslet] = LOST_PX
             continue
-        displacement = fits.displacement[lenslet]
+        displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
         state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
         poor = True
         if np.all(np.isfinite(displacement)):
             state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
             poor = _is_poor(state, limits, lenslet)
         if poor:
-            translation = np.zeros((2, 1), np.float32)
+            translation = np.zeros(2, np.float32)
             fit_warp(frame, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse)
             displacement[:] = 0
-            if max(abs(translation[0, 0]), abs(translation[1, 0])) < cell:
-                displacement[0, 0], displacement[1, 0] = translation[0, 0], translation[1, 0]
+            if max(abs(translation[0]), abs(translation[1])) < cell:
+                _translate(displacement, translation[0], translation[1], warp)
             state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
             poor = _is_poor(state, limits, lenslet)
         if poor and search.reach > 0:
             again = np.zeros_like(displacement)
-            _best_shift(frame, search, lenslet, again, patch)
+            x, y = _best_shift(frame, search, lenslet, patch)
+            _translate(again, x, y, warp)
             other = fit_warp(frame, warp, lenslet, again, settled, scratch)
             better = other.square < state.square if state.step_px < limits.converged_px else True
             if other.step_px < limits.converged_px and better:
@@ -103,6 +103,14 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
         if state.is_partial:
             fits.excluded[lenslet] = scratch.excluded
         _interpolated_noise(warp.weight[lenslet], warp.light[lenslet], power, scratch, fits.noise_power[lenslet])
+
+
+@compiled
+def _translate(displacement: Image, x: np.float32, y: np.float32, warp: Grid) -> None:
+    """Set the parameters (P - 2,) of a displacement to those of a translation, px."""
+    modes = warp.basis.shape[1] // 2
+    for p in range(displacement.size):
+        displacement[p] = x * warp.basis[p, 0] + y * warp.basis[p, modes]
 
 
 @compiled
@@ -152,9 +160,9 @@ def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
 
 @compiled
 def _best_shift(
-    frame: FrameData, search: WholePixelSearch, lenslet: int, displacement: Image, scratch: Scratch
-) -> None:
-    """Set the displacement (xy, Q) to the whole-pixel shift with the best correlation."""
+    frame: FrameData, search: WholePixelSearch, lenslet: int, scratch: Scratch
+) -> tuple[np.float32, np.float32]:
+    """Whole-pixel shift (x, y) with the best correlation."""
     still = np.zeros((2, len(MONOMIALS)), np.float32)
     sample_warped(frame.coefficients, still, search.steps, frame.center_px[lenslet], frame.turn, search.scale, scratch)
     template, reach = search.light[lenslet], search.reach
@@ -176,5 +184,4 @@ def _best_shift(
             spread = power - total * total / pixels
             if spread > 0 and product > best * np.sqrt(spread):  # the template's mean is 0: the patch's does not matter
                 best, best_x, best_y = product / np.sqrt(spread), shift_x, shift_y
-    displacement[:] = 0
-    displacement[0, 0], displacement[1, 0] = best_x - reach, best_y - reach
+    return np.float32(best_x - reach), np.float32(best_y - reach)

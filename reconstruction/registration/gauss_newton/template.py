@@ -90,25 +90,22 @@ def prepare_template(
     grid = Grid(
         steps=(reference.steps_px[columns] / reference.half_width_px).astype(np.float32),
         scale=(np.float32(reference.half_width_px), np.float32(flux)),
-        monomials=_monomials(modes),
+        monomials=_monomials(modes, basis),
         basis=basis.astype(np.float32),
         light=np.empty((lenslets, count), np.float32),
         inverse=np.empty((lenslets, parameters, count), np.float32),
         descent=np.empty((lenslets, parameters, count), np.float32),
         weight=np.empty((lenslets, count), np.float32),
+        normal=np.empty((lenslets, parameters, parameters), np.float32),
+        bend=_mean_square_gradient(modes, basis, reference.half_width_px).astype(np.float32),
+        is_gradient=not rotation,
     )
     per_pixel, per_light = [], []
     smooth = _smooth(reference)
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, pixels], reference.gradient[some][:, pixels]
-        warp = np.concatenate(
-            [
-                gradient[:, None, :, 0] * values + light[:, None] * slopes[..., 0],
-                gradient[:, None, :, 1] * values + light[:, None] * slopes[..., 1],
-            ],
-            axis=1,
-        )
+        warp = _descent(light, gradient, values, slopes)
         warp = warp if rotation else basis @ warp
         descent = np.concatenate([warp, light[:, None], np.ones((len(light), 1, count))], axis=1)
         expected = np.maximum(smooth[some][:, pixels], 0)
@@ -122,20 +119,35 @@ def prepare_template(
         inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
         grid.light[some], grid.weight[some] = light, weight
         grid.inverse[some], grid.descent[some] = inverse, descent
+        grid.normal[some] = weighted @ np.swapaxes(descent, 1, 2)
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent, basis))
         per_light.append(_propagated(expected, inverse, weight, descent, basis))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
     return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
 
 
-def _monomials(modes: PolynomialModes) -> Image:
-    """Coefficients of the field modes as polynomials of u and v: (Q, monomial)."""
+def _descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats) -> Floats:
+    """Steepest-descent images (L, 2K, N) of K displacements along x, then y, given their values and slopes."""
+    along = [gradient[:, None, :, axis] * values + light[:, None] * slopes[..., axis] for axis in range(2)]
+    return np.concatenate(along, axis=1)
+
+
+def _mean_square_gradient(modes: PolynomialModes, basis: Floats, half_width_px: float) -> Floats:
+    """Mean squared gradient of each parameter's displacement over the field, per px^2: (P - 2,)."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    slopes = modes.gradients(nodes, nodes[:, None]) / half_width_px  # (Q, node, node, xy)
+    slopes = np.einsum("paq,qyxb->pyxab", basis.reshape(-1, 2, modes.count), slopes)
+    return np.asarray(np.einsum("pyxab,y,x->p", slopes**2, weights, weights) / 4)
+
+
+def _monomials(modes: PolynomialModes, basis: Floats) -> Image:
+    """Displacement of each parameter as polynomials of u and v: (P - 2, xy, monomial)."""
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 7)))
     powers = np.stack([u**m * v**n for m, n in MONOMIALS])
     values = modes.values(u, v)
     monomials = values @ np.linalg.pinv(powers)
     require({"the field modes of a warp must be quartic at most": bool(np.allclose(monomials @ powers, values))})
-    return monomials.astype(np.float32)
+    return (basis.reshape(-1, 2, modes.count) @ monomials).astype(np.float32)
 
 
 def _weight(expected: Floats, noise: CameraNoise) -> Floats:

@@ -50,13 +50,14 @@ def new_scratch(width: int) -> Scratch:
 
 
 @compiled
-def warp_polynomials(displacement: Image, monomials: Image) -> Image:
-    """Polynomials (xy, monomial) of a displacement (xy, Q) in the field modes `monomials` (Q, monomial)."""
-    polynomials = np.zeros((2, monomials.shape[1]), np.float32)
-    for axis in range(2):
-        for q in range(monomials.shape[0]):
-            for m in range(monomials.shape[1]):
-                polynomials[axis, m] += displacement[axis, q] * monomials[q, m]
+def warp_polynomials(parameters: Image, monomials: Image) -> Image:
+    """Polynomials (xy, monomial) of a displacement with some parameters (P,), those of each being `monomials`."""
+    polynomials = np.zeros(monomials.shape[1:], np.float32)
+    flat = polynomials.reshape(-1)
+    for p in range(parameters.size):
+        of_one = monomials[p].reshape(-1)
+        for m in range(flat.size):
+            flat[m] += parameters[p] * of_one[m]
     return polynomials
 
 
