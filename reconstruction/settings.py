@@ -22,7 +22,7 @@ class RegistrationSettings:
     method: Method = "gauss_newton"
     warp: Warp | None = None  # omitted: affine or quadratic, chosen by the noise; quadratic if that is unknown
     conserve_flux: bool = True
-    rotation: bool = True
+    rotation: bool = False  # gauss_newton: whether subimages may rotate; layers cannot make them
     threads: int = 2  # of gauss_newton
     flow: Literal["views", "warp"] = "views"  # block_flow, demons, ffd: sampled at the views, or fitted by the warp
     star_rows: int = 3

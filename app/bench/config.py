@@ -41,6 +41,9 @@ LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Setti
 
 AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
+# What version 0.1 did before these settings existed. Every later version writes them, so a recorded bench without them
+# is of 0.1 and keeps its meaning; in a bench written by hand, an omitted setting has its present default.
+_OF_VERSION_0_1 = {("registration", "rotation"): True}
 _UNKNOWN = "unknown key"
 
 
@@ -129,8 +132,8 @@ def drivers_of(kind: Any) -> dict[str, type]:
     return {get_args(get_type_hints(each)["driver"])[0]: each for each in get_args(kind)}
 
 
-def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
-    """Read a bench from a TOML file or a preset; `overrides` are "section.key=value" as in TOML."""
+def load_bench(source: str | Path, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
+    """Read a bench from a TOML file or a preset; see `parse_bench`."""
     name = str(source)
     path = Path(source) if Path(source).exists() else PRESETS.get(name, Path(source))
     try:
@@ -140,17 +143,38 @@ def load_bench(source: str | Path, overrides: tuple[str, ...] = ()) -> Bench:
     except OSError as error:
         known = ", ".join(PRESETS)
         raise InputError(f"{name}: {error.strerror}; give a bench TOML or a preset ({known})") from error
-    return parse_bench(text, name, overrides)
+    return parse_bench(text, name, overrides, is_recorded=is_recorded)
 
 
-def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
-    """Parse a bench from TOML text; `name` stands for it in errors."""
+def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
+    """Parse a bench from TOML text.
+
+    Parameters
+    ----------
+    text
+        The bench.
+    name
+        Stands for it in errors.
+    overrides
+        "section.key=value" as in TOML.
+    is_recorded
+        The text comes from a recording or a result: settings unknown to its version mean what that version did.
+
+    Raises
+    ------
+    InputError
+        One sentence that names the key and what is allowed.
+    """
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: not valid TOML: {error}") from error
     for override in overrides:
         _override(tree, override)
+    if is_recorded:
+        for (section, key), value in _OF_VERSION_0_1.items():
+            if isinstance(tree.setdefault(section, {}), dict):
+                tree[section].setdefault(key, value)
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]

@@ -30,7 +30,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 
 def read_calibration(folder: Path) -> Calibration:
     """Read a calibration, bit-identical; `InputError` if it is missing or damaged."""
-    bench = load_bench(folder / "bench.toml")
+    bench = load_bench(folder / "bench.toml", is_recorded=True)
     try:
         full_scale = float(json.loads((folder / "camera.json").read_text())["full_scale"])
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -87,7 +87,7 @@ class Recording:
     @property
     def bench(self) -> Bench:
         """The bench at the beginning; each calibration has its own, with the lattice in force."""
-        return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench")
+        return parse_bench(str(self.run["bench"]), f"{self.folder / RUN}: bench", is_recorded=True)
 
     def select(self, text: str | None) -> range:
         """Parse FIRST:END, counted from 0, END excluded, each optional; None selects all frames."""

@@ -67,7 +67,8 @@ class OpenedRecording:
         path = self._recording.folder / "results.nc"
         if path.exists():
             with open_results(path) as results:
-                if parse_bench(str(results.attrs.get("bench", "")), f"{path}: bench") == self.bench:
+                bench = str(results.attrs.get("bench", ""))
+                if parse_bench(bench, f"{path}: bench", is_recorded=True) == self.bench:
                     return results.load()
         pieces = list(results_in_pieces((made, {}) for made in reprocess(self._recording)))
         if not pieces:

@@ -107,7 +107,7 @@ def psf_reach_rad(phase: Floats, sensor: Sensor) -> float:
 def psf_angles_rad(sensor: Sensor, reach_rad: float) -> Floats:
     """Angles (angle,) from -reach to +reach that resolve the detail of a point-spread function."""
     steps = min(max(math.ceil(_STEPS * reach_rad / diffraction_rad(sensor)), 1), _MOST_STEPS)
-    return np.linspace(-reach_rad, reach_rad, 2 * steps + 1, dtype=np.float64)
+    return np.arange(-steps, steps + 1) / steps * reach_rad  # with an exact zero
 
 
 def diffraction_rad(sensor: Sensor) -> float:

@@ -52,7 +52,7 @@ def seen_by_a_circle(small_bench: SmallBench) -> tuple[Floats, Floats]:
     """Views measured with Zernike bases in pupil and field, and the truth."""
 
     def phase(u: Floats, v: Floats, x: float, y: float) -> Floats:
-        return 2e5 * (u**2 - v**2) + 800.0 * u * (x - y) / FIELD.half_width_m
+        return 2e5 * (u**2 - v**2) + 800.0 * (u * (x - y) - v * x) / FIELD.half_width_m
 
     u, v = small_bench.samples()
     frame = small_bench.frame(lambda x, y: phase(u, v, x, y).astype(np.float32))

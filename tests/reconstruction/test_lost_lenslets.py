@@ -156,7 +156,7 @@ def test_every_method_reconstructs_with_known_noise(
 def test_lenslets_are_weighted_by_their_light(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     columns = np.arange(small_bench.frame_shape[1])
     shade = np.where(columns < small_bench.frame_shape[1] / 2, 1.0, 0.1).astype(np.float32)
-    per_electron = float(small_bench.reference.max()) / 3e3
+    per_electron = float(small_bench.reference.max()) / 1e3
     reconstructor = small_bench.reconstructor(
         "affine", reference=small_bench.reference * shade, noise=CameraNoise(per_electron, 8 * per_electron)
     )

@@ -38,7 +38,8 @@ class Bowl:
 
     def phase(self, x_m: float, y_m: float, u_m: Floats, v_m: Floats) -> Floats:
         u, v, x, y = u_m / self._half_m, v_m / self._half_m, x_m / HALF_M, y_m / HALF_M
-        return np.asarray(5 * (u**2 + v**2) + 4 * u**3 - 3 * u * v**2 + 3 * x * u * v + 2 * y * u**2 + 1.5 * x * x * v)
+        at_rest = 5 * (u**2 + v**2) + 4 * u**3 - 3 * u * v**2
+        return np.asarray(at_rest + 4 * x * u * v + 2 * y * u**2 + 1.5 * x * x * v + 3 * x * y * u)
 
     def at_samples(self, x_m: float, y_m: float) -> NDArray[np.float32]:
         return self.phase(x_m, y_m, *self.samples).astype(np.float32)

@@ -35,7 +35,8 @@ ZONAL = ReconstructionSettings(method="zonal")
 MODAL = ReconstructionSettings(method="modal", pupil_modes=45)  # the paper's
 MODAL_MANY = ReconstructionSettings(method="modal", pupil_modes=91)
 _ITK = RegistrationSettings(method="itk_affine")
-_AFFINE = RegistrationSettings(warp="affine")
+_AFFINE = RegistrationSettings(warp="affine", rotation=True)  # the paper's, with six parameters
+_GRADIENT_AFFINE = RegistrationSettings(warp="affine")  # with five: subimages do not rotate
 _QUADRATIC = RegistrationSettings(warp="quadratic")
 _CUBIC = RegistrationSettings(warp="cubic")
 
@@ -49,6 +50,8 @@ METHODS: dict[str, Method] = {
     "ffd_zonal": Method(registration=RegistrationSettings(method="ffd"), reconstruction=ZONAL),
     "affine_zonal": Method(registration=_AFFINE, reconstruction=ZONAL),
     "affine_modal": Method(registration=_AFFINE, reconstruction=MODAL),
+    "affine_gradient_zonal": Method(registration=_GRADIENT_AFFINE, reconstruction=ZONAL),
+    "affine_gradient_modal": Method(registration=_GRADIENT_AFFINE, reconstruction=MODAL),
     "quadratic_zonal": Method(registration=_QUADRATIC, reconstruction=ZONAL),
     "quadratic_modal": Method(registration=_QUADRATIC, reconstruction=MODAL_MANY),
     "cubic_zonal": Method(registration=_CUBIC, reconstruction=ZONAL),

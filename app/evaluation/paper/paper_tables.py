@@ -90,7 +90,7 @@ def _table2(methods: Mapping[str, Method], bench: Bench, seeds: int, progress: P
 
 
 def _sources(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
-    kinds = ("affine_zonal", "affine_modal", "quadratic_zonal", "quadratic_modal")
+    kinds = [f"{warp}_{solve}" for warp in ("affine", "affine_gradient", "quadratic") for solve in ("zonal", "modal")]
     for index, screen in enumerate(seeded(bench, seeds)):
         step = part(progress, index, seeds)
         step("rendering", 0.0)

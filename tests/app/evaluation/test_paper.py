@@ -98,7 +98,7 @@ def test_bench_unable_to_run_the_experiment_is_rejected(
 
 def test_sources_compares_all_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "sources")["ours"]
-    assert len(ours) == 5 * 4
+    assert len(ours) == 5 * 6
     assert ours["octagon_quadratic_modal"]["mean_rad"] < 0.3
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5netcdf
 import llvmlite.binding  # type: ignore[import-untyped] # ships no types
 import numpy as np
 import pytest
@@ -17,11 +18,13 @@ import xarray as xr
 from support.command_line import run
 
 from app.acquisition.devices import open_devices
-from app.bench.config import load_bench, parse_bench, write_bench
+from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.bench.settings import RecordingSettings
+from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.dataset import result_dataset
+from app.results.dataset import result_dataset, results_in_pieces, write_pieces
+from app.results.opened_recording import OpenedRecording
 from app.run_facts import software_facts
 from reconstruction.runtime.threads import one_blas_thread
 
@@ -48,10 +51,47 @@ def test_bench_of_0_1_loads_with_all_its_settings() -> None:
         assert now[table] == now[table] | settings
 
 
+def as_in_0_1(bench: Bench) -> Bench:
+    """The bench with what version 0.1 did before there was a setting for it: its subimages could rotate."""
+    return replace(bench, registration=replace(bench.registration, rotation=True))
+
+
+def test_bench_of_0_1_by_itself_has_the_present_defaults() -> None:
+    assert not load_bench(FILES / "bench.toml").registration.rotation
+
+
+def test_recorded_bench_without_the_key_could_rotate() -> None:
+    text = (FILES / "bench.toml").read_text()
+    assert parse_bench(text, "recorded", is_recorded=True) == as_in_0_1(parse_bench(text, "by hand"))
+    start, end = text.index("[registration]"), text.index("[reconstruction]")
+    assert parse_bench(text[:start] + text[end:], "recorded", is_recorded=True).registration.rotation
+    with pytest.raises(InputError, match="registration"):
+        parse_bench("registration = 3\n" + text[:start] + text[end:], "recorded", is_recorded=True)
+
+
+@pytest.mark.parametrize("rotation", [True, False])
+def test_recorded_bench_of_today_says_whether_it_could_rotate(*, rotation: bool) -> None:
+    bench = load_bench(FILES / "bench.toml", (f"registration.rotation={str(rotation).lower()}",))
+    assert parse_bench(write_bench(bench), "recorded", is_recorded=True) == bench
+
+
+def test_results_beside_a_recording_of_0_1_are_its_own(tmp_path: Path) -> None:
+    shutil.copytree(RECORDING, tmp_path / "r")
+    with one_blas_thread():
+        pieces = results_in_pieces(
+            (made, {"mark": ((), np.array(7.0), {})}) for made in reprocess(Recording(RECORDING))
+        )
+        write_pieces(tmp_path / "r/results.nc", pieces, bench=load_bench(FILES / "bench.toml"), inputs={})
+    with h5netcdf.File(tmp_path / "r/results.nc", "r+") as file:
+        file.attrs["bench"] = (FILES / "bench.toml").read_text()  # as version 0.1 wrote it: without the key
+    assert OpenedRecording(tmp_path / "r").results()["mark"].values.tolist() == [7.0] * FRAMES
+
+
 def test_recording_of_0_1_opens() -> None:
     recording = Recording(RECORDING)
     assert (len(recording), recording.is_complete, recording.ended_early) == (FRAMES, True, "")
-    assert recording.bench == load_bench(FILES / "bench.toml")
+    assert recording.bench == as_in_0_1(load_bench(FILES / "bench.toml"))
+    assert recording.calibration(0).bench.registration.rotation
     lines = [recording.line(index) for index in range(FRAMES)]
     assert [(line.camera_index, line.start, line.bias) for line in lines] == [
         (5, -1, 0),
