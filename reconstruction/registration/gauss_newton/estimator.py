@@ -37,7 +37,7 @@ _MISFIT = 0.5  # residual over contrast above which the frame does not match
 # and 2.6; a half-covered lenslet has 0.15.
 _ODD, _OUTLYING = 0.08, 2.5
 _NOISE_SHARE = 0.3  # of the noise's square, tolerated as chance
-_POOR = 0.3  # residual over contrast above which another start is tried
+_POOR = _ODD  # residual over contrast above which another start is tried
 _NOISE_AT_MOST = 1.5  # square of a residual's noise over its mean
 _INFORMATION_LEFT = 0.75  # of a lenslet's pixels; with less it is lost
 
