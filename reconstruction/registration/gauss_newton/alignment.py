@@ -23,6 +23,7 @@ LOST_PX = np.float32(1e6)  # last step of a lost fit
 _BOUND_PX = np.float32(100.0)  # largest coefficient of a displacement; float32 resolves a fraction of a pixel below it
 _GROWTH = np.float32(2.0)  # reject a step if the squared residual grows more; converging fits reach 1.5
 _SMALL_PX = np.float32(0.1)  # smaller steps are never rejected
+_LAST_PX = np.float32(0.04)  # larger steps are never the last one
 _HALVINGS = 4
 _SHRINKS = np.float32(0.3)  # ratio of the second step to the first, if the reference does not show all parameters
 _SHRINKS_UNBENT = np.float32(0.02)  # the same ratio if it does show them, for a small displacement ...
@@ -126,7 +127,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
             if iteration > 0:
                 shrinks = min(max(step / last, min(shrinks, _SHRINKS_LEAST)), np.float32(0.9))
             # The remaining change, if the steps keep shrinking at this rate.
-            settled = bool(step * shrinks / (np.float32(1.0) - shrinks) < limits[1])
+            settled = bool(step < _LAST_PX and step * shrinks / (np.float32(1.0) - shrinks) < limits[1])
         renew = bool(step > _SMALL_PX) or iteration == 0  # a fit between two sets of excluded pixels would never settle
         fainter = np.float32(1.0) - change[-2]
         gain, offset = gain_before * fainter, offset_before * fainter - change[-1]

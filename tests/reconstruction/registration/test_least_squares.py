@@ -1,0 +1,90 @@
+"""The Gauss-Newton fit against SciPy's least squares, on images warped in closed form."""
+
+import numpy as np
+import pytest
+from scipy import ndimage, optimize
+from support.optics import FIELD, sensor_of
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Lattice
+from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings, Warp
+
+PIXELS = 93  # 3 x 3 lenslets of 31 px
+CENTER_PX = 46.0
+HALF_PX = 8.7
+REACH_PX = 12
+POTENTIAL_DEGREE: dict[Warp, int] = {"affine": 2, "quadratic": 3, "cubic": 4, "quartic": 5}
+
+
+def _light(x: Floats, y: Floats) -> Floats:
+    """A blurred square with structure, repeated in each cell, at distances from the middle of the frame, px."""
+    x, y = (np.mod(each + 15.5, 31) - 15.5 for each in (x, y))
+    edges = [1 / (1 + np.exp((np.abs(each) - HALF_PX) / 1.3)) for each in (x, y)]
+    return np.asarray(1000 * edges[0] * edges[1] * (1 + 0.3 * np.sin(0.5 * x + 0.4) * np.cos(0.4 * y)))
+
+
+class Warped:
+    """A frame, and the reference that it must be warped to: the gradient of a random potential over each cell."""
+
+    def __init__(self, degree: int, seed: int) -> None:
+        self.powers = [(m - n, n) for m in range(1, degree + 1) for n in range(m + 1)]
+        sizes = [1.4 / (m + n) ** 2 for m, n in self.powers]
+        self.potential = np.random.default_rng(seed).normal(0, sizes)
+        y, x = np.mgrid[:PIXELS, :PIXELS] - CENTER_PX
+        self.frame = _light(x, y)
+        cell_x, cell_y = (np.mod(each + 15.5, 31) - 15.5 for each in (x, y))
+        moved, stretch = self.warp(self.potential, cell_x, cell_y)
+        self.reference = (0.8 * _light(x + moved[0], y + moved[1]) + 20) * stretch
+
+    def warp(self, potential: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Gradient of a potential, px, and the determinant of the displacement, at distances from a lenslet, px."""
+        u, v = x / HALF_PX, y / HALF_PX
+        moved, slopes = np.zeros((2, *x.shape)), np.zeros((3, *x.shape))
+        for size, (m, n) in zip(potential, self.powers, strict=True):
+            moved[0] += size * m * u ** max(m - 1, 0) * v**n
+            moved[1] += size * n * u**m * v ** max(n - 1, 0)
+            slopes[0] += size * m * (m - 1) * u ** max(m - 2, 0) * v**n
+            slopes[1] += size * m * n * u ** max(m - 1, 0) * v ** max(n - 1, 0)
+            slopes[2] += size * n * (n - 1) * u**m * v ** max(n - 2, 0)
+        slopes /= HALF_PX
+        return moved, (1 + slopes[0]) * (1 + slopes[2]) - slopes[1] ** 2
+
+    def solved(self) -> Floats:
+        """Displacement of the middle lenslet by least squares, px, (xy, row, column)."""
+        y, x = np.mgrid[-REACH_PX : REACH_PX + 1, -REACH_PX : REACH_PX + 1].astype(float)
+        spline = ndimage.spline_filter(self.frame, order=3, mode="mirror")
+        middle = slice(int(CENTER_PX) - REACH_PX, int(CENTER_PX) + REACH_PX + 1)
+
+        def residual(parameters: Floats) -> Floats:
+            moved, stretch = self.warp(parameters[:-2], x, y)
+            at = [CENTER_PX + y + moved[1], CENTER_PX + x + moved[0]]
+            light = ndimage.map_coordinates(spline, at, order=3, mode="mirror", prefilter=False)
+            warped = (parameters[-2] * light + parameters[-1]) * stretch
+            return np.asarray(warped - self.reference[middle, middle]).ravel()
+
+        start = np.concatenate([np.zeros(len(self.powers)), [1.0, 0.0]])
+        found = optimize.least_squares(residual, start, xtol=1e-12, x_scale=np.r_[np.ones(len(self.powers)), 0.1, 10])
+        return self.warp(found.x[:-2], x, y)[0]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("warp", POTENTIAL_DEGREE)
+def test_fit_without_rotation_solves_the_constrained_least_squares_problem(warp: Warp, seed: int) -> None:
+    case = Warped(POTENTIAL_DEGREE[warp], seed)
+    lattice = Lattice(center_x_px=CENTER_PX, center_y_px=CENTER_PX, pitch_px=31.0)
+    sensor = sensor_of(3, 3)
+    subimages = ReferenceSubimages(case.reference.astype(np.float32), sensor=sensor, lattice=lattice, field=FIELD)
+    estimate = prepare_registration(subimages, RegistrationSettings(warp=warp, rotation=False), FIELD)
+    found = estimate(case.frame.astype(np.float32), saturated=np.zeros((PIXELS, PIXELS), np.bool_))
+    assert found.valid.all()
+    y, x = np.mgrid[-REACH_PX : REACH_PX + 1, -REACH_PX : REACH_PX + 1].astype(float)
+    inside = np.abs(x) + np.abs(y) < HALF_PX
+    values = found.modes.values(x / subimages.half_width_px, y / subimages.half_width_px)
+    moved = np.tensordot(found.coefficients[1, 1].T, values, axes=1)
+    solved = case.solved()
+    truth, _ = case.warp(case.potential, x, y)
+    np.testing.assert_allclose(moved[:, inside], solved[:, inside], atol=2e-3)
+    np.testing.assert_allclose(moved[:, inside], truth[:, inside], atol=3e-3)
+    assert np.abs(truth[:, inside]).max() > 0.4
