@@ -15,8 +15,10 @@ from app.recording.recover import Recovered
 from app.results.recording_results import Measured
 from app.results.replay.run import Replay
 from app.results.report.residual import Residual
+from app.results.rotation import ROTATES, rotation_of, rotation_sentence
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
+from reconstruction.registration.circulation import Circulation
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 
@@ -25,6 +27,9 @@ def print_views(wavefront: Wavefront) -> None:
     cells = ((f"{rms(view):.3f} / {peak_to_valley(view):.2f}" for view in row) for row in wavefront.views)
     _print_by_view(wavefront.field, "RMS / PV (rad) of the wavefront at each field position", cells)
     Console().print(lenslet_summary(wavefront))
+    rotation = rotation_of(wavefront)
+    if rotation is not None:
+        _print_rotation(rotation, rotates=rotation.contradicts_layers)
 
 
 def print_refinement(changes_rad: Sequence[float]) -> None:
@@ -46,6 +51,8 @@ def print_measurement(measured: Measured, out: Path) -> None:
     _print_by_view(measured.bench.field, title, cells)
     failed = measured.recorded - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
+    if measured.rotation is not None:
+        _print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
     Console().print(f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}")
 
 
@@ -122,6 +129,14 @@ def _print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> 
     for y_m, row in zip(field.view_y_m, cells, strict=True):
         table.add_row(f"{y_m * 1e3:+.2f}", *row)
     Console().print(table)
+
+
+def _print_rotation(rotation: Circulation, *, rotates: bool) -> None:
+    """Print the rotation of the subimages, and a warning if it contradicts layers."""
+    console = Console()
+    console.print(rotation_sentence(rotation), highlight=False, soft_wrap=True)
+    if rotates:
+        console.print(f"[yellow]warning:[/] {ROTATES}", highlight=False, soft_wrap=True)
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:

@@ -40,7 +40,8 @@ PHASES: dict[str, Phase] = {  # rad, of pupil x, y and field x, y in m
     "defocus": lambda u, v, _x, _y: 4e5 * (u**2 + v**2),
     "astigmatism, +x against +y": lambda u, v, _x, _y: 4e5 * (u**2 - v**2),
     "tilt x that grows along field +x": lambda u, _v, x, _y: 3000.0 * u * x / FIELD.half_width_m,
-    "defocus that grows along field +y": lambda u, v, _x, y: 6e5 * (u**2 + v**2) * y / FIELD.half_width_m,
+    # Layers that make the defocus also make astigmatism along the other axis.
+    "defocus grows along field +y": lambda u, v, x, y: 6e5 * ((u**2 + v**2) * y + 2 * u * v * x) / FIELD.half_width_m,
 }
 
 

@@ -118,6 +118,7 @@ class ControlsPanel(QFrame):
         self.warp = self._setting(
             "registration.warp",
             "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
+            "Subimages rotate only if the bench says registration.rotation = true.\n"
             "More freedom resolves finer changes over the field. Most other methods ignore this",
         )
         self.method = self._setting(

@@ -145,10 +145,11 @@ class MainWindow(QMainWindow):
         self.status_line.update_text(status, None if acquisition is None else acquisition.timings.summary())
         activity = Activity() if acquisition is None else acquisition.activity
         is_live = status is not None and status.is_running and not activity.text
-        problem = measurement.problem if is_live and measurement is not None else ""
+        live = measurement if is_live else None
+        problem, wavefront = ("", None) if live is None else (live.problem, live.wavefront)
         self.messages.show_state(
             failure=self._failure,
-            warning="" if status is None or activity.text else warning(status, problem),
+            warning="" if status is None or activity.text else warning(status, problem, wavefront),
             advice=advice(status, activity, measurement),
         )
 

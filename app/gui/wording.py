@@ -9,8 +9,10 @@ from app.acquisition.worker import Activity, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.sensor_region import SensorArea, lenslets_outside
 from app.recording.recorder import RecordingState
+from app.results.rotation import ROTATES, rotation_of
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.lattice.search import Survey
+from reconstruction.wavefront import Wavefront
 
 LOST_REASONS = {
     Outcome.CONVERGED: "",
@@ -23,15 +25,18 @@ LOST_REASONS = {
 _SLOW_S = 1.0  # a frame shown for longer is explained
 
 
-def warning(status: Status, problem: str) -> str:
+def warning(status: Status, problem: str, wavefront: Wavefront | None = None) -> str:
     """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
 
-    A `problem` of the newest frame comes first.
+    A `problem` of the newest frame comes first, subimages of its `wavefront` that rotate come last.
     """
     if problem not in {"", status.warning}:
         return problem
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
     keys = ", ".join(key for key, validity in stale if validity != "good")
+    if not status.warning and wavefront is not None:
+        rotation = rotation_of(wavefront)
+        return ROTATES if rotation is not None and rotation.contradicts_layers else ""
     return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
 
 

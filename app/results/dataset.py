@@ -16,6 +16,7 @@ import xarray as xr
 from app.bench.config import Bench, write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write
+from app.results.rotation import rotation_variables
 from app.results.view_quality import Variable, about, point_spread, structure, transfer
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
@@ -57,6 +58,7 @@ def result_dataset(wavefront: Wavefront, *, with_psf: bool = False) -> xr.Datase
             "coefficients_sigma": (modes, sigma, about("rad", "standard deviation of e_pq")),
             "slope_chi_square": ((), chi_square, about("1", "reduced chi-square of the slopes against the fit")),
         }
+    variables |= rotation_variables(wavefront)
     coordinates = _coordinates(wavefront.sensor, wavefront.field)
     for qualities in (transfer, structure, point_spread)[: 3 if with_psf else 2]:
         more, along = qualities(wavefront)

@@ -12,7 +12,9 @@ from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
 from app.results.dataset import results_in_pieces, write_pieces
+from app.results.rotation import rotation_of
 from reconstruction.arrays import Floats
+from reconstruction.registration.circulation import Circulation
 from reconstruction.wavefront import rms
 
 
@@ -26,6 +28,8 @@ class Measured:
     recorded: int = 0
     reconstructed: int = 0
     lost: int = 0  # by the camera
+    rotation: Circulation | None = None  # of the subimages of the last frame; None if the registration excludes it
+    rotating: int = 0  # frames whose subimages rotate
     problem: str = ""  # of the first frame that could not be reconstructed
 
     @property
@@ -40,6 +44,8 @@ class Measured:
             self.problem = self.problem or made.problem
             return
         self.reconstructed += 1
+        self.rotation = rotation_of(made.wavefront)
+        self.rotating += self.rotation is not None and self.rotation.contradicts_layers
         values = rms(made.wavefront.views)
         self.mean_rms_rad = self.mean_rms_rad + (values - self.mean_rms_rad) / self.reconstructed
         self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
