@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,36 @@ class Outcome(IntEnum):
     OFF_CAMERA = 5  # the cell is not entirely on the camera
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class CovarianceSource(Protocol):
+    """A covariance that is computed when it is first needed; NaN where not converged."""
+
+    def kept(self, lenslets: Mask) -> Self:
+        """The same, lost for all but some lenslets (L,)."""
+        ...
+
+    def covariance(self) -> Floats:
+        """The covariance, px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)."""
+        ...
+
+    def trace(self) -> Floats:
+        """Sum of the variances, px^2, (lenslet_row, lenslet_column)."""
+        ...
+
+
+class _Deferred:
+    """Attribute `covariance` that holds a covariance or its source."""
+
+    def __get__(self, instance: object, owner: type) -> Floats:
+        held = instance.__dict__["covariance"]
+        if not isinstance(held, np.ndarray):
+            held = instance.__dict__["covariance"] = held.covariance()
+        return np.asarray(held)
+
+    def __set__(self, instance: object, value: Floats | CovarianceSource) -> None:
+        instance.__dict__["covariance"] = value
+
+
+@dataclass(frozen=True, eq=False)
 class Displacement:
     """Displacements of all subimages of a frame from the reference."""
 
@@ -45,6 +74,13 @@ class Displacement:
         return np.asarray(self.outcome == Outcome.CONVERGED)
 
     @property
+    def mean_variance(self) -> Floats:
+        """Mean variance of a lenslet's coefficients, px^2, (lenslet_row, lenslet_column); NaN where not converged."""
+        held = self.__dict__["covariance"]
+        trace = np.einsum("rcqdqd->rc", held) if isinstance(held, np.ndarray) else held.trace()
+        return np.asarray(trace / (2 * self.modes.count))
+
+    @property
     def variance(self) -> Floats:
         """Variance of each coefficient, px^2, (lenslet_row, lenslet_column, field_mode, xy)."""
         return np.asarray(np.einsum("rcqdqd->rcqd", self.covariance))
@@ -55,6 +91,10 @@ class Displacement:
         nodes, weights = np.polynomial.legendre.leggauss(6)
         values = self.modes.values(nodes, nodes[:, None])
         return np.tensordot(np.einsum("qyx,y,x->q", values, weights, weights) / 4, self.coefficients, axes=([0], [2]))
+
+
+# Large and seldom needed as a whole: computed on first access, if only its source is given.
+Displacement.covariance = _Deferred()  # type: ignore[assignment] # a covariance for whoever reads it
 
 
 def diagonal_covariance(variance: Floats) -> Floats:

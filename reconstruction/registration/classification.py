@@ -1,12 +1,12 @@
 """Classification of each lenslet (converged, dark, ...), common to all registration methods."""
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Mask
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import CovarianceSource, Displacement, Outcome
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.registration.subimages import DARK_CONTRAST, ReferenceSubimages
 
@@ -16,7 +16,7 @@ def classify_lenslets(
     modes: FieldModes,
     coefficients: Floats,
     *,
-    covariance: Floats,
+    covariance: Floats | CovarianceSource,
     residual_rms: Floats,
     chi_square: Floats | None = None,
     contrast: NDArray[np.floating[Any]],
@@ -49,11 +49,13 @@ def classify_lenslets(
             kept[keep] = values[keep]
         return kept.reshape(*reference.lenslets, *values.shape[1:])
 
+    # A source in place of the covariance is resolved on first access.
+    kept = arrange(covariance, ~lost) if isinstance(covariance, np.ndarray) else cast("Floats", covariance.kept(~lost))
     unknown = np.full(len(coefficients), np.nan)
     return Displacement(
         modes=modes,
         coefficients=arrange(np.swapaxes(coefficients, 1, 2), ~lost),
-        covariance=arrange(covariance, ~lost),
+        covariance=kept,
         outcome=outcome.reshape(reference.lenslets),
         residual_rms=arrange(residual_rms, ~lost),
         chi_square=arrange(unknown if chi_square is None else chi_square, ~lost),

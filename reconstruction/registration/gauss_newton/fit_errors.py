@@ -4,7 +4,8 @@ Steepest-descent images see the slow part of the noise, which interpolation pres
 without interpolation. The residual holds all of the noise, reduced by interpolation.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,42 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, Mask
 from reconstruction.frame.spline import noise_power
 from reconstruction.registration.gauss_newton.lenslet_fits import Fits
-from reconstruction.registration.gauss_newton.template import Propagated, Template
+from reconstruction.registration.gauss_newton.template import Propagated, Template, coefficient_covariance
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitCovariance:
+    """Covariance of the coefficients of fits: noise variances times what the fits make of them."""
+
+    variance: Floats  # of every pixel, counts^2, and per count of light, counts; (lenslet_row, lenslet_column, 2)
+    per_pixel: Floats  # covariance of the parameters for a variance of 1 in every pixel, (L, P, P)
+    per_light: Floats  # the same for one that is the light
+    basis: Floats  # coefficients (x modes, y modes) of the parameters, (P, 2Q)
+
+    def kept(self, lenslets: Mask) -> Self:
+        """The same, lost for all but some lenslets (L,)."""
+        return replace(self, variance=np.where(lenslets.reshape(*self.variance.shape[:2], 1), self.variance, np.nan))
+
+    def covariance(self) -> Floats:
+        """The covariance, px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)."""
+        of_pixels, of_light = self.variance.reshape(-1, 2, 1, 1).swapaxes(0, 1)
+        covariance = coefficient_covariance(of_pixels * self.per_pixel + of_light * self.per_light, self.basis)
+        return covariance.reshape(*self.variance.shape[:2], *covariance.shape[1:])
+
+    def trace(self) -> Floats:
+        """Sum of the variances, px^2, (lenslet_row, lenslet_column); the basis is orthonormal."""
+        traces = [
+            np.einsum("lpp->l", each).reshape(self.variance.shape[:2]) for each in (self.per_pixel, self.per_light)
+        ]
+        return np.asarray(self.variance[..., 0] * traces[0] + self.variance[..., 1] * traces[1])
 
 
 class FitErrors(NamedTuple):
     """Errors of the fits of L lenslets."""
 
-    covariance: Floats  # px^2, (L, Q, xy, Q, xy); from the residual if the noise is unknown
+    covariance: FitCovariance  # from the residual if the noise is unknown
     chi_square: Floats  # reduced, (L,); NaN if the noise is unknown
     unexplained: Floats  # weighted sum of squares of the residual minus its noise, counts^2, (L,)
     known: Floats  # share of the information of a lenslet's pixels in the usable ones, (L,)
@@ -31,7 +59,8 @@ class ErrorPropagation:
 
     def __init__(self, reference: ReferenceSubimages, template: Template, pixels: Mask) -> None:
         """Prepare for a template on some pixels (N,) of the reference's windows."""
-        self._noise, self._template = reference.noise, template
+        self._noise, self._template, self._lattice = reference.noise, template, reference.lenslets
+        self._basis = template.grid.basis.astype(np.float64)
         self._of_reference = 1 / reference.reference_frames
         # Share of the noise of the reference that interpolation leaves: uniform, shot, (L, 2).
         power = noise_power(reference.position_px[:, pixels])
@@ -56,24 +85,28 @@ class ErrorPropagation:
             return np.zeros(len(self._template.contrast))
         shot = self._noise.counts_per_light * self._template.per_light.covariance
         read = self._noise.read_noise_counts**2 * self._template.per_pixel.covariance
-        return np.asarray(np.sqrt(np.einsum("lqdqd->l", shot + read) / self._template.grid.basis.shape[0]))
+        return np.asarray(np.sqrt(np.einsum("lpp->l", shot + read) / self._template.grid.basis.shape[0]))
 
     def __call__(self, fits: Fits) -> FitErrors:
         """Errors of the fits; arbitrary for lost ones."""
         template, lenslets = self._template, len(fits.gain)
-        errors = FitErrors(
-            np.empty_like(template.per_pixel.covariance), np.empty(lenslets), np.empty(lenslets), np.ones(lenslets)
-        )
+        variance, known = np.empty((lenslets, 2)), np.ones(lenslets)
+        of_residual = np.empty(lenslets), np.empty(lenslets)
         noise = (np.nan, np.nan)
         if self._noise is not None:
             noise = self._noise.counts_per_light, self._noise.read_noise_counts**2
-        prepared = *noise, self._of_reference, self._reference_power
-        _propagate(fits, np.arange(lenslets), template.per_pixel, template.per_light, *prepared, errors)
+        prepared = *noise, self._of_reference, self._reference_power, variance, *of_residual
+        per_pixel, per_light = template.per_pixel, template.per_light
+        _propagate(fits, np.arange(lenslets), per_pixel, per_light, *prepared)
+        covariances = per_pixel.covariance, per_light.covariance
         partial = np.flatnonzero(fits.is_partial)
         if partial.size:
-            per_pixel, per_light, errors.known[partial] = template.without(partial, fits.excluded[partial])
-            _propagate(fits, partial, per_pixel, per_light, *prepared, errors)
-        return errors
+            per_pixel, per_light, known[partial] = template.without(partial, fits.excluded[partial])
+            _propagate(fits, partial, per_pixel, per_light, *prepared)
+            covariances = covariances[0].copy(), covariances[1].copy()
+            covariances[0][partial], covariances[1][partial] = per_pixel.covariance, per_light.covariance
+        covariance = FitCovariance(variance.reshape(*self._lattice, 2), *covariances, self._basis)
+        return FitErrors(covariance, *of_residual, known)
 
 
 @compiled
@@ -86,9 +119,11 @@ def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by
     read: float,
     of_reference: float,
     reference_power: Floats,
-    errors: FitErrors,
+    variance: Floats,
+    chi_square: Floats,
+    unexplained: Floats,
 ) -> None:
-    """Fill in the errors of some lenslets (K,).
+    """Fill in noise variances (L, 2), reduced chi-squares and unexplained squares (L,) of some lenslets (K,).
 
     `shot` (counts^2 per count of light) and `read` (counts^2) are NaN if unknown; the reference has the share
     `of_reference` of them, reduced by interpolation to `reference_power` (L, 2).
@@ -100,7 +135,7 @@ def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by
         of_pixels, of_light, expected = 0.0, 0.0, 0.0
         if np.isnan(shot):
             of_pixels = square / (power[0] * per_pixel.square[k] - per_pixel.fitted[k])
-            errors.chi_square[lenslet] = np.nan
+            chi_square[lenslet] = np.nan
         else:
             # Noise of the frame, scaled to the brightness of the reference, and of the reference.
             shot_frame, read_frame = shot * gain, read * gain * gain
@@ -110,9 +145,6 @@ def _propagate(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by
             left_light = shot_frame * power[1] + shot_reference * still[1]
             expected = left_pixels * per_pixel.square[k] - of_pixels * per_pixel.fitted[k]
             expected += left_light * per_light.square[k] - of_light * per_light.fitted[k]
-            errors.chi_square[lenslet] = square / expected
-        errors.unexplained[lenslet] = square - expected
-        to = errors.covariance[lenslet].reshape(-1)
-        pixels, light = per_pixel.covariance[k].reshape(-1), per_light.covariance[k].reshape(-1)
-        for n in range(to.size):
-            to[n] = of_pixels * pixels[n] + of_light * light[n]
+            chi_square[lenslet] = square / expected
+        unexplained[lenslet] = square - expected
+        variance[lenslet, 0], variance[lenslet, 1] = of_pixels, of_light

@@ -31,7 +31,7 @@ _AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
 class Propagated(NamedTuple):
     """Effect of noise of a given variance per pixel on the fits of L lenslets with Q field modes."""
 
-    covariance: Floats  # of the displacement coefficients, (L, Q, xy, Q, xy)
+    covariance: Floats  # of the parameters, (L, P - 2, P - 2)
     square: Floats  # expected weighted sum of its squares, (L,)
     fitted: Floats  # part of `square` absorbed by the fit, (L,)
 
@@ -61,8 +61,7 @@ class Template:
         weight *= ~excluded
         weight *= whole / np.maximum(weight.sum(axis=1, keepdims=True), _NOTHING)
         light = np.maximum(self.grid.light[lenslets], 0)
-        basis = np.asarray(self.grid.basis, np.float64)
-        return *(_propagated(v, inverse, weight, descent, basis) for v in (np.ones_like(light), light)), share
+        return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share
 
 
 def prepare_template(
@@ -120,8 +119,8 @@ def prepare_template(
         grid.light[some], grid.weight[some] = light, weight
         grid.inverse[some], grid.descent[some] = inverse, descent
         grid.normal[some] = weighted @ np.swapaxes(descent, 1, 2)
-        per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent, basis))
-        per_light.append(_propagated(expected, inverse, weight, descent, basis))
+        per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
+        per_light.append(_propagated(expected, inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
     return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
 
@@ -156,17 +155,19 @@ def _weight(expected: Floats, noise: CameraNoise) -> Floats:
     return np.asarray(1 / (noise.variance(expected) / peak**2 + _MODEL_ERROR**2))
 
 
-def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floats, basis: Floats) -> Propagated:
+def coefficient_covariance(covariance: Floats, basis: Floats) -> Floats:
+    """Covariance (L, Q, xy, Q, xy) of the coefficients, given that of the parameters (L, P, P) of a basis (P, 2Q)."""
+    modes = basis.shape[1] // 2
+    covariance = (basis.T @ covariance @ basis).reshape(-1, 2, modes, 2, modes)
+    return np.ascontiguousarray(covariance.transpose(0, 2, 1, 4, 3))
+
+
+def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floats) -> Propagated:
     """Propagate noise of independent pixels, (L, N), through A = `inverse` (L, P, N), J = `descent`."""
-    count, modes = len(basis), basis.shape[1] // 2
-    warp = inverse[:, :count]
-    covariance = (warp * variance[:, None]) @ np.swapaxes(warp, 1, 2)
-    if count < 2 * modes:
-        covariance = basis.T @ covariance @ basis
-    covariance = covariance.reshape(-1, 2, modes, 2, modes)
+    warp = inverse[:, :-2]
     leverage = np.einsum("lkn,lkn->ln", inverse, descent)
     return Propagated(
-        covariance=np.ascontiguousarray(covariance.transpose(0, 2, 1, 4, 3)),
+        covariance=(warp * variance[:, None]) @ np.swapaxes(warp, 1, 2),
         square=np.sum(weight * variance, axis=1),
         fitted=np.sum(weight * variance * leverage, axis=1),
     )

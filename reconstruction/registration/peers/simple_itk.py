@@ -24,7 +24,7 @@ from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import FieldModes, LegendreModes
 from reconstruction.registration.classification import classify_lenslets
-from reconstruction.registration.gauss_newton.template import prepare_template
+from reconstruction.registration.gauss_newton.template import coefficient_covariance, prepare_template
 from reconstruction.registration.peers.flow import FlowToModes, misfit
 from reconstruction.registration.subimages import ReferenceSubimages
 
@@ -60,7 +60,8 @@ class ItkAffine:
         windows = reference.light.reshape(-1, reference.width, reference.width)
         self._windows = (windows * self._scale).astype(np.float32)
         every = np.ones(reference.width, np.bool_)
-        self._covariance = prepare_template(reference, self._modes, every, conserve_flux=False).per_pixel.covariance
+        template = prepare_template(reference, self._modes, every, conserve_flux=False)
+        self._covariance = coefficient_covariance(template.per_pixel.covariance, np.eye(2 * self._modes.count))
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`."""

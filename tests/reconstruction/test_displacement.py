@@ -1,0 +1,60 @@
+"""Covariances that are computed when they are needed."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.optics import FIELD, SmallBench
+
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Displacement
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.modes.field_modes import gradient_basis
+from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings
+
+
+@pytest.fixture
+def displacement(small_bench: SmallBench) -> Displacement:
+    """Quadratic gradients of a frame at rest, its first lenslet dark."""
+    reference = small_bench.reference * np.float32(1000 / small_bench.reference.max())
+    subimages = ReferenceSubimages(
+        reference, sensor=small_bench.sensor, lattice=small_bench.lattice, field=FIELD, noise=CameraNoise(1.0, 8.0)
+    )
+    estimate = prepare_registration(subimages, RegistrationSettings(warp="quadratic", rotation=False), FIELD)
+    frame = reference.copy()
+    row, column = np.indices(frame.shape)
+    x, y = small_bench.lattice.lenslet_centers_px(7, 9)[0, 0]
+    frame[np.hypot(row - y, column - x) < 22] = 0
+    return estimate(frame, saturated=np.zeros(frame.shape, np.bool_))
+
+
+def _mean_variance(covariance: Floats) -> Floats:
+    return np.asarray(np.trace(covariance.reshape(7, 9, 12, 12), axis1=2, axis2=3) / 12)
+
+
+def test_mean_variance_is_that_of_the_covariance(displacement: Displacement) -> None:
+    before = displacement.mean_variance
+    assert displacement.covariance.shape == (7, 9, 6, 2, 6, 2)
+    np.testing.assert_allclose(before, _mean_variance(displacement.covariance), rtol=1e-6)
+    np.testing.assert_allclose(displacement.mean_variance, before, rtol=1e-6)
+    np.testing.assert_array_equal(np.isnan(before), ~displacement.valid)
+    assert not displacement.valid[0, 0]
+    assert np.isnan(displacement.covariance[~displacement.valid]).all()
+
+
+def test_covariance_lies_in_the_space_of_gradients(displacement: Displacement) -> None:
+    covariance = displacement.covariance[3, 4].transpose(1, 0, 3, 2).reshape(12, 12)
+    basis = gradient_basis(displacement.modes)  # type: ignore[arg-type] # Legendre
+    within = basis.T @ basis @ covariance @ basis.T @ basis
+    np.testing.assert_allclose(covariance, within, atol=1e-6 * covariance.max())
+    assert np.linalg.matrix_rank(covariance, tol=1e-6 * covariance.max()) == 9
+
+
+def test_copies_have_the_same_covariance(displacement: Displacement) -> None:
+    stored = pickle.loads(pickle.dumps(displacement))  # noqa: S301 - written above
+    moved = replace(displacement, coefficients=displacement.coefficients + 1)
+    for copy in (stored, moved):
+        np.testing.assert_array_equal(copy.covariance, displacement.covariance)
