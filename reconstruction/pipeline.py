@@ -104,7 +104,7 @@ class Reconstructor:
         frame : (row, column)
             Counts.
         start : Displacement, optional
-            Of an earlier frame. It saves time and does not change the result.
+            Of an earlier frame. It saves time and changes the result by far less than its error.
 
         Raises
         ------
