@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats
-from reconstruction.modes.legendre import legendre, legendre_gradients
-from reconstruction.modes.zernike import zernike, zernike_gradients
+from reconstruction.modes.legendre import legendre, legendre_gradients, legendre_orders, legendre_products
+from reconstruction.modes.zernike import noll_orders, zernike, zernike_gradients, zernike_products
 
 
 class FieldModes(Protocol):
@@ -35,6 +35,16 @@ class FieldModes(Protocol):
 class PolynomialModes(FieldModes, Protocol):
     """Field modes with gradients, as a warp needs them."""
 
+    @property
+    def degree(self) -> Floats:
+        """Degree of each polynomial, (field_mode,)."""
+        ...
+
+    @property
+    def products(self) -> Floats:
+        """T_q as sums of products P_a(x) P_b(y): (field_mode, b, a)."""
+        ...
+
     def gradients(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Gradients of T_q per unit of x and y: (field_mode, *broadcast shape, xy)."""
         ...
@@ -45,6 +55,16 @@ class LegendreModes:
     """The first `count` products of Legendre polynomials, for a square field."""
 
     count: int
+
+    @property
+    def degree(self) -> Floats:
+        """Degree of each polynomial, (field_mode,)."""
+        return np.sum(legendre_orders(self.count), axis=1, dtype=np.float64)
+
+    @property
+    def products(self) -> Floats:
+        """T_q as sums of products P_a(x) P_b(y): (field_mode, b, a)."""
+        return legendre_products(self.count)
 
     def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """T_q at normalised positions: (field_mode, *broadcast shape)."""
@@ -60,6 +80,16 @@ class ZernikeModes:
     """The first `count` Zernike polynomials, for a circular field."""
 
     count: int
+
+    @property
+    def degree(self) -> Floats:
+        """Degree of each polynomial, (field_mode,)."""
+        return np.array([n for n, _ in noll_orders(self.count)], np.float64)
+
+    @property
+    def products(self) -> Floats:
+        """T_q as sums of products P_a(x) P_b(y): (field_mode, b, a)."""
+        return zernike_products(self.count)
 
     def values(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """T_q at normalised positions: (field_mode, *broadcast shape)."""

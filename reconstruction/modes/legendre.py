@@ -21,6 +21,14 @@ def legendre_orders(count: int) -> tuple[tuple[int, int], ...]:
     return tuple(orders[:count])
 
 
+def legendre_products(count: int) -> Floats:
+    """First `count` polynomials as products P_m(x) P_n(y): 1 at (k, n, m), (count, degree + 1, degree + 1)."""
+    m, n, degree = _order_arrays(count)
+    products = np.zeros((count, degree + 1, degree + 1))
+    products[np.arange(count), n, m] = 1.0
+    return products
+
+
 def legendre(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """First `count` polynomials at (x, y), normalised to [-1, 1]: (count, *broadcast shape)."""
     m, n, degree = _order_arrays(count)

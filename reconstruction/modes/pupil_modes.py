@@ -6,8 +6,8 @@ import numpy as np
 
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.geometry import Sensor, centered_steps
-from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, legendre_orders
-from reconstruction.modes.zernike import noll_orders, zernike, zernike_lenslet_gradients
+from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, legendre_orders, legendre_products
+from reconstruction.modes.zernike import noll_orders, zernike, zernike_lenslet_gradients, zernike_products
 from reconstruction.settings import PupilBasis
 
 _HIGHEST_DEGREE = 16  # highest for which the mean gradients of both bases are exact
@@ -36,16 +36,12 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
         count = (highest + 1) * (highest + 2) // 2
     half_x_m, half_y_m = sensor.pupil_half_width_m
     if basis == "legendre":
-        orders = np.array(legendre_orders(count))
-        degree = orders.sum(axis=1)
-        products = np.zeros((count, degree.max() + 1, degree.max() + 1))
-        products[np.arange(count), orders[:, 1], orders[:, 0]] = 1.0
         return PupilModes(
             values=legendre(count, sensor.pupil_x_m / half_x_m, sensor.pupil_y_m[:, None] / half_y_m),
             gradients=legendre_lenslet_gradients(count, rows, columns) / sensor.pupil_half_width_m,
             inside=np.ones((rows, columns), np.bool_),
-            degree=degree.astype(np.float64),
-            products=products,
+            degree=np.sum(legendre_orders(count), axis=1, dtype=np.float64),
+            products=legendre_products(count),
         )
     radius_m = min(half_x_m, half_y_m)
     x, y = sensor.pupil_x_m / radius_m, sensor.pupil_y_m[:, None] / radius_m
@@ -58,16 +54,8 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
         gradients=zernike_lenslet_gradients(count, edges_x, edges_y) / radius_m,
         inside=np.asarray(x**2 + y**2 <= 1),
         degree=degree,
-        products=_legendre_products(count, int(degree.max()), half_x_m / radius_m, half_y_m / radius_m),
+        products=zernike_products(count, half_x_m / radius_m, half_y_m / radius_m),
     )
-
-
-def _legendre_products(count: int, degree: int, half_x: float, half_y: float) -> Floats:
-    """Zernike modes projected on products of Legendre polynomials, (count, n, m); half widths in radii."""
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
-    values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)
-    parts = np.polynomial.legendre.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
-    return np.asarray(np.einsum("kyx,yn,xm->knm", values, parts, parts))
 
 
 class PupilGrid:

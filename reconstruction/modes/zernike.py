@@ -47,6 +47,15 @@ def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     return np.stack(gradients)
 
 
+def zernike_products(count: int, half_x: float = 1.0, half_y: float = 1.0) -> Floats:
+    """First `count` modes as sums of products P_m(xi) P_n(eta), with x = half_x xi and y = half_y eta: (count, n, m)."""
+    degree = max(n for n, _ in noll_orders(count))
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)
+    parts = np.polynomial.legendre.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
+    return np.asarray(np.einsum("kyx,yn,xm->knm", values, parts, parts))
+
+
 def zernike_lenslet_gradients(count: int, edges_x: Floats, edges_y: Floats) -> Floats:
     """Mean gradient of each mode over each lenslet, per radius: (count, lenslet_row, lenslet_column, xy).
 

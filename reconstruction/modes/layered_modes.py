@@ -1,0 +1,75 @@
+"""Wavefronts of layered samples, in pupil modes R_p(u) times field modes T_q(x).
+
+Straight rays through layers make phi(u, x) = sum_i Phi_i(a_i u + b_i x), so that
+(d_u d_y - d_v d_x) phi = 0: subimages do not rotate (docs/layers_and_rotation.md).
+"""
+
+import numpy as np
+from numpy.polynomial import legendre as series
+from scipy import linalg, sparse
+from scipy.sparse.csgraph import connected_components
+
+from reconstruction.arrays import Floats
+
+_DEPENDENT = 1e-9  # of a row's largest element; independent rows leave 0.3
+
+
+def layered_basis(pupil_products: Floats, field_products: Floats, scale: Floats, half_width: Floats) -> Floats:
+    """Orthonormal basis of the layered wavefronts.
+
+    Parameters
+    ----------
+    pupil_products : (pupil_mode, n, m)
+        Pupil modes as sums of P_m(xi) P_n(eta), xi and eta over the lattice.
+    field_products : (field_mode, b, a)
+        Field modes as sums of P_a(x) P_b(y).
+    scale : (pupil_mode, field_mode)
+        Unit of each coefficient; the basis is orthonormal in these units.
+    half_width : (xy,)
+        Of the lattice, in any unit: xi and eta are u and v over it.
+
+    Returns
+    -------
+    (pupil_mode * field_mode, n)
+        Coefficients in the units of `scale`.
+    """
+    slope_u, slope_v = _derivatives(pupil_products)
+    slope_x, slope_y = _derivatives(field_products)
+    rotation = sparse.csr_array(sparse.kron(slope_u / half_width[0], slope_y))
+    rotation = (rotation - sparse.csr_array(sparse.kron(slope_v / half_width[1], slope_x))).T
+    rotation = sparse.csr_array(rotation * scale.ravel())
+    columns = rotation.shape[1]
+    # Modes of different symmetry do not mix: one small basis for each connected set.
+    together = sparse.csr_array((abs(rotation).T @ abs(rotation)))
+    count, label = connected_components(together, directed=False)
+    blocks, places = [], []
+    for block in range(count):
+        place = np.flatnonzero(label == block)
+        places.append(place)
+        blocks.append(_null_space(rotation[:, place].toarray()))
+    basis = np.zeros((columns, sum(block.shape[1] for block in blocks)))
+    first = 0
+    for place, block in zip(places, blocks, strict=True):
+        basis[place, first : first + block.shape[1]] = block
+        first += block.shape[1]
+    return basis
+
+
+def _null_space(rows: Floats) -> Floats:
+    """Orthonormal basis (column, n) of the vectors that all rows (row, column) map to zero."""
+    largest = np.abs(rows).max(axis=1)
+    rows = rows[largest > 0] / largest[largest > 0, None]
+    if not len(rows):
+        return np.eye(rows.shape[1])
+    unitary, triangle, _ = linalg.qr(rows.T, pivoting=True)
+    rank = np.count_nonzero(np.abs(np.diag(triangle)) > _DEPENDENT)
+    return np.asarray(unitary[:, rank:])
+
+
+def _derivatives(products: Floats) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """Derivatives of modes (mode, n, m) along x and y, as coefficients of products: each (mode, n * m)."""
+    degree = products.shape[1] - 1
+    derive = np.zeros((degree + 1, degree + 1))
+    derive[: max(degree, 1), :] = series.legder(np.eye(degree + 1))
+    along_x, along_y = products @ derive.T, np.swapaxes(np.swapaxes(products, 1, 2) @ derive.T, 1, 2)
+    return sparse.csr_array(along_x.reshape(len(products), -1)), sparse.csr_array(along_y.reshape(len(products), -1))
