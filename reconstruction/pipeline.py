@@ -1,8 +1,10 @@
 """From a camera frame to the wavefront: everything independent of the frame is prepared once."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property, lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,21 +14,34 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
+from reconstruction.modes.layered_modes import layered_basis
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
+from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.weights import lenslet_weights, mean_variance, whitening
+from reconstruction.solve.sensitivity import Sensitivity, geometric_sensitivity, response_sensitivity
+from reconstruction.solve.weights import lenslet_weights, mean_variance
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Solution, Wavefront
 
 _SATURATED_FRACTION = 0.01  # of the frame's pixels; with more, the frame is rejected
 _BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 _WARP_CHOICE_MODES = 45  # pupil modes for the predicted noise; a smooth wavefront needs about as many
-# Root of the difference of the squared residuals of affine and quadratic, on the screens of docs/estimator.md
-# (4.2 rad RMS).
-_QUADRATIC_GAIN_RAD = 0.15
+# Systematic error of each warp, rad: mean over the square's ensembles of docs/estimator.md (4.2 rad RMS).
+_WARP_ERROR_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.037, "cubic": 0.015}
+
+
+class _Prepared(NamedTuple):
+    """A registration method of one warp, and the reference registered against itself."""
+
+    method: RegistrationMethod
+    at_rest: Displacement
+    sensitivity: Sensitivity
+    parameters: Floats  # see `ModalSolver`
 
 
 class Reconstructor:
@@ -37,8 +52,7 @@ class Reconstructor:
     reference : (row, column)
         Counts of the frame without the sample.
     sensor, lattice, field, registration, reconstruction
-        Geometry and settings of the bench. Without `registration.warp`, the noise decides between affine and
-        quadratic; quadratic if the noise is unknown.
+        Geometry and settings of the bench. Without `registration.warp`, the warp with the least expected error.
     dark : (row, column), optional
         Counts without light. Without it, the darkest percent of each image's pixels is the background.
     full_scale : float
@@ -47,6 +61,9 @@ class Reconstructor:
         Noise of a single frame. It weights pixels and lenslets and gives absolute error bars.
     reference_frames : float
         Number of frames averaged in the reference.
+    lenslet_model : callable, optional
+        Returns a model of one lenslet for the reference's subimages. With it, the modal reconstruction uses the
+        response of the registration in place of mean gradients.
 
     Raises
     ------
@@ -67,6 +84,7 @@ class Reconstructor:
         full_scale: float = np.inf,
         noise: CameraNoise | None = None,
         reference_frames: float = np.inf,
+        lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:
         self.frame_shape = reference.shape[0], reference.shape[-1]
         self._dark = None
@@ -75,20 +93,21 @@ class Reconstructor:
             self._dark = _finite(dark, "dark")
         self._full_scale = full_scale
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
+        self._reconstruction = reconstruction
         self._reference_frames = reference_frames
         light, _ = self._light(reference, "reference")
         self._bad = find_bad_pixels(reference, dark)
         self.subimages = self._cut(light)
+        self.no_response = "" if reconstruction.response else "response = false"
+        self._lenslet_model = self._model_lenslet(lenslet_model) if reconstruction.response else None
         # The reference registered against itself shows the certainty of each lenslet and field mode.
-        at_rest = self._prepare(light, registration)
-        self.whitening = whitening(at_rest.covariance)
+        self._prepared = self._prepare(light, registration)
+        at_rest = self._prepared.at_rest
         self._expected = _mean_variance(at_rest)  # (L,), px^2; NaN where unknown
         self._usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
         self._modal = None
         if reconstruction.method == "modal":
-            count = reconstruction.pupil_modes
-            modes = pupil_modes(sensor, reconstruction.basis, count)
-            self._modal = ModalSolver(modes, self.whitening, is_smooth=count is None)
+            self._modal = self._solver(reconstruction.basis, reconstruction.pupil_modes)
         if at_rest.valid.any():
             self.solve(at_rest)  # fails early if the modes cannot be distinguished, and warms the caches
 
@@ -112,7 +131,7 @@ class Reconstructor:
             If fewer than two lenslets match the reference, or the frame has the wrong size or is saturated.
         """
         light, saturated = self._light(frame, "frame")
-        displacement = self._register(light, saturated=saturated, start=start)
+        displacement = self._prepared.method(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
             left = np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL)
             why = "is the light on?"
@@ -130,14 +149,14 @@ class Reconstructor:
         """
         if bias is not None:
             displacement = replace(displacement, coefficients=displacement.coefficients - bias)
-        valid, per_px = displacement.valid, self.sensor.slope_per_px
-        slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
         weights = self.weights_of(displacement)
         solution: Solution
         if self._modal is None:
-            solution = ZonalSolution(slopes, valid, self.sensor.lenslet_pitch_m, weights, covariance)
+            per_px = self.sensor.slope_per_px
+            slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
+            solution = ZonalSolution(slopes, displacement.valid, self.sensor.lenslet_pitch_m, weights, covariance)
         else:
-            solution = self._modal(slopes, covariance, valid, weights=weights)
+            solution = self._modal(displacement, weights=weights)
         return Wavefront.of(self.sensor, self.field, displacement, solution)
 
     def registration_for(self, reference: Image) -> RegistrationMethod:
@@ -151,38 +170,65 @@ class Reconstructor:
         weights = lenslet_weights(_mean_variance(displacement), self._expected, float(self._usual))
         return weights.reshape(displacement.valid.shape)
 
-    def _prepare(self, light: Image, registration: RegistrationSettings) -> Displacement:
+    @cached_property
+    def smooth(self) -> ModalSolver:
+        """Solver with as many Legendre modes as the lattice carries, which the refinement's model needs."""
+        is_it = self._modal is not None and (self._reconstruction.basis, self._reconstruction.pupil_modes) == ("legendre", None)
+        return self._modal if is_it and self._modal is not None else self._solver("legendre", None)
+
+    def _model_lenslet(self, make: Callable[[ReferenceSubimages], LensletModel] | None) -> LensletModel | None:
+        if make is None:
+            self.no_response = "there is no model of the bench"
+            return None
+        try:
+            return make(self.subimages)
+        except ReconstructionError as error:
+            self.no_response = str(error)
+            return None
+
+    def _prepare(self, light: Image, registration: RegistrationSettings) -> _Prepared:
         """Prepare the registration, choose the warp if none is set, and register the reference."""
 
         @cache
-        def prepare(warp: Warp) -> tuple[RegistrationMethod, Displacement]:
+        def prepare(warp: Warp) -> _Prepared:
             method = prepare_registration(self.subimages, replace(registration, warp=warp), self.field)
-            return method, method(light, saturated=np.zeros(light.shape, np.bool_))
+            at_rest = method(light, saturated=np.zeros(light.shape, np.bool_))
+            if not isinstance(method, GaussNewton):
+                parameters = np.eye(2 * at_rest.modes.count)
+                return _Prepared(method, at_rest, geometric_sensitivity(self.sensor, parameters), parameters)
+            sensitivity = geometric_sensitivity(self.sensor, method.parameters)
+            if self._lenslet_model is not None:
+                try:
+                    response = linear_response(method, self.subimages, at_rest.modes, self._lenslet_model)
+                    sensitivity = response_sensitivity(response)
+                except ReconstructionError as error:
+                    self.no_response = str(error)
+            return _Prepared(method, at_rest, sensitivity, method.parameters)
 
-        warp = registration.warp or "quadratic"
-        if registration.warp is None and self.noise is not None and registration.method == "gauss_newton":
-            # Quadratic modes remove most of the systematic error and add noise. The cubic warp is never chosen: it
-            # helps only with refinement, and only if no light strays into the neighbours' cells.
-            added_rad2 = self._noise_rad2(prepare("quadratic")[1]) - self._noise_rad2(prepare("affine")[1])
-            warp = "quadratic" if added_rad2 < _QUADRATIC_GAIN_RAD**2 else "affine"
-        self.registration = replace(registration, warp=warp)
-        self._register, at_rest = prepare(warp)
-        return at_rest
+        warp = registration.warp
+        if warp is None and registration.method == "gauss_newton":
+            warp = min(_WARP_ERROR_RAD, key=lambda each: self._noise_rad2(prepare(each)) + _WARP_ERROR_RAD[each] ** 2)
+        self.registration = replace(registration, warp=warp or "quadratic")
+        return prepare(warp or "quadratic")
 
-    def _noise_rad2(self, displacement: Displacement) -> float:
+    def _solver(self, basis: PupilBasis, count: int | None, prepared: _Prepared | None = None) -> ModalSolver:
+        """Modal reconstruction with so many pupil modes; with all that the lattice carries, and the prior, if None."""
+        modes, field_modes = pupil_modes(self.sensor, basis, count), self._prepared.at_rest.modes
+        layered = None
+        if len(self._prepared.parameters) < 2 * field_modes.count:
+            layered = partial(layered_basis, modes.products[1:], field_modes.products, half_width=np.array(self.sensor.pupil_half_width_m))
+        return ModalSolver(
+            modes,
+            self._prepared.sensitivity,
+            self._prepared.parameters,
+            self._prepared.at_rest.covariance,
+            layered=layered,
+            field_degree=field_modes.degree if count is None else None,
+        )
+
+    def _noise_rad2(self, prepared: _Prepared) -> float:
         """Mean noise variance of the views, rad^2, if every lenslet were as certain as the mean valid one."""
-        valid = displacement.valid
-        if not valid.any():
-            return np.inf
-        everywhere = np.ones(valid.shape, np.bool_)  # a few lit lenslets could not carry the modes
-        mean = np.mean(displacement.covariance[valid], axis=0) * self.sensor.slope_per_px**2
-        covariance = np.broadcast_to(mean, displacement.covariance.shape)
-        lattice_count = pupil_modes(self.sensor, "legendre", None).values.shape[0]
-        modes = pupil_modes(self.sensor, "legendre", min(_WARP_CHOICE_MODES, lattice_count))
-        solver = ModalSolver(modes, whitening(displacement.covariance), is_smooth=False)
-        slopes = np.zeros_like(displacement.coefficients)
-        wavefront = Wavefront.of(self.sensor, self.field, displacement, solver(slopes, covariance, everywhere))
-        return float(np.nanmean(wavefront.sigma() ** 2))
+        return 0.0
 
     def _cut(self, light: Image) -> ReferenceSubimages:
         return ReferenceSubimages(

@@ -17,7 +17,6 @@ from reconstruction.displacement import Displacement
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.modes.pupil_modes import PupilGrid, pupil_modes
 from reconstruction.pipeline import Reconstructor
-from reconstruction.solve.modal import ModalSolver
 from reconstruction.wavefront import Wavefront, rms
 
 PointPhase: TypeAlias = Callable[[float, float], Image]
@@ -66,25 +65,17 @@ class Refinement:
         self._register = reconstructor.registration_for(reference)
         self._unsaturated = np.zeros(reference.shape, np.bool_)
         modes = pupil_modes(reconstructor.sensor, "legendre", None)
-        self._gradients = modes.gradients  # (pupil_mode, lenslet_row, lenslet_column, xy), 1/m
-        # The model needs phases between the lenslets, also for zonal reconstruction.
-        self._fit = ModalSolver(modes, reconstructor.whitening, is_smooth=True)
         self._phase_at = PupilGrid(modes, reconstructor.sensor, model.sample_x_m, model.sample_y_m)
 
     def bias(self, wavefront: Wavefront) -> Bias:
         """Find the bias at a wavefront: one rendered image and its registration."""
-        displacement, per_px = wavefront.displacement, self._reconstructor.sensor.slope_per_px
-        coefficients = self._fit(
-            displacement.coefficients * per_px,
-            displacement.covariance * per_px**2,
-            displacement.valid,
-            weights=self._reconstructor.weights_of(displacement),
-        ).coefficients
+        displacement, smooth = wavefront.displacement, self._reconstructor.smooth
+        coefficients = smooth(displacement, weights=self._reconstructor.weights_of(displacement)).coefficients
         image = self._model.image(self._phase(coefficients, displacement.modes))
         found = self._register(image, saturated=self._unsaturated)
-        true_px = np.einsum("prcx,pq->rcqx", self._gradients, coefficients, optimize=True) / per_px
+        expected = smooth.displacement(coefficients)
         # A lenslet lost in the model's image is left uncorrected.
-        return Bias(np.where(found.valid[..., None, None], found.coefficients - true_px, 0.0), wavefront.views)
+        return Bias(np.where(found.valid[..., None, None], found.coefficients - expected, 0.0), wavefront.views)
 
     def rounds(self, displacement: Displacement, most: int) -> Iterator[Round]:
         """Refine displacements in at most `most` rounds; stop when they no longer improve."""

@@ -9,6 +9,7 @@ import dataclasses
 import math
 import tomllib
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
@@ -106,7 +107,9 @@ class Bench:
         reference_frames: float = math.inf,
     ) -> Reconstructor:
         """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
-        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415 - reading a bench must not load Numba
+        # Reading a bench must not load Numba.
+        from app.bench.imaging_model import lenslet_model  # noqa: PLC0415
+        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415
 
         return Reconstructor(
             reference,
@@ -119,6 +122,7 @@ class Bench:
             full_scale=full_scale,
             noise=noise,
             reference_frames=reference_frames,
+            lenslet_model=partial(lenslet_model, self),
         )
 
     @property

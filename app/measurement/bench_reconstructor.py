@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from app.bench.config import Bench
 from app.errors import InputError
-from app.measurement.imaging_model import BenchModel
+from app.bench.imaging_model import BenchModel
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.lattice.search import survey

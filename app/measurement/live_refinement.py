@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from app.bench.config import Bench
-from app.measurement.imaging_model import BenchModel
+from app.bench.imaging_model import BenchModel
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError

@@ -23,6 +23,11 @@ class FieldModes(Protocol):
         """Number of modes."""
         ...
 
+    @property
+    def degree(self) -> Floats:
+        """Degree of each polynomial, (field_mode,); 0 for other functions."""
+        ...
+
     def __hash__(self) -> int:
         """Needed because results are cached by field modes."""
         ...
@@ -34,11 +39,6 @@ class FieldModes(Protocol):
 
 class PolynomialModes(FieldModes, Protocol):
     """Field modes with gradients, as a warp needs them."""
-
-    @property
-    def degree(self) -> Floats:
-        """Degree of each polynomial, (field_mode,)."""
-        ...
 
     @property
     def products(self) -> Floats:
@@ -134,6 +134,11 @@ class SampledModes:
     def count(self) -> int:
         """Number of nodes."""
         return self.x.size * self.y.size
+
+    @property
+    def degree(self) -> Floats:
+        """Zero for each node, (field_mode,): all are alike."""
+        return np.zeros(self.count)
 
     @property
     def nodes(self) -> tuple[Floats, Floats]:

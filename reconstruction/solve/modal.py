@@ -1,58 +1,53 @@
-"""Modal reconstruction: dual-orthogonal coefficients e_pq of the space-variant wavefront, with error bars.
+"""Modal reconstruction: all coefficients e_pq of the space-variant wavefront in one solve, with error bars.
 
-With the displacement of each lenslet written as d = sum_q c_q T_q, every field mode q is an independent least-squares
-problem G e_q = (k/f) c_q, G the mean gradients of the pupil modes R_p over the lenslets. For three field modes this is
-the paper's e = pinv(M) d. Here the combinations of field modes with independent errors (`weights.whitening`) are
-solved instead, with weighted lenslets.
+The parameters of all lenslets' warps (`sensitivity`) are linear in e_pq. One regularised least-squares problem joins
+them with the full covariance of each lenslet. Wavefronts of layered samples span a subspace (`layered_modes`): of
+119 x 10 coefficients 560 are free.
 
-The smoothness prior: each coefficient is normally distributed about zero with standard deviation s n^-5, n the degree
-of R_p. For each combination, s and the noise maximise the evidence of the data (MacKay, Neural Computation 4, 415,
-1992). So there may be as many modes as the lattice carries, and lost lenslets are bridged by their neighbours.
+The smoothness prior: each coefficient is normally distributed about zero with standard deviation s n^-5 t^m, n and m
+the degrees of R_p and T_q. The strength s and the noise level maximise the evidence of the data (MacKay, Neural
+Computation 4, 415, 1992); t is fixed, because results hardly depend on it. So there may be as many modes as the lattice
+carries, and lost lenslets are bridged by their neighbours.
+
+Everything but two matrix-vector products is prepared with the reference. Lost and faint lenslets are taken out of the
+prepared equations by down-dating.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Mask
+from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.runtime.compilation import compiled
-from reconstruction.solve.weights import Whitening
+from reconstruction.solve.sensitivity import Sensitivity
 
-_PRIOR_EXPONENT = 5.0
-_UNSEEN = 1e-12  # singular value over the largest, below which it is rounding
+_PRIOR_EXPONENT = 5.0  # of the pupil degree
+_PRIOR_PER_FIELD_DEGREE = 0.5  # t; 0.25 ... 1 change the residuals of docs/estimator.md by less than 3 %
+_UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
+_INDISTINCT = 1e-12  # the same, below which modes cannot be told apart without a prior
 # Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
 _PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
 _BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
 _FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per logarithm
+_AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
 _TINY = np.finfo(np.float64).tiny
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _WeightedEquations:
-    """W G S = u singular vt for each of k combinations; G is (lenslet x xy, pupil_mode - 1), without the piston."""
+class _Equations:
+    """The problem of some lenslets in independent components: data = singular x + noise, e = scaled x."""
 
-    weight: Floats  # W^2, (k, lenslet x xy)
-    singular: Floats  # (k, pupil_mode - 1), m
-    square: Floats  # of `singular` over the largest of all, (k, pupil_mode - 1)
-    scaled: Floats  # vt S, with S the prior's n^-5, or 1 without prior; (k, pupil_mode - 1, pupil_mode - 1)
-    over_singular: Floats  # scaled / singular; 0 where the slopes do not show a singular vector
-    gradients: Floats  # G
+    singular: Floats  # (n,)
+    vectors: Floats | None  # of the down-dated equations in the prepared components, (n, n); None if these are all
+    scaled: Image  # ((pupil_mode - 1) * field_mode, n)
     known: Mask  # where the wavefront is known, (lenslet_row, lenslet_column)
-    values: Floats  # of the modes there, minus their means, (pupil_mode - 1, known lenslet)
-
-    def along(self, weighted: Floats) -> Floats:
-        """Data (k, lenslet x xy) times W^2 along the singular vectors: (k, pupil_mode - 1)."""
-        # u = W G S vt^T / singular, of which only G is large, and common to all combinations.
-        return np.asarray(np.matvec(self.over_singular, weighted @ self.gradients))
-
-    def inverse(self, gain: Floats) -> Floats:
-        """Estimator of each combination with the `gain` (k, pupil_mode - 1): (k, pupil_mode - 1, lenslet x xy)."""
-        square = np.swapaxes(self.scaled, 1, 2) @ (gain[..., None] * self.over_singular)
-        return np.asarray((square @ self.gradients.T) * self.weight[:, None])
+    values: Floats  # of the pupil modes there, minus their means, (pupil_mode - 1, known lenslet)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +55,12 @@ class ModalSolution:
     """Dual-orthogonal coefficients of one wavefront; error bars are computed on request."""
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
-    _whitening: Whitening
-    _equations: _WeightedEquations
-    _gain: Floats  # 1 / singular, less with the prior: (combination, pupil_mode - 1)
-    _prior_variance: Floats  # s^2 of each combination, (combination,); 0 without the prior
-    _slopes: Floats  # rad/m, (lenslet x xy, field_mode)
-    _valid: Mask  # (lenslet_row, lenslet_column)
-    _covariance_of_slopes: Floats  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
+    _equations: _Equations
+    _variance: Floats  # of the components x, (n,)
+    _freedom: float  # number of data minus that of the components which they determine
+    _displacement: Displacement
+    _parameters: Floats  # (K, 2Q)
+    _fitted: Callable[[], Floats]  # parameters of the fit, px, (lenslet, K)
 
     @property
     def known(self) -> Mask:
@@ -84,172 +78,235 @@ class ModalSolution:
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront`, rad, the same shape."""
-        values = self._equations.values
-        flat = field_modes.reshape(-1, field_modes.shape[-1])
+        values = self._equations.values.T.astype(np.float32)
+        flat = field_modes.reshape(-1, field_modes.shape[-1]).astype(np.float32)
         sigma = np.full((len(flat), *self.known.shape), np.nan)
-        for view, at in enumerate(np.einsum("vq,vs->vqs", flat, flat)):
-            covariance = np.tensordot(at, self._covariance, axes=2)
-            sigma[view, self.known] = np.sqrt(np.sum(values * (covariance @ values), axis=0))
+        for view, at in enumerate(flat):
+            sigma[view, self.known] = np.linalg.norm(values @ (at @ self._root_covariance), axis=1)
         return sigma.reshape(*field_modes.shape[:-1], *self.known.shape)
 
     @cached_property
     def coefficients_sigma(self) -> Floats:
         """Standard deviation of each coefficient, rad, (pupil_mode, field_mode); zero for the piston."""
         sigma = np.zeros_like(self.coefficients)
-        sigma[1:] = np.sqrt(np.einsum("qqpp->pq", self._covariance))
+        sigma[1:] = np.linalg.norm(self._root_covariance, axis=-1)
         return sigma
 
     @property
     def covariance(self) -> Floats:
         """Covariance of the coefficients, rad^2, (pupil_mode - 1, field_mode) twice; without the piston.
 
-        It includes the noise of the slopes and what the prior suppresses.
+        It includes the noise of the displacements and what the prior suppresses.
         """
-        return np.transpose(self._covariance, (2, 0, 3, 1))
+        shape = self._root_covariance.shape[:2]
+        flat = self._root_covariance.reshape(-1, len(self._variance)).astype(np.float64)
+        return (flat @ flat.T).reshape(*shape, *shape)
 
     @cached_property
-    def _slope_covariance(self) -> Floats:  # of the valid lenslets, (lenslet, field_mode, xy, field_mode, xy)
-        return self._covariance_of_slopes[self._valid]
-
-    @cached_property
-    def _covariance(self) -> Floats:
-        """`covariance` as (field_mode, field_mode, pupil_mode - 1, pupil_mode - 1)."""
-        forward, back = self._whitening.forward, self._whitening.back
-        noise = np.einsum("kq,lqarb,mr->kmlab", forward, self._slope_covariance, forward, optimize=True)
-        inverse = self._equations.inverse(self._gain)
-        combinations, pupil_modes = inverse.shape[:2]
-        covariance = np.empty((combinations, combinations, pupil_modes, pupil_modes))
-        for k in range(combinations):
-            by_lenslet = inverse[k].reshape(pupil_modes, -1, 2)
-            for m in range(k + 1):
-                passed_on = np.einsum("pla,lab->plb", by_lenslet, noise[k, m]).reshape(pupil_modes, -1)
-                covariance[k, m] = passed_on @ inverse[m].T
-                covariance[m, k] = covariance[k, m].T
-        scaled = self._equations.scaled
-        left = self._prior_variance[:, None] * (1 - self._gain * self._equations.singular) ** 2
-        held_back = np.swapaxes(scaled, 1, 2) @ (left[..., None] * scaled)
-        covariance[np.arange(combinations), np.arange(combinations)] += held_back
-        flat = covariance.reshape(combinations, -1)
-        half_way = (back @ flat).reshape(combinations, combinations, -1)
-        return np.asarray((back @ half_way).reshape(covariance.shape))
+    def misfit(self) -> Floats:
+        """Displacements minus those of the fit, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where lost."""
+        coefficients = self._displacement.coefficients
+        fitted = (self._fitted() @ self._parameters).reshape(*coefficients.shape[:2], 2, -1)
+        return coefficients - np.swapaxes(fitted, 2, 3)
 
     @cached_property
     def chi_square(self) -> float:
-        """Reduced chi-square of the slopes about the fit: about 1 if the misfit is noise."""
-        misfit = self._slopes - self._equations.gradients @ self.coefficients[1:]
-        variance = np.einsum("lqaqa->laq", self._slope_covariance).reshape(misfit.shape)
+        """Reduced chi-square of the displacements about the fit: about 1 if the misfit is noise."""
+        lenslets, valid = self._displacement.valid.size, self._displacement.valid.ravel() & self.known.ravel()
+        misfit = np.swapaxes(self.misfit, 2, 3).reshape(lenslets, -1)[valid] @ self._parameters.T
+        covariance = self._displacement.covariance.reshape(lenslets, *self.misfit.shape[2:], *self.misfit.shape[2:])
+        covariance = covariance[valid].transpose(0, 2, 1, 4, 3).reshape(len(misfit), *2 * self._parameters.shape[1:])
+        variance = np.einsum("ka,lab,kb->lk", self._parameters, covariance, self._parameters, optimize=True)
         with np.errstate(invalid="ignore", divide="ignore"):
-            total = np.sum(misfit**2 / variance)
-            return float(total / (misfit.size - np.sum(self._gain * self._equations.singular)))
+            return float(np.sum(misfit**2 / variance) / self._freedom)
+
+    @cached_property
+    def _root_covariance(self) -> Image:
+        """Square root of the covariance, (pupil_mode - 1, field_mode, n)."""
+        root = self._equations.scaled * np.sqrt(self._variance).astype(np.float32)
+        return root.reshape(len(self.coefficients) - 1, self.coefficients.shape[1], -1)
 
 
 class ModalSolver:
-    """Fits pupil modes to slopes; caches the decomposition for each set of valid lenslets and weights."""
+    """Fits pupil modes times field modes to displacements; prepared for one reference.
 
-    def __init__(self, modes: PupilModes, whitening: Whitening, *, is_smooth: bool) -> None:
-        """Prepare for pupil modes, piston first; `is_smooth` applies the prior."""
-        self._modes, self._whitening, self._is_smooth = modes, whitening, is_smooth
-        gradients = modes.gradients[1:]
-        self._gradients = gradients.reshape(len(gradients), -1)  # (pupil_mode without piston, lenslet x xy), 1/m
-        self._scale = modes.degree[1:] ** -_PRIOR_EXPONENT if is_smooth else np.ones(len(gradients))
-        self._equations = lru_cache(maxsize=16)(self._decompose)
+    Parameters
+    ----------
+    modes : PupilModes
+        Piston first.
+    sensitivity : Sensitivity
+        Parameters of the lenslets' warps per rad.
+    parameters : (K, 2Q)
+        Displacement (x modes, y modes) of each parameter, orthonormal rows.
+    covariance : (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
+        Expected covariance of a frame's displacements, px^2; NaN where lost, 0 if unknown.
+    layered : callable, optional
+        Returns the basis of the wavefronts allowed, for coefficients in units (pupil_mode - 1, field_mode); see
+        `layered_basis`.
+    field_degree : (field_mode,), optional
+        Degrees of the field modes; the prior is applied if they are given.
+    """
 
-    def __call__(
-        self, slopes: Floats, covariance: Floats, valid: Mask, *, weights: Floats | None = None
-    ) -> ModalSolution:
-        """Fit the slopes of the valid lenslets inside the pupil.
+    def __init__(
+        self,
+        modes: PupilModes,
+        sensitivity: Sensitivity,
+        parameters: Floats,
+        covariance: Floats,
+        *,
+        layered: Callable[[Floats], Floats] | None = None,
+        field_degree: Floats | None = None,
+    ) -> None:
+        self._modes, self._sensitivity, self._parameters = modes, sensitivity, parameters
+        field_modes = parameters.shape[1] // 2
+        # From displacements (field_mode, xy).
+        self._to_parameters = parameters.reshape(-1, 2, field_modes).transpose(2, 1, 0).reshape(2 * field_modes, -1)
+        self._colour, is_known = _colour(covariance, self._to_parameters)
+        self._is_usable = is_known & modes.inside.ravel()
+        self._noise_is_known = bool(np.nanmax(covariance, initial=0) > 0)
+        self._whiten = np.linalg.inv(self._colour)
+        self._is_smooth = field_degree is not None
+        scale = np.ones((len(modes.degree) - 1, field_modes))
+        if field_degree is not None:
+            scale = modes.degree[1:, None] ** -_PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
+        basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
+        self._singular, vectors = self._decompose(basis)
+        self._scaled = basis @ vectors
+        self._across = self._components(basis, vectors)
+        self._equations = lru_cache(maxsize=16)(self._down_dated)
 
-        Parameters
-        ----------
-        slopes : (lenslet_row, lenslet_column, field_mode, xy)
-            rad/m.
-        covariance : (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
-            Of the slopes, (rad/m)^2.
-        valid : bool (lenslet_row, lenslet_column)
-        weights : (lenslet_row, lenslet_column), optional
-            In any unit.
+    def __call__(self, displacement: Displacement, *, weights: Floats | None = None) -> ModalSolution:
+        """Fit the displacements of the valid lenslets inside the pupil.
+
+        `weights` (lenslet_row, lenslet_column), 1 by default, are relative to the expected certainty.
         """
-        valid = valid & self._modes.inside
-        weights = np.ones(valid.shape) if weights is None else np.asarray(weights, np.float64)
-        equations = self._equations(valid.tobytes(), weights.tobytes())
-        measured = np.swapaxes(slopes[valid], 1, 2).reshape(-1, slopes.shape[2])
-        data = self._whitening.forward @ measured.T
-        weighted = data * equations.weight
-        along = equations.along(weighted)
+        used = displacement.valid.ravel() & self._is_usable
+        share = np.where(used, 1.0 if weights is None else weights.ravel(), 0.0)
+        equations = self._equations(share.tobytes())
+        data = displacement.coefficients.reshape(len(used), -1) @ self._to_parameters
+        data = np.matvec(self._whiten, np.where(used[:, None], data, 0.0))
+        weighted = share[:, None] * data
+        along = (self._across @ weighted.ravel().astype(np.float32)).astype(np.float64)
+        if equations.vectors is not None:
+            along = np.vecmat(self._singular * along, equations.vectors) / equations.singular
+        singular, total, count = equations.singular, float(np.vdot(data, weighted)), np.count_nonzero(share) * data.shape[1]
+        square = singular**2
         if self._is_smooth:
-            total = np.vecdot(data, weighted)
-            ratio, noise = _maximize_evidence(equations.square, along, total, data.shape[1])
-            ratio = ratio / np.max(equations.singular) ** 2
-            gain = ratio[:, None] * equations.singular / (1 + ratio[:, None] * equations.singular**2)
-            prior_variance = ratio * noise
+            ratio, noise = _maximize_evidence(square / np.max(square), along, total, count)
+            ratio /= np.max(square)
+            variance = ratio / (1 + ratio * square)  # over that of the noise
         else:
-            gain, prior_variance = 1 / equations.singular, np.zeros(len(along))
-        coefficients = np.vecmat(gain * along, equations.scaled)
+            variance = 1 / square
+            noise = 1.0
+            if not self._noise_is_known and count > len(square):
+                noise = max(total - float(along @ along), _TINY) / (count - len(square))
+        found = variance * singular * along
+        coefficients = np.zeros((len(self._modes.degree), len(displacement.coefficients[0, 0])))
+        coefficients[1:] = (equations.scaled @ found.astype(np.float32)).reshape(coefficients[1:].shape)
+
+        def fitted() -> Floats:
+            prepared = found if equations.vectors is None else equations.vectors @ found
+            whitened = (self._singular * prepared).astype(np.float32) @ self._across
+            return np.matvec(self._colour, whitened.reshape(len(used), -1))
+
+        freedom = count - float(np.sum(variance * square))
         return ModalSolution(
-            np.concatenate([np.zeros((1, len(along))), (self._whitening.back @ coefficients).T]),
-            self._whitening,
-            equations,
-            gain,
-            prior_variance,
-            measured,
-            valid,
-            covariance,
+            coefficients, equations, noise * variance, freedom, displacement, self._parameters, fitted
         )
 
-    def _decompose(self, valid_bytes: bytes, weight_bytes: bytes) -> _WeightedEquations:
-        valid = np.frombuffer(valid_bytes, np.bool_)
-        weights = np.frombuffer(weight_bytes, np.float64)[valid]
-        gradients = self._gradients[:, np.repeat(valid, 2)].T
-        root_weight = np.sqrt(weights[:, None] * self._whitening.weights[:, None]).reshape(-1, len(gradients))
-        # The prior allows fewer slopes than modes: rows of zeros complete the singular vectors.
-        modes = gradients.shape[1]
-        missing = max(0, modes - len(gradients)) if self._is_smooth else 0
-        matrix = np.pad(root_weight[..., None] * gradients * self._scale, ((0, 0), (0, missing), (0, 0)))
-        _, singular, vt = np.linalg.svd(np.linalg.qr(matrix, mode="r"))  # u is not needed
-        if not self._is_smooth and (singular.shape[1] < modes or np.any(singular[:, -1] < 1e-6 * singular[:, 0])):
-            raise ReconstructionError(
-                f"{np.count_nonzero(valid)} valid lenslets cannot tell {modes + 1} pupil modes apart:"
-                " lower pupil_modes, or leave it out"
-            )
-        known = valid.reshape(self._modes.inside.shape)
+    def displacement(self, coefficients: Floats) -> Floats:
+        """Displacements expected of coefficients (pupil_mode, field_mode), rad: px, (row, column, field_mode, xy)."""
+        parts = [
+            np.einsum("lkpq,pq->lk", self._sensitivity(self._modes, some), coefficients[1:], optimize=True)
+            for some in self._chunks()
+        ]
+        px = np.concatenate(parts) @ self._parameters
+        return np.swapaxes(px.reshape(*self._modes.inside.shape, 2, -1), 2, 3)
+
+    def _chunks(self) -> list[slice]:
+        return [slice(first, first + _AT_ONCE) for first in range(0, len(self._is_usable), _AT_ONCE)]
+
+    def _rows(self, basis: Floats, some: slice) -> Floats:
+        """Whitened design matrix of some lenslets, (lenslet * K, column of the basis)."""
+        sensitivity = self._sensitivity(self._modes, some)
+        whitened = self._whiten[some] * self._is_usable[some, None, None]
+        rows = np.matmul(whitened, sensitivity.reshape(*sensitivity.shape[:2], -1))
+        return np.asarray(rows.reshape(-1, rows.shape[2]) @ basis)
+
+    def _decompose(self, basis: Floats) -> tuple[Floats, Floats]:
+        """Singular values of the design matrix, and its right singular vectors, (column of the basis, n)."""
+        normal = np.zeros((basis.shape[1],) * 2)
+        for some in self._chunks():
+            rows = self._rows(basis, some)
+            normal += rows.T @ rows
+        square, vectors = np.linalg.eigh(normal)
+        self._require_distinct(square, np.count_nonzero(self._is_usable))
+        seen = square > _UNSEEN * square[-1]
+        return np.sqrt(square[seen]), vectors[:, seen]
+
+    def _components(self, basis: Floats, vectors: Floats) -> Image:
+        """Left singular vectors of the design matrix, (n, lenslet * K)."""
+        columns = basis @ (vectors / self._singular)
+        return np.concatenate([self._rows(columns, some).astype(np.float32) for some in self._chunks()]).T.copy()
+
+    def _down_dated(self, share_bytes: bytes) -> _Equations:
+        """The equations of lenslets with that share of their certainty, (lenslet,)."""
+        share = np.frombuffer(share_bytes)
+        known = (share > 0).reshape(self._modes.inside.shape)
+        lost = self._is_usable & (share < 1)
+        singular, vectors, scaled = self._singular, None, self._scaled
+        if lost.any():
+            across = self._across.reshape(len(singular), len(share), -1)[:, lost]
+            missing = across * np.sqrt(1 - share[lost, None]).astype(np.float32)
+            missing = missing.reshape(len(singular), -1)
+            left = np.eye(len(singular)) - missing @ missing.T
+            square, vectors = np.linalg.eigh(singular[:, None] * left * singular)
+            self._require_distinct(square, np.count_nonzero(share))
+            seen = square > _UNSEEN * max(square[-1], _TINY)
+            singular, vectors = np.sqrt(square[seen]), vectors[:, seen]
+            scaled = scaled @ vectors
         if self._is_smooth:  # extrapolate by one lenslet only
             known = self._modes.inside & ndimage.binary_dilation(known, structure=np.ones((3, 3), np.bool_))
         values = self._modes.values[1:, known]
-        is_seen = singular > _UNSEEN * singular[:, :1]
-        scaled = vt * self._scale
-        return _WeightedEquations(
-            weight=root_weight**2,
-            singular=singular,
-            square=(singular / np.max(singular)) ** 2,
-            scaled=scaled,
-            over_singular=np.divide(scaled, singular[..., None], out=np.zeros_like(scaled), where=is_seen[..., None]),
-            gradients=gradients,
-            known=known,
-            values=values - values.mean(axis=1, keepdims=True),
+        return _Equations(
+            singular, vectors, scaled.astype(np.float32), known, values - values.mean(axis=1, keepdims=True)
         )
+
+    def _require_distinct(self, square: Floats, lenslets: int) -> None:
+        if not self._is_smooth and not square[0] > _INDISTINCT * square[-1]:
+            raise ReconstructionError(
+                f"{lenslets} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
+                " lower pupil_modes, or leave it out"
+            )
+
+
+def _colour(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask]:
+    """Roots C, covariance = C C^T, of each lenslet's parameters, (lenslet, K, K), and the lenslets with finite ones."""
+    lenslets, columns = covariance.shape[0] * covariance.shape[1], len(to_parameters)
+    covariance = covariance.reshape(lenslets, columns, columns)
+    is_known = np.isfinite(covariance).all(axis=(1, 2))
+    of_parameters = to_parameters.T @ np.where(is_known[:, None, None], covariance, 0.0) @ to_parameters
+    return np.linalg.cholesky(of_parameters + SYSTEMATIC_PX**2 * np.eye(of_parameters.shape[1])), is_known
 
 
 @compiled
-def _maximize_evidence(square: Floats, along: Floats, total: Floats, count: int) -> Floats:
-    """Most probable ratio of prior to noise variance for each combination, and the noise variance: (2, combination).
+def _maximize_evidence(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
+    """Most probable ratio of prior to noise variance, and noise variance.
 
-    `square` (combination, p): squared singular values, at most 1; `along` (combination, p): the `count` data along the
-    singular vectors; `total` (combination,): their sums of squares. Component p has the variance noise (1 + ratio
-    square_p), the rest only noise. The noise follows from the ratio in closed form.
+    `square` (n,): squared singular values, at most 1; `along` (n,): the `count` data along the singular vectors;
+    `total`: their sum of squares. Component n has the variance noise (1 + ratio square_n), the rest only noise. The
+    noise follows from the ratio in closed form.
     """
-    found = np.zeros((2, total.size))
-    for k in range(total.size):
-        energy = along[k] ** 2
-        beyond = max(total[k] - np.sum(energy), 0.0)
-        decade = 0.0
-        for tried in (_PRIOR_DECADES, _BETWEEN_DECADES):
-            around, best = decade, -np.inf
-            for between in tried:
-                evidence, noise = _evidence(10.0 ** (around + between), square[k], energy, beyond, count)
-                if evidence > best:
-                    best, decade, found[1, k] = evidence, around + between, noise
-        found[0, k] = 10.0**decade
-    return found
+    energy = along**2
+    beyond = max(total - np.sum(energy), 0.0)
+    decade, most_probable = 0.0, 0.0
+    for tried in (_PRIOR_DECADES, _BETWEEN_DECADES):
+        around, best = decade, -np.inf
+        for between in tried:
+            evidence, noise = _evidence(10.0 ** (around + between), square, energy, beyond, count)
+            if evidence > best:
+                best, decade, most_probable = evidence, around + between, noise
+    return 10.0**decade, most_probable
 
 
 @compiled

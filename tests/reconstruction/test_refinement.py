@@ -12,7 +12,7 @@ from scipy import ndimage
 from support.optics import FIELD, SmallBench
 
 from app.bench.config import Bench
-from app.measurement.imaging_model import BenchModel
+from app.bench.imaging_model import BenchModel
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline import Reconstructor

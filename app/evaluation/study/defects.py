@@ -10,7 +10,7 @@ from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrame, NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import WarpEstimators, compared
 from app.evaluation.study_kinds import Sweep
-from app.measurement.imaging_model import by_pixel
+from app.bench.imaging_model import by_pixel
 from app.progress import Progress
 from reconstruction.geometry import Lattice
 from reconstruction.settings import Warp

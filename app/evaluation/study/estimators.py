@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench
 from app.evaluation.cases import CaseResult, Position
-from app.measurement.imaging_model import BenchModel
+from app.bench.imaging_model import BenchModel
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError

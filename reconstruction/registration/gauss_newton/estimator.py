@@ -57,6 +57,7 @@ class GaussNewton:
         """Prepare for warps of the given field modes, and for that many threads."""
         self._reference, self._modes, self._threads = reference, modes, threads
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
+        self._near = near
         coarse = near & (np.arange(reference.width) % 2 == 0)
         self._start = prepare_template(reference, LegendreModes(1), coarse, conserve_flux=conserve_flux)
         self._warp = prepare_template(
@@ -106,6 +107,19 @@ class GaussNewton:
                 Outcome.SATURATED: spoilt & reference.touched(saturated),
             },
         )
+
+    @property
+    def parameters(self) -> Floats:
+        """Displacement (x modes, y modes) of each parameter of the warp, orthonormal rows, (K, 2Q)."""
+        return self._warp.grid.basis.astype(np.float64)
+
+    def response(self, image: Floats, changes: Floats) -> Floats:
+        """Parameters found for small changes of a subimage, to first order.
+
+        From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
+        px. A warp of that subimage is found as it is.
+        """
+        return respond(self._reference, self._modes, self._near, self._warp, image, changes)
 
     def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""

@@ -1,0 +1,108 @@
+"""Forward models of a bench with its measured source: of one lenslet for the response, of a frame for the refinement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from reconstruction.geometry import Lattice
+from reconstruction.registration.source_brightness import mean_subimage, point_brightness
+from simulated_devices.optics.forward_model import ForwardModel
+from simulated_devices.optics.lenslet_image import LensletImage
+from simulated_devices.optics.source import SourcePoints
+
+if TYPE_CHECKING:
+    from app.bench.config import Bench
+    from reconstruction.arrays import Floats, Image
+    from reconstruction.pipeline import Reconstructor
+    from reconstruction.refinement import PointPhase
+    from reconstruction.registration.subimages import ReferenceSubimages
+
+_POINTS_PER_BLUR = 2.8  # source points per lambda f / D; fewer would be resolved
+_MARGIN_POINTS = 1  # on every side of the field: blur of its edge is modelled as source
+_SAMPLES_PER_BLUR = 1.35  # pupil samples per lambda f / D of the cell; below 1 its edge is aliased
+
+
+def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
+    """Model of one lenslet with the source that the reference shows; see `response.LensletModel`.
+
+    Raises `ReconstructionError` if the reference does not allow a model.
+    """
+    return LensletImage(
+        bench.sensor,
+        bench.field,
+        measured_source(bench, reference),
+        width=reference.width,
+        pupil_samples=_pupil_samples(reference),
+        pixel_fill_factor=bench.camera_model.pixel_fill_factor,
+    )
+
+
+def measured_source(bench: Bench, reference: ReferenceSubimages) -> SourcePoints:
+    """Brightness of a grid of object points, found in the mean subimage of a reference."""
+    # The same lenslets on as many pixels as one window has.
+    middle_px = (reference.width - 1 + reference.pitch_px) / 2
+    one_lenslet = ForwardModel(
+        replace(bench.sensor, lenslet_rows=2, lenslet_columns=2),
+        Lattice(center_x_px=middle_px, center_y_px=middle_px, pitch_px=reference.pitch_px),
+        bench.field,
+        rows=reference.width,
+        columns=reference.width,
+        pupil_samples=_pupil_samples(reference),
+        pixel_fill_factor=bench.camera_model.pixel_fill_factor,
+    )
+    steps = math.ceil(2 * reference.half_width_px / reference.blur_px * _POINTS_PER_BLUR)
+    along_m = (np.arange(-_MARGIN_POINTS, steps + 1 + _MARGIN_POINTS) / steps * 2 - 1) * bench.field.half_width_m
+    y_m, x_m = np.meshgrid(along_m, along_m, indexing="ij")
+    position_m = np.stack([x_m.ravel(), y_m.ravel()], axis=-1)
+    subimage, _ = mean_subimage(reference)
+    return SourcePoints(
+        position_m=position_m, area_m2=point_brightness(one_lenslet.point_irradiances(position_m), subimage)
+    )
+
+
+class BenchModel:
+    """Coarse model of one bench with one reference; see `refinement.ImagingModel`.
+
+    The brightness of the source and the light of each lenslet are estimated from the reference.
+    """
+
+    def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = 2) -> None:
+        lattice, reference = reconstructor.lattice, reconstructor.subimages
+        rows, columns = reconstructor.frame_shape
+        self._model = ForwardModel(
+            reconstructor.sensor,
+            lattice,
+            reconstructor.field,
+            rows=rows,
+            columns=columns,
+            pupil_samples=_pupil_samples(reference),
+            pixel_fill_factor=bench.camera_model.pixel_fill_factor,
+            threads=threads,
+        )
+        self.source = measured_source(bench, reference)
+        _, light = mean_subimage(reference)
+        self._light = by_pixel(light, lattice, rows, columns)  # counts, (row, column)
+        self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m
+
+    def image(self, phase: PointPhase | None) -> Image:
+        """Image of the bench, counts above the dark, (row, column); see `refinement.ImagingModel`."""
+        return np.asarray(self._model.irradiance(self.source, phase) * self._light, np.float32)
+
+
+def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:
+    """Value (lenslet_row, lenslet_column) of the lenslet of each pixel, (row, column); 0 outside the lattice."""
+    row, column = np.mgrid[:rows, :columns]
+    position_px = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64))
+    counts = np.array(values.shape[::-1])
+    cell = np.floor(position_px / lattice.pitch_px + counts / 2).astype(np.intp)  # (row, column, xy)
+    inside = np.all((cell >= 0) & (cell < counts), axis=-1)
+    cell = np.where(inside[..., None], cell, 0)
+    return np.where(inside, values[cell[..., 1], cell[..., 0]], 0.0).astype(np.float32)
+
+
+def _pupil_samples(reference: ReferenceSubimages) -> int:
+    return 2 * math.ceil(_SAMPLES_PER_BLUR * reference.pitch_px / reference.blur_px / 2)
