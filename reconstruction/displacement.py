@@ -11,7 +11,7 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.modes.field_modes import FieldModes
 
 # Error of each coefficient without noise, on the screens of docs/estimator.md; taken as uncorrelated.
-SYSTEMATIC_PX = 0.01
+SYSTEMATIC_PX = 0.003
 
 Outcomes = NDArray[np.int8]  # an `Outcome` for every lenslet
 

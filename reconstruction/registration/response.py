@@ -52,12 +52,11 @@ def linear_response(
     ReconstructionError
         If the model does not fit the reference.
     """
-    subimage, light = mean_subimage(reference)
-    misfit = float(np.std(model.image() - subimage) / np.std(subimage))
+    subimage, _ = mean_subimage(reference)
+    image = model.image()
+    misfit = float(np.std(image - subimage) / np.std(subimage))
     if not misfit < _MISFIT:
         raise ReconstructionError(
             f"the modelled reference differs from the measured one by {100 * misfit:.0f} % of its contrast"
         )
-    changes = model.derivatives(_DEGREE, modes.values(*model.position.T))
-    found = registration.first_step(changes.reshape(*changes.shape[:3], -1))
-    return found * light.ravel()[:, None, None, None, None]
+    return registration.response(image, model.derivatives(_DEGREE, modes.values(*model.position.T)))

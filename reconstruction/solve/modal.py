@@ -313,8 +313,9 @@ def _maximize_evidence(square: Floats, along: Floats, total: float, count: int) 
 def _evidence(ratio: float, square: Floats, energy: Floats, beyond: float, count: int) -> tuple[float, float]:
     """Log evidence of one ratio, up to a constant, and the most probable noise variance."""
     spread = 1.0 + ratio * square
-    noise = max((np.sum(energy / spread) + beyond) / count, _TINY)
-    evidence = -count / 2 * np.log(noise)
+    total = np.sum(energy / spread) + beyond
+    noise = max(total / count, 1.0)
+    evidence = -(count * np.log(noise) + total / noise) / 2
     for first in range(0, spread.size, _FACTORS):
         evidence -= np.log(np.prod(spread[first : first + _FACTORS])) / 2
     return evidence, noise

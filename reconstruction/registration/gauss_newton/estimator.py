@@ -19,7 +19,7 @@ from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.gauss_newton.alignment import FrameData
 from reconstruction.registration.gauss_newton.fit_errors import ErrorPropagation
 from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fits, fit_lenslets, prepare_search
-from reconstruction.registration.gauss_newton.template import prepare_template
+from reconstruction.registration.gauss_newton.template import prepare_template, respond
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool

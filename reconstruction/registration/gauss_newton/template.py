@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.frame.interpolation_blur import mean_interpolation
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
@@ -25,6 +26,7 @@ from reconstruction.registration.subimages import ReferenceSubimages
 # docs/estimator.md would be 0.169 0.110 0.097 rad instead of 0.098 0.060 0.050.
 _MODEL_ERROR = 0.1
 _NOTHING = 1e-12
+_UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
 _AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
 
 
@@ -62,6 +64,37 @@ class Template:
         weight *= whole / np.maximum(weight.sum(axis=1, keepdims=True), _NOTHING)
         light = np.maximum(self.grid.light[lenslets], 0)
         return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share
+
+
+def respond(
+    reference: ReferenceSubimages,
+    modes: PolynomialModes,
+    columns: Mask,
+    template: Template,
+    image: Floats,
+    changes: Floats,
+) -> Floats:
+    """Parameters of a template found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
+
+    The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
+    """
+    inverse = np.asarray(template.grid.inverse, np.float64)
+    blur, slope = (part[columns] for part in mean_interpolation(len(columns)))
+    light, changes = blur @ image @ blur.T, blur @ changes @ blur.T
+    gradient = np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1)
+    u, v = reference.offset_px[np.outer(columns, columns).ravel()].T / reference.half_width_px
+    descent = _steepest_descent(
+        light.reshape(1, -1),
+        gradient.reshape(1, -1, 2),
+        modes.values(u, v),
+        modes.gradients(u, v) * template.grid.scale[1],
+        np.asarray(template.grid.basis, np.float64),
+    )[0]
+    descent[-1] *= np.mean(image)  # of the size of the others
+    found = inverse @ changes.reshape(-1, len(u)).T  # (lenslet, P, change)
+    found = -np.linalg.pinv(inverse @ descent.T, rcond=_UNSEEN) @ found
+    warp = np.swapaxes(found[:, : len(template.grid.basis)], 1, 2)
+    return np.asarray(warp.reshape(len(inverse), *changes.shape[:-2], -1))
 
 
 def prepare_template(
@@ -104,9 +137,7 @@ def prepare_template(
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, pixels], reference.gradient[some][:, pixels]
-        warp = _descent(light, gradient, values, slopes)
-        warp = warp if rotation else basis @ warp
-        descent = np.concatenate([warp, light[:, None], np.ones((len(light), 1, count))], axis=1)
+        descent = _steepest_descent(light, gradient, values, slopes, basis)
         expected = np.maximum(smooth[some][:, pixels], 0)
         weight = np.ones_like(light) if noise is None else _weight(expected, noise)
         weight *= reference.usable[some][:, pixels] & reference.lit[some, None]
@@ -125,10 +156,14 @@ def prepare_template(
     return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
 
 
-def _descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats) -> Floats:
-    """Steepest-descent images (L, 2K, N) of K displacements along x, then y, given their values and slopes."""
-    along = [gradient[:, None, :, axis] * values + light[:, None] * slopes[..., axis] for axis in range(2)]
-    return np.concatenate(along, axis=1)
+def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
+    """Changes of subimages (L, N) per unit of each parameter, gain and offset last: (L, P, N).
+
+    `gradient` (L, N, xy) of the light; `values` (Q, N) and `slopes` (Q, N, xy) of the field modes, per pixel.
+    """
+    along = [gradient[:, None, :, axis] * values + light[:, None] * slopes[..., axis] for axis in (0, 1)]
+    ones = np.ones((len(light), 1, light.shape[1]))
+    return np.concatenate([basis @ np.concatenate(along, axis=1), light[:, None], ones], axis=1)
 
 
 def _mean_square_gradient(modes: PolynomialModes, basis: Floats, half_width_px: float) -> Floats:
