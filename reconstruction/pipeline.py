@@ -3,8 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, cached_property, lru_cache, partial
-from typing import NamedTuple
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
+from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes
 from reconstruction.modes.layered_modes import layered_basis
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
@@ -32,16 +31,7 @@ _SATURATED_FRACTION = 0.01  # of the frame's pixels; with more, the frame is rej
 _BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 _WARP_CHOICE_MODES = 45  # pupil modes for the predicted noise; a smooth wavefront needs about as many
 # Systematic error of each warp, rad: mean over the square's ensembles of docs/estimator.md (4.2 rad RMS).
-_WARP_ERROR_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.037, "cubic": 0.015}
-
-
-class _Prepared(NamedTuple):
-    """A registration method of one warp, and the reference registered against itself."""
-
-    method: RegistrationMethod
-    at_rest: Displacement
-    sensitivity: Sensitivity
-    parameters: Floats  # see `ModalSolver`
+_WARP_ERROR_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.010, "quartic": 0.008}
 
 
 class Reconstructor:
@@ -98,11 +88,10 @@ class Reconstructor:
         light, _ = self._light(reference, "reference")
         self._bad = find_bad_pixels(reference, dark)
         self.subimages = self._cut(light)
-        self.no_response = "" if reconstruction.response else "response = false"
-        self._lenslet_model = self._model_lenslet(lenslet_model) if reconstruction.response else None
+        self.registration, self._register, at_rest = self._prepare(light, registration)
         # The reference registered against itself shows the certainty of each lenslet and field mode.
-        self._prepared = self._prepare(light, registration)
-        at_rest = self._prepared.at_rest
+        self._at_rest = at_rest
+        self._sensitivity = self._respond(lenslet_model)
         self._expected = _mean_variance(at_rest)  # (L,), px^2; NaN where unknown
         self._usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
         self._modal = None
@@ -131,7 +120,7 @@ class Reconstructor:
             If fewer than two lenslets match the reference, or the frame has the wrong size or is saturated.
         """
         light, saturated = self._light(frame, "frame")
-        displacement = self._prepared.method(light, saturated=saturated, start=start)
+        displacement = self._register(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
             left = np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL)
             why = "is the light on?"
@@ -172,63 +161,87 @@ class Reconstructor:
 
     @cached_property
     def smooth(self) -> ModalSolver:
-        """Solver with as many Legendre modes as the lattice carries, which the refinement's model needs."""
-        is_it = self._modal is not None and (self._reconstruction.basis, self._reconstruction.pupil_modes) == ("legendre", None)
-        return self._modal if is_it and self._modal is not None else self._solver("legendre", None)
+        """Solver with as many Legendre modes as the lattice carries: the refinement models wavefronts with these."""
+        has_them = self._reconstruction.basis == "legendre" and self._reconstruction.pupil_modes is None
+        return self._modal if self._modal is not None and has_them else self._solver("legendre", None)
 
-    def _model_lenslet(self, make: Callable[[ReferenceSubimages], LensletModel] | None) -> LensletModel | None:
-        if make is None:
-            self.no_response = "there is no model of the bench"
-            return None
-        try:
-            return make(self.subimages)
-        except ReconstructionError as error:
-            self.no_response = str(error)
-            return None
-
-    def _prepare(self, light: Image, registration: RegistrationSettings) -> _Prepared:
+    def _prepare(
+        self, light: Image, registration: RegistrationSettings
+    ) -> tuple[RegistrationSettings, RegistrationMethod, Displacement]:
         """Prepare the registration, choose the warp if none is set, and register the reference."""
 
         @cache
-        def prepare(warp: Warp) -> _Prepared:
-            method = prepare_registration(self.subimages, replace(registration, warp=warp), self.field)
-            at_rest = method(light, saturated=np.zeros(light.shape, np.bool_))
-            if not isinstance(method, GaussNewton):
-                parameters = np.eye(2 * at_rest.modes.count)
-                return _Prepared(method, at_rest, geometric_sensitivity(self.sensor, parameters), parameters)
-            sensitivity = geometric_sensitivity(self.sensor, method.parameters)
-            if self._lenslet_model is not None:
-                try:
-                    response = linear_response(method, self.subimages, at_rest.modes, self._lenslet_model)
-                    sensitivity = response_sensitivity(response)
-                except ReconstructionError as error:
-                    self.no_response = str(error)
-            return _Prepared(method, at_rest, sensitivity, method.parameters)
+        def prepare(warp: Warp) -> tuple[RegistrationSettings, RegistrationMethod, Displacement]:
+            settings = replace(registration, warp=warp)
+            method = prepare_registration(self.subimages, settings, self.field)
+            return settings, method, method(light, saturated=np.zeros(light.shape, np.bool_))
 
-        warp = registration.warp
-        if warp is None and registration.method == "gauss_newton":
-            warp = min(_WARP_ERROR_RAD, key=lambda each: self._noise_rad2(prepare(each)) + _WARP_ERROR_RAD[each] ** 2)
-        self.registration = replace(registration, warp=warp or "quadratic")
-        return prepare(warp or "quadratic")
+        if registration.warp is not None or registration.method != "gauss_newton":
+            return prepare(registration.warp or "quadratic")
 
-    def _solver(self, basis: PupilBasis, count: int | None, prepared: _Prepared | None = None) -> ModalSolver:
-        """Modal reconstruction with so many pupil modes; with all that the lattice carries, and the prior, if None."""
-        modes, field_modes = pupil_modes(self.sensor, basis, count), self._prepared.at_rest.modes
-        layered = None
-        if len(self._prepared.parameters) < 2 * field_modes.count:
-            layered = partial(layered_basis, modes.products[1:], field_modes.products, half_width=np.array(self.sensor.pupil_half_width_m))
+        def error_rad2(warp: Warp) -> float:
+            _, method, at_rest = prepare(warp)
+            return self._noise_rad2(_parameters(method, at_rest), at_rest) + _WARP_ERROR_RAD[warp] ** 2
+
+        return prepare(min(_WARP_ERROR_RAD, key=error_rad2))
+
+    def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
+        """Response of the registration; mean gradients where there is none, with the reason in `no_response`."""
+        self.no_response = ""
+        if not isinstance(self._register, GaussNewton):
+            self.no_response = f'registration.method = "{self.registration.method}" has none'
+        elif not self._reconstruction.response:
+            self.no_response = "response = false"
+        elif lenslet_model is None:
+            self.no_response = "there is no model of the bench"
+        else:
+            try:
+                model = lenslet_model(self.subimages)
+                return response_sensitivity(linear_response(self._register, self.subimages, self._at_rest.modes, model))
+            except ReconstructionError as error:
+                self.no_response = str(error)
+        return geometric_sensitivity(self.sensor, _parameters(self._register, self._at_rest))
+
+    def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
+        """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""
+        at_rest = self._at_rest
+        modes, parameters = pupil_modes(self.sensor, basis, count), _parameters(self._register, at_rest)
         return ModalSolver(
             modes,
-            self._prepared.sensitivity,
-            self._prepared.parameters,
-            self._prepared.at_rest.covariance,
-            layered=layered,
-            field_degree=field_modes.degree if count is None else None,
+            self._sensitivity,
+            parameters,
+            at_rest.covariance,
+            layered=self._layered(modes, parameters, at_rest.modes),
+            field_degree=at_rest.modes.degree if count is None else None,
         )
 
-    def _noise_rad2(self, prepared: _Prepared) -> float:
+    def _layered(
+        self, modes: PupilModes, parameters: Floats, field_modes: FieldModes
+    ) -> Callable[[Floats], Floats] | None:
+        """Basis of layered wavefronts, if the registration finds no rotation."""
+        if len(parameters) == 2 * field_modes.count or not isinstance(field_modes, LegendreModes | ZernikeModes):
+            return None
+        half_width_m = np.array(self.sensor.pupil_half_width_m)
+        return partial(layered_basis, modes.products[1:], field_modes.products, half_width=half_width_m)
+
+    def _noise_rad2(self, parameters: Floats, at_rest: Displacement) -> float:
         """Mean noise variance of the views, rad^2, if every lenslet were as certain as the mean valid one."""
-        return 0.0
+        valid = at_rest.valid
+        if not valid.any():
+            return np.inf
+        everywhere = replace(
+            at_rest,
+            coefficients=np.zeros_like(at_rest.coefficients),
+            # A few lit lenslets could not carry the modes.
+            covariance=np.broadcast_to(np.mean(at_rest.covariance[valid], axis=0), at_rest.covariance.shape),
+            outcome=np.full_like(at_rest.outcome, Outcome.CONVERGED),
+        )
+        lattice_count = len(pupil_modes(self.sensor, "legendre", None).degree)
+        modes = pupil_modes(self.sensor, "legendre", min(_WARP_CHOICE_MODES, lattice_count))
+        layered = self._layered(modes, parameters, at_rest.modes)
+        sensitivity = geometric_sensitivity(self.sensor, parameters)
+        solver = ModalSolver(modes, sensitivity, parameters, everywhere.covariance, layered=layered)
+        return float(np.nanmean(Wavefront.of(self.sensor, self.field, everywhere, solver(everywhere)).sigma() ** 2))
 
     def _cut(self, light: Image) -> ReferenceSubimages:
         return ReferenceSubimages(
@@ -264,6 +277,11 @@ class Reconstructor:
         if np.issubdtype(image.dtype, np.integer):
             return np.asarray(image >= math.ceil(self._full_scale))  # 7x faster than comparing with a float
         return np.asarray(image >= self._full_scale)
+
+
+def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:
+    """Displacement (x modes, y modes) of each parameter that the method finds, (K, 2Q)."""
+    return method.parameters if isinstance(method, GaussNewton) else np.eye(2 * at_rest.modes.count)
 
 
 def _mean_variance(displacement: Displacement) -> Floats:

@@ -1,4 +1,4 @@
-"""Forward models of a bench with its measured source: of one lenslet for the response, of a frame for the refinement."""
+"""Forward models of a bench with its measured source: of one lenslet, and of whole frames."""
 
 from __future__ import annotations
 

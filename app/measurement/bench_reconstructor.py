@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from app.bench.config import Bench
-from app.errors import InputError
 from app.bench.imaging_model import BenchModel
+from app.errors import InputError
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.lattice.search import survey

@@ -59,7 +59,7 @@ class LegendreModes:
     @property
     def degree(self) -> Floats:
         """Degree of each polynomial, (field_mode,)."""
-        return np.sum(legendre_orders(self.count), axis=1, dtype=np.float64)
+        return np.asarray(np.sum(legendre_orders(self.count), axis=1), np.float64)
 
     @property
     def products(self) -> Floats:

@@ -35,19 +35,13 @@ def layered_basis(pupil_products: Floats, field_products: Floats, scale: Floats,
     """
     slope_u, slope_v = _derivatives(pupil_products)
     slope_x, slope_y = _derivatives(field_products)
-    rotation = sparse.csr_array(sparse.kron(slope_u / half_width[0], slope_y))
-    rotation = (rotation - sparse.csr_array(sparse.kron(slope_v / half_width[1], slope_x))).T
-    rotation = sparse.csr_array(rotation * scale.ravel())
-    columns = rotation.shape[1]
+    rotation = sparse.kron(slope_u / half_width[0], slope_y) - sparse.kron(slope_v / half_width[1], slope_x)
+    rotation = sparse.csc_array(rotation.T * scale.ravel())
     # Modes of different symmetry do not mix: one small basis for each connected set.
-    together = sparse.csr_array((abs(rotation).T @ abs(rotation)))
-    count, label = connected_components(together, directed=False)
-    blocks, places = [], []
-    for block in range(count):
-        place = np.flatnonzero(label == block)
-        places.append(place)
-        blocks.append(_null_space(rotation[:, place].toarray()))
-    basis = np.zeros((columns, sum(block.shape[1] for block in blocks)))
+    count, label = connected_components(abs(rotation).T @ abs(rotation), directed=False)
+    places = [np.flatnonzero(label == block) for block in range(count)]
+    blocks = [_null_space(rotation[:, place].toarray()) for place in places]
+    basis = np.zeros((rotation.shape[1], sum(block.shape[1] for block in blocks)))
     first = 0
     for place, block in zip(places, blocks, strict=True):
         basis[place, first : first + block.shape[1]] = block

@@ -30,7 +30,7 @@ def local_wavefronts(products: Floats, lenslet_rows: int, lenslet_columns: int, 
     def in_cells(cells: int) -> Floats:
         center = (2 * np.arange(cells) + 1 - cells) / cells
         values = series.legvander(center[:, None] + nodes / cells, highest)  # (cell, node, k)
-        return np.einsum("cik,ij->cjk", values, project)
+        return np.asarray(np.einsum("cik,ij->cjk", values, project))
 
     along_x, along_y = in_cells(lenslet_columns), in_cells(lenslet_rows)
-    return np.einsum("pkl,rnk,cml->rcnmp", products, along_y, along_x, optimize=True)
+    return np.asarray(np.einsum("pkl,rnk,cml->rcnmp", products, along_y, along_x, optimize=True))

@@ -40,7 +40,7 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
             values=legendre(count, sensor.pupil_x_m / half_x_m, sensor.pupil_y_m[:, None] / half_y_m),
             gradients=legendre_lenslet_gradients(count, rows, columns) / sensor.pupil_half_width_m,
             inside=np.ones((rows, columns), np.bool_),
-            degree=np.sum(legendre_orders(count), axis=1, dtype=np.float64),
+            degree=np.asarray(np.sum(legendre_orders(count), axis=1), np.float64),
             products=legendre_products(count),
         )
     radius_m = min(half_x_m, half_y_m)

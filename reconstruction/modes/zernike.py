@@ -48,7 +48,7 @@ def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
 
 
 def zernike_products(count: int, half_x: float = 1.0, half_y: float = 1.0) -> Floats:
-    """First `count` modes as sums of products P_m(xi) P_n(eta), with x = half_x xi and y = half_y eta: (count, n, m)."""
+    """First `count` modes, x = half_x xi, y = half_y eta, as sums of products P_m(xi) P_n(eta): (count, n, m)."""
     degree = max(n for n, _ in noll_orders(count))
     nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
     values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)

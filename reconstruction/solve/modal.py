@@ -189,7 +189,11 @@ class ModalSolver:
         along = (self._across @ weighted.ravel().astype(np.float32)).astype(np.float64)
         if equations.vectors is not None:
             along = np.vecmat(self._singular * along, equations.vectors) / equations.singular
-        singular, total, count = equations.singular, float(np.vdot(data, weighted)), np.count_nonzero(share) * data.shape[1]
+        singular, total, count = (
+            equations.singular,
+            float(np.vdot(data, weighted)),
+            np.count_nonzero(share) * data.shape[1],
+        )
         square = singular**2
         if self._is_smooth:
             ratio, noise = _maximize_evidence(square / np.max(square), along, total, count)
@@ -207,12 +211,10 @@ class ModalSolver:
         def fitted() -> Floats:
             prepared = found if equations.vectors is None else equations.vectors @ found
             whitened = (self._singular * prepared).astype(np.float32) @ self._across
-            return np.matvec(self._colour, whitened.reshape(len(used), -1))
+            return np.asarray(np.matvec(self._colour, whitened.reshape(len(used), -1)))
 
         freedom = count - float(np.sum(variance * square))
-        return ModalSolution(
-            coefficients, equations, noise * variance, freedom, displacement, self._parameters, fitted
-        )
+        return ModalSolution(coefficients, equations, noise * variance, freedom, displacement, self._parameters, fitted)
 
     def displacement(self, coefficients: Floats) -> Floats:
         """Displacements expected of coefficients (pupil_mode, field_mode), rad: px, (row, column, field_mode, xy)."""
@@ -240,7 +242,7 @@ class ModalSolver:
             rows = self._rows(basis, some)
             normal += rows.T @ rows
         square, vectors = np.linalg.eigh(normal)
-        self._require_distinct(square, np.count_nonzero(self._is_usable))
+        self._require_distinct(square, int(np.count_nonzero(self._is_usable)))
         seen = square > _UNSEEN * square[-1]
         return np.sqrt(square[seen]), vectors[:, seen]
 
@@ -261,7 +263,7 @@ class ModalSolver:
             missing = missing.reshape(len(singular), -1)
             left = np.eye(len(singular)) - missing @ missing.T
             square, vectors = np.linalg.eigh(singular[:, None] * left * singular)
-            self._require_distinct(square, np.count_nonzero(share))
+            self._require_distinct(square, int(np.count_nonzero(share)))
             seen = square > _UNSEEN * max(square[-1], _TINY)
             singular, vectors = np.sqrt(square[seen]), vectors[:, seen]
             scaled = scaled @ vectors
@@ -284,9 +286,10 @@ def _colour(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask]:
     """Roots C, covariance = C C^T, of each lenslet's parameters, (lenslet, K, K), and the lenslets with finite ones."""
     lenslets, columns = covariance.shape[0] * covariance.shape[1], len(to_parameters)
     covariance = covariance.reshape(lenslets, columns, columns)
-    is_known = np.isfinite(covariance).all(axis=(1, 2))
+    is_known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     of_parameters = to_parameters.T @ np.where(is_known[:, None, None], covariance, 0.0) @ to_parameters
-    return np.linalg.cholesky(of_parameters + SYSTEMATIC_PX**2 * np.eye(of_parameters.shape[1])), is_known
+    root = np.linalg.cholesky(of_parameters + SYSTEMATIC_PX**2 * np.eye(of_parameters.shape[1]))
+    return np.asarray(root, np.float64), is_known
 
 
 @compiled

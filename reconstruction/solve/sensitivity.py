@@ -23,19 +23,20 @@ def geometric_sensitivity(sensor: Sensor, parameters: Floats) -> Sensitivity:
 
     def sensitivity(modes: PupilModes, lenslets: slice) -> Floats:
         gradients = modes.gradients[1:].reshape(len(modes.gradients) - 1, -1, 2)[:, lenslets]
-        return np.einsum("plx,kxq->lkpq", gradients, along, optimize=True)
+        return np.asarray(np.einsum("plx,kxq->lkpq", gradients, along, optimize=True))
 
     return sensitivity
 
 
 def response_sensitivity(response: Floats) -> Sensitivity:
-    """Measured response to local wavefronts, see `registration.response`: (lenslet, n, m, field_mode, K), px per rad."""
+    """Response to local wavefronts, (lenslet, n, m, field_mode, K), px per rad: see `registration.response`."""
     degree = response.shape[1] - 1
     n, m = np.nonzero(np.any(response, axis=(0, 3, 4)))
 
     def sensitivity(modes: PupilModes, lenslets: slice) -> Floats:
-        local = local_wavefronts(modes.products[1:], *modes.inside.shape, degree)
+        rows, columns = modes.inside.shape
+        local = local_wavefronts(modes.products[1:], rows, columns, degree)
         local = local.reshape(-1, *local.shape[2:])[lenslets, n, m]  # (lenslet, j, pupil_mode - 1)
-        return np.einsum("ljp,ljqk->lkpq", local, response[lenslets, n, m], optimize=True)
+        return np.asarray(np.einsum("ljp,ljqk->lkpq", local, response[lenslets, n, m], optimize=True))
 
     return sensitivity

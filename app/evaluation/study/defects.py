@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from app.bench.config import Bench
+from app.bench.imaging_model import by_pixel
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrame, NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import WarpEstimators, compared
 from app.evaluation.study_kinds import Sweep
-from app.bench.imaging_model import by_pixel
 from app.progress import Progress
 from reconstruction.geometry import Lattice
 from reconstruction.settings import Warp

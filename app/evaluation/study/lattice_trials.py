@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from app.bench.config import Bench, load_bench
+from app.bench.imaging_model import by_pixel
 from app.errors import InputError
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrames
 from app.evaluation.study.camera_noise import camera
 from app.evaluation.study_kinds import TrialStudy, trial
 from app.files import read_image
-from app.bench.imaging_model import by_pixel
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
