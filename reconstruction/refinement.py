@@ -3,7 +3,7 @@
 The model renders a frame of the estimated wavefront, which is registered against the model's own reference. The
 displacements found, minus the true mean gradients, are the estimator's bias at this wavefront. It is subtracted from
 the measured displacements, and the wavefront is estimated again. Only a difference enters, so that the model may be
-coarse.
+coarse. A round is kept if it brings the modelled displacements closer to the measured ones.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,7 +21,6 @@ from reconstruction.wavefront import Wavefront, rms
 
 PointPhase: TypeAlias = Callable[[float, float], Image]
 
-_IMPROVES = 0.6  # stop if a round changes the wavefront by more than this fraction of the previous change
 _SETTLED_RAD = 1e-3  # stop below this change
 
 
@@ -44,6 +43,7 @@ class Bias:
     """Systematic error of the estimator at one wavefront."""
 
     displacement: Floats  # measured minus true, px, (lenslet_row, lenslet_column, field_mode, xy)
+    modelled: Floats  # displacements of the model's image, px, as `displacement`; NaN where lost
     views: Floats  # the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column)
 
 
@@ -54,6 +54,7 @@ class Round:
     wavefront: Wavefront
     bias: Bias
     change_rad: float  # mean over the views of the RMS change
+    misfit_px: float  # RMS difference of measured and modelled displacements
 
 
 class Refinement:
@@ -75,21 +76,24 @@ class Refinement:
         found = self._register(image, saturated=self._unsaturated)
         expected = smooth.displacement(coefficients)
         # A lenslet lost in the model's image is left uncorrected.
-        return Bias(np.where(found.valid[..., None, None], found.coefficients - expected, 0.0), wavefront.views)
+        bias = np.where(found.valid[..., None, None], found.coefficients - expected, 0.0)
+        return Bias(bias, found.coefficients, wavefront.views)
 
     def rounds(self, displacement: Displacement, most: int) -> Iterator[Round]:
-        """Refine displacements in at most `most` rounds; stop when they no longer improve."""
-        wavefront, before_rad = self._reconstructor.solve(displacement), np.inf
+        """Refine displacements in at most `most` rounds; stop before a round that fits the measured ones worse."""
+        bias = self.bias(self._reconstructor.solve(displacement))
+        misfit_px = _misfit_px(displacement, bias)
         for _ in range(most):
-            bias = self.bias(wavefront)
-            refined = self._reconstructor.solve(displacement, bias=bias.displacement)
-            change_rad = distance_rad(refined.views, wavefront.views)
-            if change_rad > _IMPROVES * before_rad:
+            wavefront = self._reconstructor.solve(displacement, bias=bias.displacement)
+            following = self.bias(wavefront)
+            following_px = _misfit_px(displacement, following)
+            if not following_px < misfit_px:
                 return
-            yield Round(refined, bias, change_rad)
+            change_rad = distance_rad(wavefront.views, bias.views)
+            yield Round(wavefront, bias, change_rad, following_px)
             if change_rad < _SETTLED_RAD:
                 return
-            wavefront, before_rad = refined, change_rad
+            bias, misfit_px = following, following_px
 
     def _phase(self, coefficients: Floats, modes: FieldModes) -> PointPhase:
         half_width_m = self._reconstructor.field.half_width_m
@@ -98,6 +102,11 @@ class Refinement:
             return self._phase_at(coefficients @ modes.values(x_m / half_width_m, y_m / half_width_m))
 
         return phase
+
+
+def _misfit_px(displacement: Displacement, bias: Bias) -> float:
+    """RMS difference of measured and modelled displacements over the lenslets that both have."""
+    return float(np.sqrt(np.nanmean((displacement.coefficients - bias.modelled) ** 2)))
 
 
 def distance_rad(one: Floats, other: Floats) -> float:

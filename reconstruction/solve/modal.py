@@ -35,6 +35,7 @@ _INDISTINCT = 1e-12  # the same, below which modes cannot be told apart without 
 _PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
 _BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
 _FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per logarithm
+_LEAST_NOISE = 1e-6  # variance of the noise over that of the systematic error, below which the noise is unknown
 _AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
 _TINY = np.finfo(np.float64).tiny
 
@@ -161,9 +162,9 @@ class ModalSolver:
         field_modes = parameters.shape[1] // 2
         # From displacements (field_mode, xy).
         self._to_parameters = parameters.reshape(-1, 2, field_modes).transpose(2, 1, 0).reshape(2 * field_modes, -1)
-        self._colour, is_known = _colour(covariance, self._to_parameters)
+        expected, is_known, self._share_of_noise = _expected_covariance(covariance, self._to_parameters)
         self._is_usable = is_known & modes.inside.ravel()
-        self._noise_is_known = bool(np.nanmax(covariance, initial=0) > 0)
+        self._colour = np.linalg.cholesky(expected)
         self._whiten = np.linalg.inv(self._colour)
         self._is_smooth = field_degree is not None
         scale = np.ones((len(modes.degree) - 1, field_modes))
@@ -201,8 +202,8 @@ class ModalSolver:
             variance = ratio / (1 + ratio * square)  # over that of the noise
         else:
             variance = 1 / square
-            noise = 1.0
-            if not self._noise_is_known and count > len(square):
+            noise = self._share_of_noise
+            if noise == 0 and count > len(square):  # unknown: the misfit shows it
                 noise = max(total - float(along @ along), _TINY) / (count - len(square))
         found = variance * singular * along
         coefficients = np.zeros((len(self._modes.degree), len(displacement.coefficients[0, 0])))
@@ -282,14 +283,23 @@ class ModalSolver:
             )
 
 
-def _colour(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask]:
-    """Roots C, covariance = C C^T, of each lenslet's parameters, (lenslet, K, K), and the lenslets with finite ones."""
+def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask, float]:
+    """Covariance of the parameters, (lenslet, K, K), the lenslets where it is known, and the share of the noise.
+
+    It is that of the noise, enlarged by the systematic error; if the noise is unknown, that error alone.
+    """
     lenslets, columns = covariance.shape[0] * covariance.shape[1], len(to_parameters)
     covariance = covariance.reshape(lenslets, columns, columns)
     is_known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
-    of_parameters = to_parameters.T @ np.where(is_known[:, None, None], covariance, 0.0) @ to_parameters
-    root = np.linalg.cholesky(of_parameters + SYSTEMATIC_PX**2 * np.eye(of_parameters.shape[1]))
-    return np.asarray(root, np.float64), is_known
+    of_noise = to_parameters.T @ np.where(is_known[:, None, None], covariance, 0.0) @ to_parameters
+    alike = np.eye(of_noise.shape[1])
+    variance = np.trace(of_noise, axis1=1, axis2=2) / len(alike)
+    usual = float(np.median(variance[is_known])) if is_known.any() else 0.0
+    if usual < _LEAST_NOISE * SYSTEMATIC_PX**2:
+        return np.broadcast_to(SYSTEMATIC_PX**2 * alike, of_noise.shape), is_known, 0.0
+    expected = (1 + SYSTEMATIC_PX**2 / usual) * of_noise + _LEAST_NOISE * usual * alike
+    expected[~is_known] = alike
+    return expected, is_known, usual / (usual + SYSTEMATIC_PX**2)
 
 
 @compiled

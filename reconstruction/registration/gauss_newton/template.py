@@ -22,9 +22,8 @@ from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS
 from reconstruction.registration.subimages import ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
-# scattered light that no warp describes, would have most weight, and the noise-free wavefront errors on the screens of
-# docs/estimator.md would be 0.169 0.110 0.097 rad instead of 0.098 0.060 0.050.
-_MODEL_ERROR = 0.1
+# scattered light that no warp describes, would have most weight.
+_MODEL_ERROR = 0.005
 _NOTHING = 1e-12
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
 _AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
