@@ -8,7 +8,7 @@ from functools import cache, cached_property, partial
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image, Mask
-from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
+from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
@@ -23,7 +23,7 @@ from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.sensitivity import Sensitivity, geometric_sensitivity, response_sensitivity
-from reconstruction.solve.weights import lenslet_weights, mean_variance
+from reconstruction.solve.weights import relative_weights
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Solution, Wavefront
 
@@ -92,8 +92,9 @@ class Reconstructor:
         # The reference registered against itself shows the certainty of each lenslet and field mode.
         self._at_rest = at_rest
         self._sensitivity = self._respond(lenslet_model)
-        self._expected = _mean_variance(at_rest)  # (L,), px^2; NaN where unknown
-        self._usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
+        self._expected = _variance(at_rest)  # (L,), px^2; NaN where unknown
+        usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
+        self._certainty = np.where(noise is None, 1.0, usual / self._expected).reshape(at_rest.valid.shape)
         self._modal = None
         if reconstruction.method == "modal":
             self._modal = self._solver(reconstruction.basis, reconstruction.pupil_modes)
@@ -143,6 +144,7 @@ class Reconstructor:
         if self._modal is None:
             per_px = self.sensor.slope_per_px
             slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
+            weights *= self._certainty
             solution = ZonalSolution(slopes, displacement.valid, self.sensor.lenslet_pitch_m, weights, covariance)
         else:
             solution = self._modal(displacement, weights=weights)
@@ -153,11 +155,10 @@ class Reconstructor:
         return prepare_registration(self._cut(reference), self.registration, self.field)
 
     def weights_of(self, displacement: Displacement) -> Floats:
-        """Weight of each lenslet, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
+        """Weights relative to the reference's, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
         if self.noise is None:
             return np.ones(displacement.valid.shape)
-        weights = lenslet_weights(_mean_variance(displacement), self._expected, float(self._usual))
-        return weights.reshape(displacement.valid.shape)
+        return relative_weights(_variance(displacement), self._expected).reshape(displacement.valid.shape)
 
     @cached_property
     def smooth(self) -> ModalSolver:
@@ -284,9 +285,9 @@ def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:
     return method.parameters if isinstance(method, GaussNewton) else np.eye(2 * at_rest.modes.count)
 
 
-def _mean_variance(displacement: Displacement) -> Floats:
-    covariance = displacement.covariance
-    return mean_variance(covariance.reshape(-1, *covariance.shape[2:]))
+def _variance(displacement: Displacement) -> Floats:
+    """Mean variance of each lenslet's coefficients and their systematic error, px^2, (L,)."""
+    return np.asarray(displacement.mean_variance.ravel() + SYSTEMATIC_PX**2)
 
 
 def _check(image: Counts, name: str, shape: tuple[int, ...]) -> None:

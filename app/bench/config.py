@@ -44,7 +44,11 @@ AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
 # What version 0.1 did before these settings existed. Every later version writes them, so a recorded bench without them
 # is of 0.1 and keeps its meaning; in a bench written by hand, an omitted setting has its present default.
-_OF_VERSION_0_1 = {("registration", "rotation"): True}
+_OF_VERSION_0_1 = {
+    ("registration", "rotation"): True,
+    ("registration", "warp"): "quadratic",
+    ("reconstruction", "response"): False,
+}
 _UNKNOWN = "unknown key"
 
 
