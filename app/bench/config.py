@@ -42,8 +42,8 @@ LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Setti
 
 AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
-# What version 0.1 did before these settings existed. Every later version writes them, so a recorded bench without them
-# is of 0.1 and keeps its meaning; in a bench written by hand, an omitted setting has its present default.
+# What version 0.1 did before these settings existed. Every later version writes `registration.rotation`: a recorded
+# bench without it is of 0.1 and keeps its meaning.
 _OF_VERSION_0_1 = {
     ("registration", "rotation"): True,
     ("registration", "warp"): "quadratic",
@@ -177,12 +177,12 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: not valid TOML: {error}") from error
-    for override in overrides:
-        _override(tree, override)
-    if is_recorded:
+    if is_recorded and "rotation" not in tree.get("registration", {}):
         for (section, key), value in _OF_VERSION_0_1.items():
             if isinstance(tree.setdefault(section, {}), dict):
                 tree[section].setdefault(key, value)
+    for override in overrides:
+        _override(tree, override)
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
