@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from reconstruction.arrays import Floats
 
 _DEPENDENT = 1e-9  # of a row's largest element; independent rows leave 0.3
+_ROUNDING = 1e-10  # of a mode's largest coefficient; its derivatives have true ones far above
 
 
 def layered_basis(pupil_products: Floats, field_products: Floats, scale: Floats, half_width: Floats) -> Floats:
@@ -66,4 +67,7 @@ def _derivatives(products: Floats) -> tuple[sparse.csr_array, sparse.csr_array]:
     derive = np.zeros((degree + 1, degree + 1))
     derive[: max(degree, 1), :] = series.legder(np.eye(degree + 1))
     along_x, along_y = products @ derive.T, np.swapaxes(np.swapaxes(products, 1, 2) @ derive.T, 1, 2)
+    # Zernike modes have rounding errors in place of zeros, which would count as equations.
+    least = _ROUNDING * np.abs(products).max(axis=(1, 2), keepdims=True)
+    along_x, along_y = (np.where(np.abs(slope) > least, slope, 0.0) for slope in (along_x, along_y))
     return sparse.csr_array(along_x.reshape(len(products), -1)), sparse.csr_array(along_y.reshape(len(products), -1))
