@@ -2,89 +2,178 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from support.optics import sensor_of
 
-from reconstruction.arrays import Floats
-from reconstruction.displacement import diagonal_covariance
+from reconstruction.arrays import Floats, Mask
+from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
-from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.modes.field_modes import LegendreModes, gradient_basis
+from reconstruction.modes.layered_modes import layered_basis
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.weights import Whitening, no_whitening, whitening
+from reconstruction.solve.sensitivity import geometric_sensitivity
 
 ROWS, COLUMNS, FIELD_MODES = 7, 8, 3
 SENSOR = sensor_of(ROWS, COLUMNS)
 MODES = pupil_modes(SENSOR, "legendre", 15)
+FIELD = LegendreModes(FIELD_MODES)
 ALL = np.ones((ROWS, COLUMNS), np.bool_)
-GRADIENTS = MODES.gradients[1:].reshape(14, -1).T  # (lenslet x xy, pupil_mode - 1)
+EVERYTHING = np.eye(2 * FIELD_MODES)  # every displacement is a parameter
+GRADIENTS = gradient_basis(FIELD)  # all but the rotation
+VIEW = np.array([1.0, -0.4, 0.7])
 
 
-def hanging_together(generator: np.random.Generator) -> Floats:
-    """Covariance of field modes, correlated differently along x and y: (field_mode, xy, ...)."""
-    covariance = np.zeros((FIELD_MODES, 2, FIELD_MODES, 2))
-    for axis in (0, 1):
-        root = generator.normal(size=(FIELD_MODES, FIELD_MODES))
-        covariance[:, axis, :, axis] = root @ root.T + 0.1 * np.eye(FIELD_MODES)
-    return covariance
+def correlated(generator: np.random.Generator, sigma_px: float = 0.05) -> Floats:
+    """Covariance of each lenslet's displacements, x correlated with y: (row, column, field_mode, xy, ...), px^2."""
+    root = generator.normal(size=(ROWS, COLUMNS, 2 * FIELD_MODES, 2 * FIELD_MODES))
+    covariance = (root @ np.swapaxes(root, 2, 3) / (2 * FIELD_MODES) + 0.1 * np.eye(2 * FIELD_MODES)) * sigma_px**2
+    return np.asarray(covariance.reshape(ROWS, COLUMNS, FIELD_MODES, 2, FIELD_MODES, 2))
 
 
-def of_unit_noise(covariance: Floats) -> Whitening:
-    """Whitening without the systematic error."""
-    return whitening(covariance * 1e6)
+def noise_of(covariance: Floats, generator: np.random.Generator) -> Floats:
+    """One draw of displacements with that covariance and the systematic error, px."""
+    size = 2 * covariance.shape[2]
+    full = covariance.reshape(ROWS, COLUMNS, size, size) + SYSTEMATIC_PX**2 * np.eye(size)
+    drawn = np.matvec(np.linalg.cholesky(full), generator.normal(size=(ROWS, COLUMNS, size)))
+    return np.asarray(drawn.reshape(ROWS, COLUMNS, -1, 2))
 
 
-def made_of(coefficients: Floats) -> Floats:
-    """Slopes (lenslet_row, lenslet_column, field_mode, xy) of coefficients (pupil_mode, field_mode)."""
-    return np.asarray(np.einsum("prcx,pq->rcqx", MODES.gradients, coefficients))
+def made_of(coefficients: Floats, modes: PupilModes = MODES) -> Floats:
+    """Displacements (row, column, field_mode, xy), px, of coefficients (pupil_mode, field_mode)."""
+    return np.asarray(np.einsum("prcx,pq->rcqx", modes.gradients, coefficients) / SENSOR.slope_per_px)
 
 
-def test_weighted_combinations_match_generalised_least_squares() -> None:
+def measured(coefficients: Floats, covariance: Floats, valid: Mask = ALL) -> Displacement:
+    outcome = np.where(valid, Outcome.CONVERGED, Outcome.DIVERGED).astype(np.int8)
+    coefficients = np.where(valid[..., None, None], coefficients, np.nan)
+    covariance = np.where(valid[..., None, None, None, None], covariance, np.nan)
+    modes = LegendreModes(coefficients.shape[2])
+    return Displacement(modes, coefficients, covariance, outcome, *np.zeros((3, ROWS, COLUMNS)))
+
+
+def solver_of(
+    covariance: Floats, *, is_smooth: bool = False, parameters: Floats = EVERYTHING, modes: PupilModes = MODES
+) -> ModalSolver:
+    """Solver with mean gradients; of layered wavefronts, if the parameters show no rotation."""
+    field = LegendreModes(parameters.shape[1] // 2)
+    layered = partial(layered_basis, modes.products[1:], field.products, half_width=np.array(SENSOR.pupil_half_width_m))
+    return ModalSolver(
+        modes,
+        geometric_sensitivity(SENSOR, parameters),
+        parameters,
+        covariance,
+        layered=layered if len(parameters) < parameters.shape[1] else None,
+        field_degree=field.degree if is_smooth else None,
+    )
+
+
+def whitened(covariance: Floats, px: Floats, parameters: Floats = EVERYTHING) -> tuple[Floats, Floats]:
+    """Design matrix (lenslet, K, (pupil_mode - 1) * field_mode) and data (lenslet, K) of unit noise."""
+    to_modes = parameters.reshape(-1, 2, FIELD_MODES).transpose(0, 2, 1)  # (K, field_mode, xy)
+    gradients = MODES.gradients[1:].reshape(14, -1, 2) / SENSOR.slope_per_px
+    design = np.einsum("pla,kqa->lkpq", gradients, to_modes).reshape(ROWS * COLUMNS, len(parameters), -1)
+    data = np.einsum("lqa,kqa->lk", px.reshape(-1, FIELD_MODES, 2), to_modes)
+    noise = np.einsum("kqa,lqarb,jrb->lkj", to_modes, covariance.reshape(-1, *covariance.shape[2:]), to_modes)
+    root = np.linalg.inv(np.linalg.cholesky(noise + SYSTEMATIC_PX**2 * np.eye(len(parameters))))
+    return root @ design, np.matvec(root, data)
+
+
+@pytest.mark.parametrize("parameters", [EVERYTHING, GRADIENTS], ids=["rotation", "layered"])
+def test_full_covariance_and_weights_match_generalised_least_squares(parameters: Floats) -> None:
     generator = np.random.default_rng(1)
-    shared = hanging_together(generator)
-    strength = generator.uniform(0.2, 5, ALL.shape)  # of each lenslet's noise, as a variance
-    covariance = strength[..., None, None, None, None] * shared
-    slopes = generator.normal(size=(ROWS, COLUMNS, FIELD_MODES, 2))
+    covariance, px = correlated(generator), generator.normal(size=(ROWS, COLUMNS, FIELD_MODES, 2))
     valid = ALL.copy()
     valid[2, 3] = valid[5, 0] = False
-    slopes[~valid] = np.nan
-    solver = ModalSolver(MODES, of_unit_noise(shared), is_smooth=False)
-    solution = solver(slopes, covariance, valid, weights=1 / strength)
+    weights = generator.choice([1.0, 0.25, 1 / 16], ALL.shape)
+    solver = solver_of(covariance, parameters=parameters)
+    solution = solver(measured(px, covariance, valid), weights=weights)
 
-    gradients = MODES.gradients[1:, valid]  # (p, lenslet, xy)
-    design = np.einsum("pla,qr->laqpr", gradients, np.eye(FIELD_MODES)).reshape(valid.sum(), 2, FIELD_MODES, -1)
-    normal, right = 0.0, 0.0
-    for one, noise, data in zip(design, covariance[valid], slopes[valid], strict=True):
-        rows = one.reshape(2 * FIELD_MODES, -1)  # ordered (xy, field_mode)
-        inverse = np.linalg.inv(noise.transpose(1, 0, 3, 2).reshape(2 * FIELD_MODES, -1))
-        normal, right = normal + rows.T @ inverse @ rows, right + rows.T @ inverse @ data.T.ravel()
-    expected = np.linalg.solve(normal, right).reshape(14, FIELD_MODES)
-    np.testing.assert_allclose(solution.coefficients[1:], expected, rtol=1e-5, atol=1e-12)
-    variance = np.diag(np.linalg.inv(normal)).reshape(14, FIELD_MODES)
-    np.testing.assert_allclose(solution.coefficients_sigma[1:], np.sqrt(variance), rtol=1e-5)
+    design, data = whitened(covariance, px, parameters)
+    root = np.sqrt(np.where(valid, weights, 0.0).ravel())
+    design = (root[:, None, None] * design).reshape(-1, design.shape[2])
+    allowed = np.eye(design.shape[1])
+    if parameters is GRADIENTS:  # the polynomials (x d/du + y d/dv)^m Phi(u, v), by their equations at many places
+        allowed = np.linalg.svd(_rotations())[2][-(2 + 3 + 4 + 5 + 3 + 4 + 5 + 6) :].T
+    normal = allowed.T @ design.T @ design @ allowed
+    expected = allowed @ np.linalg.solve(normal, allowed.T @ design.T @ (root[:, None] * data).ravel())
+    np.testing.assert_allclose(solution.coefficients[1:].ravel(), expected, atol=2e-4 * np.abs(expected).max())
+    of_coefficients = allowed @ np.linalg.inv(normal) @ allowed.T
+    found = solution.covariance.reshape(14 * FIELD_MODES, -1)
+    np.testing.assert_allclose(found, of_coefficients, atol=1e-3 * np.abs(of_coefficients).max())
+    np.testing.assert_allclose(
+        solution.coefficients_sigma[1:].ravel(), np.sqrt(np.diag(of_coefficients)), rtol=1e-2, atol=1e-4
+    )
 
 
-def test_prior_is_ridge_regression_chosen_by_evidence() -> None:
+def _rotations() -> Floats:
+    """(d_u d_y - d_v d_x) R_p T_q at many places, (place, (pupil_mode - 1) * field_mode), from finite differences."""
+    half_x, half_y = SENSOR.pupil_half_width_m
+    unit = LegendreModes(15)
+    u, v = np.random.default_rng(0).uniform(-1, 1, (2, 200))
+    x, y = np.random.default_rng(1).uniform(-1, 1, (2, 200))
+    step = 1e-5
+    slope_u = (unit.values(u + step, v) - unit.values(u - step, v))[1:] / (2 * step) / half_x
+    slope_v = (unit.values(u, v + step) - unit.values(u, v - step))[1:] / (2 * step) / half_y
+    slope_x = (FIELD.values(x + step, y) - FIELD.values(x - step, y)) / (2 * step)
+    slope_y = (FIELD.values(x, y + step) - FIELD.values(x, y - step)) / (2 * step)
+    rotations = np.einsum("pi,qi->ipq", slope_u, slope_y) - np.einsum("pi,qi->ipq", slope_v, slope_x)
+    return np.asarray(rotations.reshape(200, -1))
+
+
+@pytest.mark.parametrize("noise", [3.0, 0.1])
+def test_prior_is_ridge_regression_chosen_by_evidence(noise: float) -> None:
     generator = np.random.default_rng(2)
-    scale = MODES.degree[1:] ** -5.0
-    truth = np.zeros((15, 1))
-    truth[1:, 0] = 3000 * scale * generator.normal(size=14)
-    noise = 40.0
-    slopes = made_of(truth) + generator.normal(0, noise, (ROWS, COLUMNS, 1, 2))
-    covariance = np.broadcast_to(diagonal_covariance(np.full((1, 2), noise**2)), (ROWS, COLUMNS, 1, 2, 1, 2))
-    solution = ModalSolver(MODES, no_whitening(1), is_smooth=True)(slopes, covariance, ALL)
+    scale = (MODES.degree[1:, None] ** -5.0 * 0.5**FIELD.degree).ravel()
+    truth = np.zeros((15, FIELD_MODES))
+    truth[1:] = (20 * scale * generator.normal(size=14 * FIELD_MODES)).reshape(14, -1)
+    covariance = correlated(generator)
+    px = made_of(truth) + noise * noise_of(covariance, generator)
+    solution = solver_of(covariance, is_smooth=True)(measured(px, covariance))
 
-    data = slopes[:, :, 0].ravel()
+    design, data = whitened(covariance, px)
+    design, data = design.reshape(data.size, -1) * scale, data.ravel()
+    normal, right = design.T @ design, design.T @ data
 
-    def evidence(prior: float, level: float) -> float:
-        spread = level**2 * np.eye(data.size) + prior**2 * (GRADIENTS * scale**2) @ GRADIENTS.T
-        return float(-np.linalg.slogdet(spread)[1] / 2 - data @ np.linalg.solve(spread, data) / 2)
+    def evidence(ratio: float, variance: float) -> float:  # of data with the covariance variance (1 + ratio A A^T)
+        inner = np.eye(len(normal)) + ratio * normal
+        square = (data @ data - ratio * right @ np.linalg.solve(inner, right)) / variance
+        return float(-(np.linalg.slogdet(inner)[1] + data.size * np.log(variance) + square) / 2)
 
-    grid = [(prior, level) for prior in np.geomspace(300, 30000, 25) for level in np.geomspace(20, 80, 25)]
-    prior, level = max(grid, key=lambda both: evidence(*both))
-    ridge = GRADIENTS.T @ GRADIENTS + np.diag((level / prior / scale) ** 2)
-    expected = np.linalg.solve(ridge, GRADIENTS.T @ data)
-    np.testing.assert_allclose(solution.coefficients[1:, 0], expected, atol=0.1 * noise * 1e-3)
+    levels = np.geomspace(1, 25, 100)  # the data are no more certain than their covariance says
+    grid = [(ratio, level) for ratio in np.geomspace(1e-1, 1e5, 121) for level in levels]
+    ratio, level = max(grid, key=lambda both: evidence(*both))
+    assert (level == 1.0) == (noise < 1)
+    expected = ratio * np.linalg.solve(np.eye(len(normal)) + ratio * normal, right)
+    sigma = np.sqrt(level * np.diag(np.linalg.inv(normal + np.eye(len(normal)) / ratio)))
+    # The ratio is found to a quarter of a decade.
+    np.testing.assert_allclose(solution.coefficients[1:].ravel() / scale, expected, atol=0.2 * sigma.max())
+    np.testing.assert_allclose(solution.coefficients_sigma[1:].ravel() / scale, sigma, rtol=0.25)
+    last = np.argsort(scale)[-10:]  # determined by the data
+    np.testing.assert_allclose((solution.coefficients_sigma[1:].ravel() / scale)[last], sigma[last], rtol=0.1)
+
+
+@pytest.mark.parametrize("is_smooth", [False, True])
+@pytest.mark.parametrize("parameters", [EVERYTHING, GRADIENTS], ids=["rotation", "layered"])
+def test_down_dated_equations_equal_those_prepared_so(is_smooth: bool, parameters: Floats) -> None:
+    generator = np.random.default_rng(5)
+    covariance = correlated(generator)
+    weights = generator.choice([0.0, 0.25, 1.0], ALL.shape, p=[0.1, 0.4, 0.5])
+    assert {0.0, 0.25, 1.0} == set(weights.flat)
+    smooth = np.r_[0, MODES.degree[1:] ** -3.0][:, None] * generator.normal(size=(15, FIELD_MODES))
+    px = made_of(smooth) + noise_of(covariance, generator)
+    found = solver_of(covariance, is_smooth=is_smooth, parameters=parameters)(measured(px, covariance), weights=weights)
+    systematic = SYSTEMATIC_PX**2 * np.eye(2 * FIELD_MODES).reshape(FIELD_MODES, 2, FIELD_MODES, 2)
+    less_certain = (covariance + systematic) / np.where(weights > 0, weights, np.nan)[..., None, None, None, None]
+    fresh = solver_of(less_certain - systematic, is_smooth=is_smooth, parameters=parameters)(measured(px, covariance))
+
+    np.testing.assert_allclose(found.coefficients, fresh.coefficients, atol=1e-4 * np.abs(fresh.coefficients).max())
+    np.testing.assert_array_equal(np.isfinite(found.wavefront(VIEW)), np.isfinite(fresh.wavefront(VIEW)))
+    np.testing.assert_allclose(found.wavefront(VIEW), fresh.wavefront(VIEW), atol=1e-3)
+    np.testing.assert_allclose(found.sigma(VIEW), fresh.sigma(VIEW), rtol=1e-3)
 
 
 def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
@@ -92,25 +181,27 @@ def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
     many = pupil_modes(SENSOR, "legendre", None)
     truth = np.zeros((many.degree.size, 1))
     truth[1:6, 0] = [4, -3, 2, 1, -2]
-    slopes = np.einsum("prcx,pq->rcqx", many.gradients, truth) + generator.normal(0, 300, (ROWS, COLUMNS, 1, 2))
-    covariance = np.broadcast_to(diagonal_covariance(np.full((1, 2), 300.0**2)), (ROWS, COLUMNS, 1, 2, 1, 2))
+    variance = np.full((ROWS, COLUMNS, 1, 2), (300.0 / SENSOR.slope_per_px) ** 2)
+    covariance = diagonal_covariance(variance)
+    px = made_of(truth, many) + generator.normal(0, np.sqrt(variance))
     valid = ALL.copy()
     valid[3, 3] = False
-    slopes[3, 3] = np.nan
     expected = np.tensordot(truth[:, 0], many.values, axes=1)
     expected -= expected.mean()
 
-    smooth = ModalSolver(many, no_whitening(1), is_smooth=True)(slopes, covariance, valid)
+    smooth_solver = solver_of(covariance, is_smooth=True, modes=many, parameters=np.eye(2))
+    smooth = smooth_solver(measured(px, covariance, valid))
     wavefront, sigma = smooth.wavefront(np.ones(1)), smooth.sigma(np.ones(1))
     assert np.isfinite(wavefront).all()
     assert np.isfinite(sigma).all()
-    rough = ModalSolver(many, no_whitening(1), is_smooth=False)(slopes, covariance, valid).wavefront(np.ones(1))
+    rough_solver = solver_of(covariance, modes=many, parameters=np.eye(2))
+    rough = rough_solver(measured(px, covariance, valid)).wavefront(np.ones(1))
     assert np.isnan(rough[3, 3])
     assert np.sqrt(np.mean((wavefront - expected) ** 2)) < 0.6 * np.sqrt(np.nanmean((rough - expected) ** 2))
     assert abs(wavefront[3, 3] - expected[3, 3]) < 3 * sigma[3, 3]
     corner = valid.copy()
     corner[:3, :3] = False
-    beyond = ModalSolver(many, no_whitening(1), is_smooth=True)(slopes, covariance, corner)
+    beyond = smooth_solver(measured(px, covariance, corner))
     assert np.isnan(beyond.wavefront(np.ones(1))[0, 0])  # two lenslets from the next that is known
     assert beyond.sigma(np.ones(1))[2, 0] > 2 * beyond.sigma(np.ones(1))[3, 5]
 
@@ -118,39 +209,89 @@ def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
 @pytest.mark.parametrize("is_smooth", [False, True])
 def test_scatter_of_wavefronts_matches_sigma(is_smooth: bool) -> None:
     generator = np.random.default_rng(4)
-    shared = hanging_together(generator) * 100.0
-    root = np.linalg.cholesky(shared.reshape(2 * FIELD_MODES, -1))
-    truth = generator.normal(size=(15, FIELD_MODES)) * np.r_[0, MODES.degree[1:] ** -2.0][:, None]
-    exact = made_of(truth)
-    solver = ModalSolver(MODES, of_unit_noise(shared), is_smooth=is_smooth)
-    covariance = np.broadcast_to(shared, (ROWS, COLUMNS, *shared.shape))
-    view = np.array([1.0, -0.4, 0.7])
+    covariance = correlated(generator)
+    scale = np.r_[0, MODES.degree[1:] ** -5.0][:, None] * 0.5**FIELD.degree
+    solver = solver_of(covariance, is_smooth=is_smooth)
+    errors, sigmas, of_coefficients, chi_squares, misfits = [], [], [], [], []
+    for _ in range(200):
+        truth = 3 * scale * generator.normal(size=scale.shape)  # the prior's wavefronts
+        px = made_of(truth) + noise_of(covariance, generator)
+        solution = solver(measured(px, covariance))
+        expected = np.tensordot(truth @ VIEW, MODES.values, axes=1)
+        errors.append(solution.wavefront(VIEW) - (expected - expected.mean()))
+        sigmas.append(solution.sigma(VIEW))
+        of_coefficients.append((solution.coefficients - truth)[1:] / solution.coefficients_sigma[1:])
+        chi_squares.append(solution.chi_square)
+        misfits.append(solution.misfit - (px - made_of(solution.coefficients)))
+    ratio = np.array(errors) / np.array(sigmas)
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1, abs=0.06)
+    assert np.mean(np.abs(ratio) < 1) == pytest.approx(0.683, abs=0.03)
+    assert np.mean(np.abs(of_coefficients) < 1) == pytest.approx(0.683, abs=0.03)
+    # Misfits are compared with marginal variances; correlated, they have other degrees of freedom than counted.
+    assert np.mean(chi_squares) == pytest.approx(1, abs=0.1)
+    np.testing.assert_allclose(misfits, 0, atol=1e-4)
 
-    def draw() -> tuple[Floats, Floats, float]:
-        noise = (generator.normal(size=(ROWS, COLUMNS, 2 * FIELD_MODES)) @ root.T).reshape(exact.shape)
-        solution = solver(exact + noise, covariance, ALL)
-        return solution.wavefront(view), solution.sigma(view), solution.chi_square
 
-    wavefronts, sigmas, chi_squares = (np.array(values) for values in zip(*(draw() for _ in range(300)), strict=True))
-    expected = np.tensordot(truth @ view, MODES.values, axes=1)
-    error = wavefronts - (expected - expected.mean())
-    ratio = np.sqrt(np.mean(error**2, axis=0)) / np.mean(sigmas, axis=0)
-    assert 0.93 < np.sqrt(np.mean(ratio**2)) < 1.07
-    assert 0.9 < np.mean(chi_squares) < 1.1
+def test_misfit_without_rotation_keeps_the_rotation() -> None:
+    generator = np.random.default_rng(6)
+    covariance = correlated(generator)
+    unseen = np.linalg.svd(GRADIENTS)[2][-1].reshape(2, FIELD_MODES).T  # (field_mode, xy)
+    rotation = np.broadcast_to(unseen, (ROWS, COLUMNS, FIELD_MODES, 2))
+    solution = solver_of(covariance, parameters=GRADIENTS)(measured(rotation, covariance))
+    np.testing.assert_allclose(solution.coefficients, 0, atol=1e-6)
+    np.testing.assert_allclose(solution.misfit, rotation, atol=1e-6)
+
+
+@pytest.mark.parametrize("parameters", [EVERYTHING, GRADIENTS], ids=["rotation", "layered"])
+def test_displacement_of_coefficients_is_mean_gradient_and_is_solved_back(parameters: Floats) -> None:
+    generator = np.random.default_rng(7)
+    truth = np.zeros((15, FIELD_MODES))
+    truth[1:] = generator.normal(size=(14, FIELD_MODES))
+    if parameters is GRADIENTS:
+        basis = layered_basis(
+            MODES.products[1:], FIELD.products, np.ones((14, FIELD_MODES)), np.array(SENSOR.pupil_half_width_m)
+        )
+        truth[1:] = (basis @ (basis.T @ truth[1:].ravel())).reshape(14, FIELD_MODES)
+    covariance = correlated(generator)
+    solver = solver_of(covariance, parameters=parameters)
+    px = solver.displacement(truth)
+    np.testing.assert_allclose(px, made_of(truth), atol=1e-9)
+    solution = solver(measured(px, covariance))
+    np.testing.assert_allclose(solution.coefficients, truth, atol=1e-4)
+    np.testing.assert_allclose(solution.misfit, 0, atol=1e-5)
+
+
+def test_unknown_noise_is_that_of_the_misfit() -> None:
+    generator = np.random.default_rng(8)
+    unknown = np.zeros((ROWS, COLUMNS, FIELD_MODES, 2, FIELD_MODES, 2))
+    sigma_px = 0.04
+    noise = generator.normal(0, sigma_px, (ROWS, COLUMNS, FIELD_MODES, 2))
+    solution = solver_of(unknown)(measured(noise, unknown))
+    design, _ = whitened(unknown, noise)
+    design = design.reshape(-1, design.shape[2]) * (SYSTEMATIC_PX / sigma_px)
+    expected = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    np.testing.assert_allclose(solution.coefficients_sigma[1:].ravel(), expected, rtol=0.15)
+
+
+def test_rotation_is_refused_where_it_is_not_seen() -> None:
+    covariance = np.zeros((ROWS, COLUMNS, FIELD_MODES, 2, FIELD_MODES, 2))
+    with pytest.raises(ReconstructionError, match="56 valid lenslets cannot tell 15 pupil modes apart"):
+        ModalSolver(MODES, geometric_sensitivity(SENSOR, GRADIENTS), GRADIENTS, covariance)
 
 
 def test_too_few_lenslets_are_refused_only_without_prior() -> None:
     few = np.zeros_like(ALL)
     few[0, :3] = True
-    slopes = np.ones((ROWS, COLUMNS, 1, 2))
-    covariance = np.broadcast_to(np.eye(2).reshape(1, 2, 1, 2), (ROWS, COLUMNS, 1, 2, 1, 2))
+    covariance = np.broadcast_to(np.eye(2).reshape(1, 2, 1, 2) * 1e-4, (ROWS, COLUMNS, 1, 2, 1, 2))
+    displacement = measured(np.ones((ROWS, COLUMNS, 1, 2)), covariance, few)
     with pytest.raises(ReconstructionError, match="3 valid lenslets cannot tell 15 pupil modes apart"):
-        ModalSolver(MODES, no_whitening(1), is_smooth=False)(slopes, covariance, few)
-    bridged = ModalSolver(MODES, no_whitening(1), is_smooth=True)(slopes, covariance, few).wavefront(np.ones(1))
+        solver_of(covariance, parameters=np.eye(2))(displacement)
+    bridged = solver_of(covariance, is_smooth=True, parameters=np.eye(2))(displacement).wavefront(np.ones(1))
     assert np.isfinite(bridged[few]).all()
 
 
 def test_zero_slopes_give_flat_wavefront() -> None:
     covariance = np.zeros((ROWS, COLUMNS, 1, 2, 1, 2))
-    solution = ModalSolver(MODES, no_whitening(1), is_smooth=True)(np.zeros((ROWS, COLUMNS, 1, 2)), covariance, ALL)
+    displacement = measured(np.zeros((ROWS, COLUMNS, 1, 2)), covariance)
+    solution = solver_of(covariance, is_smooth=True, parameters=np.eye(2))(displacement)
     np.testing.assert_allclose(solution.wavefront(np.ones(1)), 0, atol=1e-12)
