@@ -1,0 +1,135 @@
+"""Response of the registration against warps in closed form and against complete registrations of rendered frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from support.optics import FIELD, SmallBench
+
+from reconstruction.arrays import Floats
+from reconstruction.errors import ReconstructionError
+from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
+from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.registration.response import linear_response
+from reconstruction.registration.subimages import ReferenceSubimages
+from simulated_devices.optics.forward_model import Images
+from simulated_devices.optics.lenslet_image import LensletImage
+from simulated_devices.optics.source import SourcePoints
+
+MODES = LegendreModes(6)
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """A registration with the model of its lenslets."""
+
+    bench: SmallBench
+    reference: ReferenceSubimages
+    model: LensletImage
+    method: GaussNewton
+    response: Floats  # (lenslet, n, m, field_mode, K)
+
+
+def model_of(bench: SmallBench, source: SourcePoints, width: int) -> LensletImage:
+    """Model of one lenslet with that source; its light on the window is 1."""
+
+    def model(area_m2: Floats) -> LensletImage:
+        points = SourcePoints(position_m=source.position_m, area_m2=area_m2)
+        return LensletImage(bench.sensor, FIELD, points, width=width, pupil_samples=12)
+
+    return model(source.area_m2 / model(source.area_m2).image().sum())
+
+
+@pytest.fixture(scope="module")
+def registered(small_bench: SmallBench) -> Registered:
+    reference = small_bench.subimages()
+    model = model_of(small_bench, small_bench.source, reference.width)
+    method = GaussNewton(reference, MODES, conserve_flux=True, rotation=False)
+    return Registered(small_bench, reference, model, method, linear_response(method, reference, MODES, model))
+
+
+@pytest.mark.parametrize("modes", [MODES, ZernikeModes(6)])
+@pytest.mark.parametrize("rotation", [False, True])
+def test_warp_of_the_image_is_found_as_it_is(
+    registered: Registered, modes: LegendreModes | ZernikeModes, rotation: bool
+) -> None:
+    reference, model = registered.reference, registered.model
+    method = GaussNewton(reference, modes, conserve_flux=True, rotation=rotation)
+    image = model.image()
+    tilts = model.derivatives(1, np.ones((1, len(model.position))))
+    px_per_rad = 2 / registered.bench.sensor.lenslet_pitch_m / registered.bench.sensor.slope_per_px
+    moved_x, moved_y = tilts[0, 1, 0] / px_per_rad, tilts[1, 0, 0] / px_per_rad  # per px: minus the gradient
+    half_px = reference.half_width_px
+    x, y = np.meshgrid(reference.steps_px / half_px, reference.steps_px / half_px)
+    values, slopes = modes.values(x, y), modes.gradients(x, y) / half_px
+    # Moved and spread light, to first order: minus the divergence of displacement times light.
+    along_x, along_y = values * moved_x - slopes[..., 0] * image, values * moved_y - slopes[..., 1] * image
+    changes = np.tensordot(method.parameters, np.concatenate([along_x, along_y]), axes=1)
+    found = method.response(image, changes)
+    assert len(method.parameters) == (12 if rotation else 9)
+    np.testing.assert_allclose(found, np.broadcast_to(np.eye(len(changes)), found.shape), atol=0.02)
+    unit = 1e3  # in any unit
+    np.testing.assert_allclose(method.response(unit * image, unit * changes), found, atol=1e-6)
+
+
+def test_gain_and_offset_are_no_warp(registered: Registered) -> None:
+    image = registered.model.image()
+    found = registered.method.response(image, np.stack([image, np.full_like(image, image.mean())]))
+    np.testing.assert_allclose(found, 0, atol=0.02)
+
+
+def test_response_to_tilt_is_focal_length_over_wavenumber(registered: Registered) -> None:
+    sensor = registered.bench.sensor
+    px_per_rad = 2 / sensor.lenslet_pitch_m / sensor.slope_per_px  # f / k over the pixel pitch, per slope
+    px = registered.response @ registered.method.parameters  # (lenslet, n, m, field_mode, x modes and y modes)
+    along_x, along_y = px[:, 0, 1, 0], px[:, 1, 0, 0]
+    expected = np.zeros(12)
+    expected[0] = px_per_rad
+    np.testing.assert_allclose(along_x, np.broadcast_to(expected, along_x.shape), atol=0.01 * px_per_rad)
+    np.testing.assert_allclose(along_y, np.broadcast_to(np.roll(expected, 6), along_y.shape), atol=0.01 * px_per_rad)
+
+
+def test_even_wavefronts_cause_no_displacement(registered: Registered) -> None:
+    n, m = np.indices((5, 5))
+    np.testing.assert_array_equal(registered.response[:, (n + m) % 2 == 0], 0)
+    assert np.all(np.any(registered.response[:, ((n + m) % 2 == 1) & (n + m < 5)], axis=(0, 2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("n", "m", "q"), [(0, 1, 0), (3, 0, 0), (1, 2, 0), (0, 1, 1), (1, 0, 1), (1, 0, 5), (0, 3, 2), (2, 1, 4)]
+)
+def test_response_matches_complete_registrations(registered: Registered, n: int, m: int, q: int) -> None:
+    bench = registered.bench
+    pitch_m, rad = bench.sensor.lenslet_pitch_m, 0.3
+    u, v = bench.samples()
+    centre = [(count - 1) / 2 % 1 for count in (bench.sensor.lenslet_columns, bench.sensor.lenslet_rows)]
+    xi, eta = (2 * (at / pitch_m - np.rint(at / pitch_m - c) - c) for at, c in zip((u, v), centre, strict=True))
+    local = np.polynomial.legendre.Legendre.basis(m)(xi) * np.polynomial.legendre.Legendre.basis(n)(eta)
+
+    def registered_px(amplitude: float, tilt: Floats) -> Floats:
+        def phase(x_m: float, y_m: float) -> Images:
+            at_point = MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
+            return np.asarray(tilt[0] * u + tilt[1] * v + amplitude * at_point * local, np.float32)
+
+        frame = bench.frame(phase)
+        found = registered.method(frame, saturated=np.zeros(frame.shape, np.bool_))
+        assert found.valid.all()
+        return np.swapaxes(found.coefficients, 2, 3).reshape(-1, 12) @ registered.method.parameters.T
+
+    tilts = np.array([[0.3, -0.1], [-0.2, 0.45]]) * bench.sensor.slope_per_px
+    measured = np.mean([registered_px(rad, tilt) - registered_px(-rad, tilt) for tilt in tilts], axis=(0, 1)) / (
+        2 * rad
+    )
+    expected = registered.response[:, n, m, q].mean(axis=0)
+    assert np.linalg.norm(measured - expected) < 0.04 * np.linalg.norm(measured)
+
+
+def test_model_of_another_source_is_refused(registered: Registered, small_bench: SmallBench) -> None:
+    narrow = SourcePoints(position_m=small_bench.source.position_m * 0.8, area_m2=small_bench.source.area_m2)
+    model = model_of(small_bench, narrow, registered.reference.width)
+    with pytest.raises(
+        ReconstructionError, match=r"the modelled reference differs from the measured one by \d+ % of its contrast"
+    ):
+        linear_response(registered.method, registered.reference, MODES, model)

@@ -1,0 +1,96 @@
+"""Image of one lenslet and its derivatives against the forward model, and against the shift of its object points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.optics import FIELD, sensor_of
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Lattice
+from reconstruction.modes.field_modes import LegendreModes
+from simulated_devices.optics.forward_model import ForwardModel, Images
+from simulated_devices.optics.lenslet_image import LensletImage
+from simulated_devices.optics.source import SourcePoints
+
+SENSOR = sensor_of(2, 2)
+WIDTH, PITCH_PX, SAMPLES = 31, 31.25, 12
+MIDDLE_PX = (WIDTH - 1 + PITCH_PX) / 2  # the first lenslet's axis is in the middle of the window
+GENERATOR = np.random.default_rng(0)
+SOURCE = SourcePoints(
+    position_m=np.concatenate([GENERATOR.uniform(-0.6e-3, 0.6e-3, (8, 2)), np.zeros((1, 2))]),
+    area_m2=np.r_[GENERATOR.uniform(0.2, 1.0, 8), 0.0],  # the last point is dark
+)
+MODES = LegendreModes(3)
+
+
+def forward_model(fill_factor: float) -> ForwardModel:
+    return ForwardModel(
+        SENSOR,
+        Lattice(center_x_px=MIDDLE_PX, center_y_px=MIDDLE_PX, pitch_px=PITCH_PX),
+        FIELD,
+        rows=WIDTH,
+        columns=WIDTH,
+        pupil_samples=SAMPLES,
+        pixel_fill_factor=fill_factor,
+    )
+
+
+def lenslet_image(fill_factor: float = 1.0, source: SourcePoints = SOURCE) -> LensletImage:
+    return LensletImage(SENSOR, FIELD, source, width=WIDTH, pupil_samples=SAMPLES, pixel_fill_factor=fill_factor)
+
+
+@pytest.mark.parametrize("fill_factor", [0.0, 0.6, 1.0])
+def test_image_is_that_of_the_forward_model(fill_factor: float) -> None:
+    expected = forward_model(fill_factor).irradiance(SOURCE)
+    np.testing.assert_allclose(lenslet_image(fill_factor).image(), expected, atol=2e-6 * expected.max())
+
+
+@pytest.mark.parametrize("fill_factor", [0.6, 1.0])
+def test_derivatives_are_those_of_the_forward_model(fill_factor: float) -> None:
+    model, image = forward_model(fill_factor), lenslet_image(fill_factor)
+    found = image.derivatives(4, MODES.values(*image.position.T))
+    assert found.shape == (5, 5, 3, WIDTH, WIDTH)
+    half_m = SENSOR.lenslet_pitch_m / 2
+    xi, eta = (at / half_m - np.sign(at) for at in (model.sample_x_m, model.sample_y_m))  # of the two lenslets
+    along_x, along_y = (np.polynomial.legendre.legvander(at, 4).T for at in (xi, eta))
+    amplitude = 0.03
+    largest = np.abs(found).max()
+
+    def image_of(n: int, m: int, q: int, rad: float) -> Images:
+        def phase(x_m: float, y_m: float) -> Images:
+            at_point = MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
+            return (rad * at_point * np.outer(along_y[n], along_x[m])).astype(np.float32)
+
+        return model.irradiance(SOURCE, phase)
+
+    for n, m, q in np.ndindex(5, 5, 3):
+        if m + n > 4:
+            assert not found[n, m, q].any()
+            continue
+        change = (image_of(n, m, q, amplitude).astype(np.float64) - image_of(n, m, q, -amplitude)) / (2 * amplitude)
+        np.testing.assert_allclose(found[n, m, q], change, atol=1e-3 * largest)
+
+
+@pytest.mark.parametrize(("n", "m"), [(0, 1), (1, 0)])
+def test_tilt_moves_light_like_its_object_points(n: int, m: int) -> None:
+    """A tilt of 1 rad at the lenslet's edge is that of a point farther along the axis by f1 / (k D / 2)."""
+    image = lenslet_image()
+    tilt = image.derivatives(1, np.ones((1, 8)))[n, m, 0]
+    per_rad_m = FIELD.collimator_focal_length_m / (SENSOR.wavenumber_rad_per_m * SENSOR.lenslet_pitch_m / 2)
+    step = 1e-3
+
+    def moved(rad: float) -> Floats:
+        position_m = SOURCE.position_m + rad * per_rad_m * np.array([m, n])
+        return lenslet_image(source=SourcePoints(position_m=position_m, area_m2=SOURCE.area_m2)).image()
+
+    expected = (moved(step) - moved(-step)) / (2 * step)
+    np.testing.assert_allclose(tilt, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_light_is_the_area_of_the_points() -> None:
+    point = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.array([3.0]))
+    image = LensletImage(SENSOR, FIELD, point, width=WIDTH, pupil_samples=60).image()
+    # On each axis, diffraction by a square leaves about 1 / (pi^2 m) of the light beyond m zeros on both sides.
+    zeros = WIDTH / 2 / (SENSOR.wavelength_m * SENSOR.lenslet_focal_length_m / SENSOR.lenslet_pitch_m / 16e-6)
+    assert image.sum() == pytest.approx(3.0 * (1 - 1 / (np.pi**2 * zeros)) ** 2, rel=0.004)
