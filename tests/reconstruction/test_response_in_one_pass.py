@@ -11,7 +11,7 @@ from support.optics import SmallBench
 
 from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Field
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import mean_rms
@@ -30,11 +30,11 @@ def layer(u: Floats, v: Floats, x: float, y: float) -> Floats:
 
 
 @pytest.fixture(scope="module")
-def frames(small_bench: SmallBench) -> dict[Shape, tuple[Floats, Floats]]:
+def frames(small_bench: SmallBench) -> dict[Shape, tuple[Image, Image]]:
     """Reference and frame of each source."""
     u, v = small_bench.samples()
 
-    def seen(shape: Shape) -> tuple[Floats, Floats]:
+    def seen(shape: Shape) -> tuple[Image, Image]:
         points = getattr(source, shape)(Source(), object_samples=19)
         frame = small_bench.model.irradiance(points, lambda x, y: layer(u, v, x, y).astype(np.float32))
         return small_bench.model.irradiance(points) * np.float32(1e14), frame * np.float32(1e14)
@@ -42,7 +42,7 @@ def frames(small_bench: SmallBench) -> dict[Shape, tuple[Floats, Floats]]:
     return {"square": seen("square"), "circle": seen("circle")}
 
 
-def reconstructor(bench: SmallBench, reference: Floats, *, response: bool = True, **changes: object) -> Reconstructor:
+def reconstructor(bench: SmallBench, reference: Image, *, response: bool = True, **changes: object) -> Reconstructor:
     settings = {
         "registration": RegistrationSettings(warp="quadratic", rotation=False),
         "reconstruction": ReconstructionSettings(response=response),
@@ -57,7 +57,7 @@ def reconstructor(bench: SmallBench, reference: Floats, *, response: bool = True
     )
 
 
-def error_rad(bench: SmallBench, frame: Floats, prepared: Reconstructor) -> float:
+def error_rad(bench: SmallBench, frame: Image, prepared: Reconstructor) -> float:
     wavefront = prepared(frame)
     assert wavefront.displacement.valid.all()
     truth = np.array(
@@ -66,7 +66,7 @@ def error_rad(bench: SmallBench, frame: Floats, prepared: Reconstructor) -> floa
     return mean_rms(wavefront.views - (truth - truth.mean(axis=(2, 3), keepdims=True)))
 
 
-def test_response_removes_most_of_the_bias(small_bench: SmallBench, frames: dict[Shape, tuple[Floats, Floats]]) -> None:
+def test_response_removes_most_of_the_bias(small_bench: SmallBench, frames: dict[Shape, tuple[Image, Image]]) -> None:
     error = {}
     for shape in ("square", "circle"):
         reference, frame = frames[shape]

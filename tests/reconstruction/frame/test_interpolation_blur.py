@@ -24,7 +24,7 @@ def resampled(away_px: float) -> Floats:
     for fraction in (np.arange(64) + 0.5) / 64:
         seen = bright_line(AT + fraction)
         lines.append(ndimage.map_coordinates(seen, [AT - fraction + away_px], order=3, mode="constant"))
-    return np.mean(lines, axis=0)
+    return np.asarray(np.mean(lines, axis=0))
 
 
 def test_values_are_means_over_all_fractions_of_a_pixel() -> None:

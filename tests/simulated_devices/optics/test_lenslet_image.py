@@ -60,7 +60,7 @@ def test_derivatives_are_those_of_the_forward_model(fill_factor: float) -> None:
     def image_of(n: int, m: int, q: int, rad: float) -> Images:
         def phase(x_m: float, y_m: float) -> Images:
             at_point = MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
-            return (rad * at_point * np.outer(along_y[n], along_x[m])).astype(np.float32)
+            return np.asarray(rad * at_point * np.outer(along_y[n], along_x[m]), np.float32)
 
         return model.irradiance(SOURCE, phase)
 
