@@ -53,15 +53,15 @@ def test_gradients_match_numerical_derivatives() -> None:
 def test_compiled_warp_sampling_matches_scipy_and_determinant() -> None:
     rng = np.random.default_rng(3)
     coefficients = spline_coefficients(rng.uniform(0, 1, (40, 60)).astype(np.float32))
-    uv = rng.uniform(-1, 1, (2, 100)).astype(np.float32)
-    u, v = uv.astype(np.float64)
-    polynomials = rng.uniform(-0.4, 0.4, (2, 10)).astype(np.float32)
-    powers = np.array([[degree - n, n] for degree in range(4) for n in range(degree + 1)])
+    steps = rng.uniform(-1, 1, 10).astype(np.float32)
+    u, v = (grid.ravel() for grid in np.meshgrid(steps.astype(np.float64), steps.astype(np.float64)))
+    polynomials = rng.uniform(-0.4, 0.4, (2, 15)).astype(np.float32)
+    powers = np.array([[degree - n, n] for degree in range(5) for n in range(degree + 1)])
     monomial = u[:, None] ** powers[:, 0] * v[:, None] ** powers[:, 1]
-    scratch = new_scratch(100)
+    scratch = new_scratch(10)
     center_px, turn, per_unit = np.array([30.3, 19.8]), np.array([np.cos(0.1), np.sin(0.1)], np.float32), 9.0
     scale = (np.float32(per_unit), np.float32(1 / per_unit))
-    sample_warped(coefficients, polynomials, uv, center_px, turn, scale, scratch)
+    sample_warped(coefficients, polynomials, steps, center_px, turn, scale, scratch)
     along, across = np.array([u, v]) * per_unit + polynomials @ monomial.T
     x, y = 30.3 + turn[0] * along - turn[1] * across, 19.8 + turn[1] * along + turn[0] * across
     by_u = np.where(powers[:, 0] > 0, powers[:, 0] * u[:, None] ** np.maximum(powers[:, 0] - 1, 0), 0)

@@ -50,8 +50,8 @@ def test_complete_fit_leaves_no_difference(small_bench: SmallBench) -> None:
     measured = replace(displacement(), coefficients=coefficients)
     wavefront = small_bench.reconstructor(warp="affine", pupil_modes=10).solve(measured)
     found = slope_fit(wavefront, SENSOR, modes)
-    np.testing.assert_allclose(found.difference, 0, atol=1e-9)
-    np.testing.assert_allclose(found.measured[0, 0], without_piston(modes.values[8]), atol=1e-9)
+    np.testing.assert_allclose(found.difference, 0, atol=1e-6)
+    np.testing.assert_allclose(found.measured[0, 0], without_piston(modes.values[8]), atol=1e-6)
 
 
 def test_zonal_is_compared_with_best_fitting_modes() -> None:

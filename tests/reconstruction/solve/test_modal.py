@@ -101,7 +101,10 @@ def test_full_covariance_and_weights_match_generalised_least_squares(parameters:
     normal = allowed.T @ design.T @ design @ allowed
     expected = allowed @ np.linalg.solve(normal, allowed.T @ design.T @ (root[:, None] * data).ravel())
     np.testing.assert_allclose(solution.coefficients[1:].ravel(), expected, atol=2e-4 * np.abs(expected).max())
-    of_coefficients = allowed @ np.linalg.inv(normal) @ allowed.T
+    misfit = (root[:, None] * data).ravel() - design @ expected
+    freedom = np.count_nonzero(valid) * len(parameters) - len(normal)
+    assert misfit @ misfit > 2 * freedom  # noisier than the covariance says
+    of_coefficients = misfit @ misfit / freedom * allowed @ np.linalg.inv(normal) @ allowed.T
     found = solution.covariance.reshape(14 * FIELD_MODES, -1)
     np.testing.assert_allclose(found, of_coefficients, atol=1e-3 * np.abs(of_coefficients).max())
     np.testing.assert_allclose(
