@@ -78,7 +78,7 @@ def whitened(covariance: Floats, px: Floats, parameters: Floats = EVERYTHING) ->
     design = np.einsum("pla,kqa->lkpq", gradients, to_modes).reshape(ROWS * COLUMNS, len(parameters), -1)
     data = np.einsum("lqa,kqa->lk", px.reshape(-1, FIELD_MODES, 2), to_modes)
     noise = np.einsum("kqa,lqarb,jrb->lkj", to_modes, covariance.reshape(-1, *covariance.shape[2:]), to_modes)
-    root = np.linalg.inv(np.linalg.cholesky(noise + SYSTEMATIC_PX**2 * np.eye(len(parameters))))
+    root = np.linalg.inv(np.linalg.cholesky(noise))
     return root @ design, np.matvec(root, data)
 
 
@@ -101,10 +101,7 @@ def test_full_covariance_and_weights_match_generalised_least_squares(parameters:
     normal = allowed.T @ design.T @ design @ allowed
     expected = allowed @ np.linalg.solve(normal, allowed.T @ design.T @ (root[:, None] * data).ravel())
     np.testing.assert_allclose(solution.coefficients[1:].ravel(), expected, atol=2e-4 * np.abs(expected).max())
-    misfit = (root[:, None] * data).ravel() - design @ expected
-    freedom = np.count_nonzero(valid) * len(parameters) - len(normal)
-    assert misfit @ misfit > 2 * freedom  # noisier than the covariance says
-    of_coefficients = misfit @ misfit / freedom * allowed @ np.linalg.inv(normal) @ allowed.T
+    of_coefficients = allowed @ np.linalg.inv(normal) @ allowed.T
     found = solution.covariance.reshape(14 * FIELD_MODES, -1)
     np.testing.assert_allclose(found, of_coefficients, atol=1e-3 * np.abs(of_coefficients).max())
     np.testing.assert_allclose(
@@ -169,14 +166,13 @@ def test_down_dated_equations_equal_those_prepared_so(is_smooth: bool, parameter
     smooth = np.r_[0, MODES.degree[1:] ** -3.0][:, None] * generator.normal(size=(15, FIELD_MODES))
     px = made_of(smooth) + noise_of(covariance, generator)
     found = solver_of(covariance, is_smooth=is_smooth, parameters=parameters)(measured(px, covariance), weights=weights)
-    systematic = SYSTEMATIC_PX**2 * np.eye(2 * FIELD_MODES).reshape(FIELD_MODES, 2, FIELD_MODES, 2)
-    less_certain = (covariance + systematic) / np.where(weights > 0, weights, np.nan)[..., None, None, None, None]
-    fresh = solver_of(less_certain - systematic, is_smooth=is_smooth, parameters=parameters)(measured(px, covariance))
+    less_certain = covariance / np.where(weights > 0, weights, np.nan)[..., None, None, None, None]
+    fresh = solver_of(less_certain, is_smooth=is_smooth, parameters=parameters)(measured(px, covariance))
 
-    np.testing.assert_allclose(found.coefficients, fresh.coefficients, atol=1e-4 * np.abs(fresh.coefficients).max())
+    np.testing.assert_allclose(found.coefficients, fresh.coefficients, atol=2e-4 * np.abs(fresh.coefficients).max())
     np.testing.assert_array_equal(np.isfinite(found.wavefront(VIEW)), np.isfinite(fresh.wavefront(VIEW)))
     np.testing.assert_allclose(found.wavefront(VIEW), fresh.wavefront(VIEW), atol=1e-3)
-    np.testing.assert_allclose(found.sigma(VIEW), fresh.sigma(VIEW), rtol=1e-3)
+    np.testing.assert_allclose(found.sigma(VIEW), fresh.sigma(VIEW), rtol=3e-3)
 
 
 def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
@@ -270,8 +266,8 @@ def test_unknown_noise_is_that_of_the_misfit() -> None:
     sigma_px = 0.04
     noise = generator.normal(0, sigma_px, (ROWS, COLUMNS, FIELD_MODES, 2))
     solution = solver_of(unknown)(measured(noise, unknown))
-    design, _ = whitened(unknown, noise)
-    design = design.reshape(-1, design.shape[2]) * (SYSTEMATIC_PX / sigma_px)
+    design, _ = whitened(diagonal_covariance(np.full_like(noise, sigma_px**2)), noise)
+    design = design.reshape(-1, design.shape[2])
     expected = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     np.testing.assert_allclose(solution.coefficients_sigma[1:].ravel(), expected, rtol=0.15)
 
