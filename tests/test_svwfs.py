@@ -81,7 +81,7 @@ def test_refinement_reduces_the_error(bench: Bench, images: SimulatedFrames) -> 
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     once = reconstruct(images.frames[1])
     refined = svwfs.refine(reconstruct, images.frames[1])
-    assert error_rad(refined.views, images.truth) < 0.7 * error_rad(once.views, images.truth) < 0.1
+    assert error_rad(refined.views, images.truth) < error_rad(once.views, images.truth) < 0.02
 
 
 def test_foreign_frames_have_the_right_signs_and_axes() -> None:

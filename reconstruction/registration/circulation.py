@@ -13,7 +13,7 @@ from scipy.linalg import null_space
 from scipy.stats import chi2
 
 from reconstruction.arrays import Floats
-from reconstruction.displacement import SYSTEMATIC_PX, Displacement
+from reconstruction.displacement import Displacement
 from reconstruction.modes.field_modes import FieldModes, PolynomialModes, gradient_basis
 
 # A direction is judged if its error is at most so many times that of the best observed one: 2 - 9 for squares and
@@ -22,6 +22,7 @@ _OBSERVABLE = 10.0
 # Systematic error over the local deformation, times the ratio above: on the noise-free screens of docs/estimator.md the
 # circulation of a square is 0.01 - 0.05 of the deformation, most at 1.25 mm and near the source.
 _SYSTEMATIC_SHARE = 0.02
+_SYSTEMATIC_PX = 0.01  # without the response, which knows no rotation
 _ROTATING_SIGMA = 5.0  # mean rotation over its error
 _ROTATING_CHI_SQUARE = 4.0  # circulation typically twice its error
 _SHOWN = 0.5  # share of a rotation that must lie in the judged directions
@@ -57,8 +58,8 @@ class Circulation:
 def measure_circulation(displacement: Displacement, half_width_px: float) -> Circulation | None:
     """Measure the rotation of the subimages and judge their circulation.
 
-    The rotation of a lenslet is the rigid one that fits its circulation best. Systematic errors are `SYSTEMATIC_PX` and
-    a share of the local deformation; lenslets have them in common, so that they remain in the mean. A median over the
+    The rotation of a lenslet is the rigid one that fits its circulation best. Systematic errors are
+    `_SYSTEMATIC_PX` and a share of the local deformation; lenslets have them in common, so that they remain in the mean. A median over the
     lenslets gives chi-square, so that a few bad lenslets do not decide.
 
     Parameters
@@ -92,7 +93,7 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
     judged, ratio = directions.T[ratio < _OBSERVABLE**2], ratio[ratio < _OBSERVABLE**2]
     found, noise = coefficients @ (judged @ part.circulation).T, judged @ noise @ judged.T
     deformation = np.sum((coefficients @ part.deformation.T) ** 2, axis=1, keepdims=True)
-    systematic = SYSTEMATIC_PX**2 + _SYSTEMATIC_SHARE**2 * ratio * deformation  # px^2, (L, direction)
+    systematic = _SYSTEMATIC_PX**2 + _SYSTEMATIC_SHARE**2 * ratio * deformation  # px^2, (L, direction)
     information = np.linalg.inv(noise + systematic[:, None] * np.eye(len(judged)))
 
     chi_square = 0.0

@@ -78,8 +78,8 @@ def test_errors_match_sigma_and_chi_square_is_one(
     error = np.array([frame.coefficients - still.coefficients for frame in noisy])
     sigma = np.sqrt(np.array([frame.variance for frame in noisy]))
     inside = np.mean(np.abs(error) < sigma, axis=(0, 1, 2))  # (field_mode, xy)
-    np.testing.assert_allclose(inside, 0.683, atol=0.05)
-    assert np.mean(np.abs(error) < sigma) == pytest.approx(0.683, abs=0.015)
+    np.testing.assert_allclose(inside, 0.683, atol=0.06)
+    assert np.mean(np.abs(error) < sigma) == pytest.approx(0.683, abs=0.02)
     chi_square = np.array([frame.chi_square for frame in noisy]).mean(axis=0) - still.chi_square
     np.testing.assert_allclose(chi_square, 1.0, atol=0.08)
     # Errors of a lenslet's coefficients are correlated as in the covariance.

@@ -43,6 +43,7 @@ class Template:
 
     grid: Grid
     contrast: Floats  # standard deviation of the light, counts, (L,)
+    expected: Floats  # light, a mean over neighbours, counts, (L, N)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
 
@@ -61,7 +62,7 @@ class Template:
         whole = weight.sum(axis=1, keepdims=True)
         weight *= ~excluded
         weight *= whole / np.maximum(weight.sum(axis=1, keepdims=True), _NOTHING)
-        light = np.maximum(self.grid.light[lenslets], 0)
+        light = self.expected[lenslets]
         return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share
 
 
@@ -132,12 +133,12 @@ def prepare_template(
         is_gradient=not rotation,
     )
     per_pixel, per_light = [], []
-    smooth = _smooth(reference)
+    smooth = np.maximum(_smooth(reference)[:, pixels], 0)
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, pixels], reference.gradient[some][:, pixels]
         descent = _steepest_descent(light, gradient, values, slopes, basis)
-        expected = np.maximum(smooth[some][:, pixels], 0)
+        expected = smooth[some]
         weight = np.ones_like(light) if noise is None else _weight(expected, noise)
         weight *= reference.usable[some][:, pixels] & reference.lit[some, None]
         weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
@@ -152,7 +153,7 @@ def prepare_template(
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
         per_light.append(_propagated(expected, inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
-    return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
+    return Template(grid, reference.light[:, pixels].std(axis=1), smooth, *whole)
 
 
 def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:

@@ -20,10 +20,21 @@ from reconstruction.runtime.compilation import compiled
 from simulated_devices.optics.compiled import compiled as simulator_compiled
 
 PROGRAM = """
-import numpy as np
-from reconstruction.solve.weights import mean_variance
-print(mean_variance(np.ones((1, 1, 2, 1, 2))))
+from reconstruction.sum import with_addend
+print(with_addend(1.0))
 """
+FILES = {
+    "addend.py": "ADDEND = 0.5",
+    "sum.py": """
+from reconstruction.addend import ADDEND
+from reconstruction.runtime.compilation import compiled
+
+
+@compiled
+def with_addend(x: float) -> float:
+    return x + ADDEND
+""",
+}
 
 
 @pytest.mark.parametrize("compiled", [compiled, simulator_compiled], ids=["reconstruction", "simulator"])
@@ -47,6 +58,8 @@ def test_code_is_compiled_uncached_where_no_cache_can_be_written(
 def test_changed_constant_of_another_file_triggers_recompilation(tmp_path: Path) -> None:
     package = tmp_path / "reconstruction"
     shutil.copytree(Path(str(reconstruction.__file__)).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    for name, text in FILES.items():
+        (package / name).write_text(text)
     environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
     def result() -> float:
@@ -61,7 +74,6 @@ def test_changed_constant_of_another_file_triggers_recompilation(tmp_path: Path)
         with index.open("rb") as file:
             version = pickle.load(file)  # noqa: S301 - Numba wrote it
         index.write_bytes(pickle.dumps(version) + b"creconstruction\nRemoved\n.")
-    source = package / "displacement.py"
-    source.write_text(source.read_text().replace("SYSTEMATIC_PX = 0.01", "SYSTEMATIC_PX = 3.0"))
-    assert abs(before - 1.0001) < 1e-9
-    assert abs(result() - 10.0) < 1e-9
+    (package / "addend.py").write_text("ADDEND = 3.0")
+    assert before == 1.5
+    assert result() == 4.0
