@@ -59,8 +59,8 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
     """Measure the rotation of the subimages and judge their circulation.
 
     The rotation of a lenslet is the rigid one that fits its circulation best. Systematic errors are
-    `_SYSTEMATIC_PX` and a share of the local deformation; lenslets have them in common, so that they remain in the mean. A median over the
-    lenslets gives chi-square, so that a few bad lenslets do not decide.
+    `_SYSTEMATIC_PX` and a share of the local deformation; lenslets have them in common, so that they remain in the
+    mean. A median over the lenslets gives chi-square, so that a few bad lenslets do not decide.
 
     Parameters
     ----------
