@@ -20,6 +20,7 @@ _COLOURS = {
     "affine": "tab:orange",
     "quadratic": "tab:blue",
     "cubic": "tab:green",
+    "quartic": "tab:purple",
     "automatic": "tab:red",
 }
 _NARROW_RANGE = 50  # a logarithmic axis up to this ratio shows the positions instead of powers of ten

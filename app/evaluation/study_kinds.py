@@ -46,12 +46,17 @@ class Sweep(Study):
         return at if isinstance(at, str) else float(f"{at * self.axis_per_si:.6g}")
 
     def summary(self, data: xr.Dataset) -> xr.Dataset:
-        """Mean residual and spread over the repeats with a result, mean of lost lenslets, median time, limit."""
+        """Mean residual and spread over the repeats with a result, mean of lost lenslets, median time, limit.
+
+        A limit measured with the result, `asked_rad`, precedes `limits_rad`; `coverage` is that of an error bar.
+        """
         found = data["rms_rad"].count(REPEAT)
         mean = data["rms_rad"].mean(REPEAT)
         spread = np.sqrt(((data["rms_rad"] - mean) ** 2).sum(REPEAT) / (found - 1).clip(min=1))
         curves, positions = data["curve"].values.tolist(), data["at"].values.tolist()
         limits = [[self.limits_rad.get(curve, {}).get(at, math.nan) for at in positions] for curve in curves]
+        asked = xr.DataArray(np.array(limits), dims=self.dims)
+        measured = {name: data[name].mean(REPEAT) for name in ("asked_rad", "coverage") if name in data}
         summary = xr.Dataset(
             {
                 "mean_rad": mean,
@@ -60,8 +65,9 @@ class Sweep(Study):
                 "lost_lenslets": data["lost"].mean(REPEAT),
                 "left_cell_lenslets": data["left_cell"].mean(REPEAT),
                 "seconds": data["seconds"].median(REPEAT),
-                "asked_rad": (self.dims, np.array(limits)),
             }
+            | measured
+            | {"asked_rad": measured["asked_rad"].fillna(asked) if "asked_rad" in measured else asked}
         )
         return summary.where(data["lost"].count(REPEAT) > 0)
 

@@ -11,13 +11,15 @@ from rich.table import Table
 from app.evaluation.cases import Position, rows
 from app.evaluation.study_kinds import PAPER_NUMBERS, ComparisonTable, StudyResult, Sweep, TrialStudy, sweeps_of
 
+_SMALL_RAD = 0.01  # below it, residuals are printed with a fourth decimal
+
 
 def print_results(results: Sequence[StudyResult]) -> None:
     """Print a table for each study."""
     for sweep, data in sweeps_of(results):
         _print_sweep(sweep, data)
     if sweeps_of(results):
-        Console().print("mean over views and seeds; (limit); x lenslets lost per frame, mean")
+        print_line("mean over views and seeds; (limit); % within the error bar; x lenslets lost per frame, mean")
     for result in results:
         match result.study:
             case TrialStudy():
@@ -57,10 +59,11 @@ def _print_sweep(sweep: Sweep, data: xr.Dataset) -> None:
 
 
 def _residual(row: dict[str, Any]) -> str:
-    number = f"{row['mean_rad']:.3f}" if "mean_rad" in row else "-"
-    asked = f" ({row['asked_rad']:g})" if "asked_rad" in row else ""
+    number = f"{row['mean_rad']:.{3 if row['mean_rad'] >= _SMALL_RAD else 4}f}" if "mean_rad" in row else "-"
+    asked = f" ({row['asked_rad']:.3g})" if "asked_rad" in row else ""
+    covered = f" {100 * row['coverage']:.0f} %" if "coverage" in row else ""
     lost = f" x{row['lost_lenslets']:.0f}" if row["lost_lenslets"] >= 0.5 else ""
-    return number + asked + lost
+    return number + asked + covered + lost
 
 
 def _print_trials(study: TrialStudy, data: xr.Dataset) -> None:

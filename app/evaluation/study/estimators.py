@@ -135,12 +135,23 @@ def compared(
 
 
 def with_rms(
-    curve: str, at: Position, wavefront: Wavefront, rms_rad: float, *, seconds: float = math.nan
+    curve: str,
+    at: Position,
+    wavefront: Wavefront,
+    rms_rad: float,
+    *,
+    seconds: float = math.nan,
+    asked_rad: float = math.nan,
+    coverage: float = math.nan,
 ) -> CaseResult:
-    """Return an RMS with the counts of lost lenslets of a wavefront."""
+    """Return an RMS with the counts of lost lenslets of a wavefront.
+
+    `asked_rad` is a limit of its own, `coverage` the share of lenslets within the error bar `rms_rad`.
+    """
     outcome = wavefront.displacement.outcome
     lost, left_cell = np.sum(outcome != Outcome.CONVERGED), np.sum(outcome == Outcome.LEFT_CELL)
     values = {"rms_rad": rms_rad, "lost": float(lost), "left_cell": float(left_cell), "seconds": seconds}
+    values |= {"asked_rad": asked_rad, "coverage": coverage}
     return CaseResult(at={"curve": curve, "at": at}, values=values)
 
 

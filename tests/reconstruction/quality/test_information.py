@@ -64,13 +64,12 @@ def test_information_matches_finite_differences_of_forward_model() -> None:
         def phase(x_m: float, y_m: float) -> np.ndarray:
             of_modes = coefficient @ FIELD_MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)
             series = np.tensordot(of_modes, MODES.products[1:], axes=1)  # (n, m)
-            return np.polynomial.legendre.leggrid2d(
-                exact.sample_y_m / half_y_m, exact.sample_x_m / half_x_m, series
-            ).astype(np.float32)
+            along = exact.sample_y_m / half_y_m, exact.sample_x_m / half_x_m
+            return np.asarray(np.polynomial.legendre.leggrid2d(*along, series), np.float32)
 
         frame = exact.irradiance(SOURCE, phase).astype(np.float64)
         frame = frame.reshape(LIGHT.shape[0], CELL_PX, LIGHT.shape[1], CELL_PX).transpose(0, 2, 1, 3)
-        return frame.reshape(LIGHT.size, -1) * LIGHT.reshape(-1, 1)
+        return np.asarray(frame.reshape(LIGHT.size, -1) * LIGHT.reshape(-1, 1))
 
     at_rest = cells(np.zeros(coefficients.shape[:2]))
     variance = 0.5 * at_rest + 9.0

@@ -1,0 +1,68 @@
+"""Scatter over draws of noise, its error bars, and the Cramer-Rao bound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from app.bench.config import load_bench
+from app.evaluation.cases import collect
+from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.study import camera_noise
+from app.evaluation.study.camera_noise import PHOTONS, camera
+from app.evaluation.study.estimators import WarpEstimator
+from app.evaluation.study.noise_limit import bound_rad, scatter_of, without_prior
+from reconstruction.wavefront import Wavefront
+
+
+def drawn(errors: np.ndarray, sigma: float, valid: np.ndarray) -> list[Wavefront]:
+    """Wavefronts with those errors (draw, view_row, view_column, lenslet_row, lenslet_column)."""
+    displacement = SimpleNamespace(valid=valid)
+    bars = np.full(errors.shape[1:], sigma)
+    wavefronts = [SimpleNamespace(views=1 + each, sigma=lambda: bars, displacement=displacement) for each in errors]
+    return cast("list[Wavefront]", wavefronts)
+
+
+def test_scatter_and_coverage_of_normal_errors() -> None:
+    errors = np.random.default_rng(1).normal(0.0, 2.0, (300, 1, 2, 6, 7))
+    errors[:, 0, 1] *= 50  # a view that does not count
+    errors[..., 0, 0] = np.nan
+    valid = np.ones((6, 7), np.bool_)
+    valid[0, 0] = False
+    scatter = scatter_of(drawn(errors, 2.0, valid), np.ones((1, 2, 6, 7)), np.array([[True, False]]))
+    assert scatter.rms_rad == pytest.approx(2.0, rel=0.03)
+    assert scatter.error_bar_rad == 2.0
+    assert scatter.coverage == pytest.approx(0.683, abs=0.02)  # of a normal distribution
+
+
+def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
+    bench = load_bench(small_toml)
+    frames, seen = NoiseFreeFrames(bench), camera(bench, 1, 1.0)
+    electrons = frames.reference("square") * np.float32(2e3 / frames.reference("square").max())
+    settings = without_prior(bench)
+    assert settings.pupil_modes == 15  # fourth degree on 5 x 7 lenslets
+    estimator = WarpEstimator(bench, seen.counts(electrons), "quadratic", reconstruction=settings, noise=seen.noise)
+    reconstructor = estimator.reconstructor
+    without = reconstructor(seen.counts(electrons))
+    scatter = scatter_of((reconstructor(seen.exposed(electrons, 1, draw)) for draw in range(100)), without.views)
+    bound = bound_rad(bench, "square", reconstructor, without.displacement.modes.count)
+    assert 0.98 < scatter.rms_rad / bound < 1.1
+    assert scatter.error_bar_rad == pytest.approx(scatter.rms_rad, rel=0.06)
+    assert scatter.coverage == pytest.approx(0.683, abs=0.03)
+
+
+def test_photons_study_compares_scatter_with_bound(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(camera_noise, "_PEAKS_E", (1e3,))
+    monkeypatch.setattr(camera_noise, "_NOISE_DRAWS", 20)
+    data = collect(PHOTONS.dims, PHOTONS.measure(load_bench(small_toml), 1, lambda *_: None))
+    summary = PHOTONS.summary(data).sel(at=1e3)
+    scatter, bound, bar = (summary.sel(curve=f"cubic, 45 modes: {row}") for row in ("scatter", "bound", "error bar"))
+    assert scatter["asked_rad"].item() == pytest.approx(1.1 * bound["mean_rad"].item())
+    assert 0.85 < scatter["mean_rad"].item() / bound["mean_rad"].item() < 1.2
+    assert bar["coverage"].item() == pytest.approx(0.68, abs=0.08)
+    assert summary["asked_rad"].sel(curve="cubic refined").item() == 0.035
+    assert 0.4 < summary["coverage"].sel(curve="automatic warp: error bar").item() < 0.9
