@@ -27,8 +27,8 @@ from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.sample import Sample
 
 ROUNDS = 3
-WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")
-REFINED: tuple[Warp, ...] = ("quadratic", "cubic")
+WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic", "quartic")
+REFINED: tuple[Warp, ...] = ("quadratic", "cubic", "quartic")
 AUTOMATIC = ReconstructionSettings()  # modal, the number of modes chosen from the lattice
 _FIELD_NODES, _LENSLET_NODES = 7, 6  # of Gauss-Legendre quadrature along each axis
 

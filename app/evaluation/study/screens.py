@@ -33,7 +33,7 @@ _EXPERIMENT: dict[str, Any] = {
 }
 _EXPERIMENT_FIRST_SEED = 0
 _CORRELATION_LENGTHS_M = (1.25e-3, 1.6e-3, 2.0e-3)
-_WARPS: tuple[Warp, ...] = ("translation", "affine", "quadratic", "cubic")
+_WARPS: tuple[Warp, ...] = ("translation", "affine", "quadratic", "cubic", "quartic")
 _METHODS = {
     "zonal": ReconstructionSettings(method="zonal"),
     "modal 45": ReconstructionSettings(pupil_modes=45),
@@ -176,8 +176,7 @@ ENSEMBLES = Sweep(
     left_out=("modal", "1x", "2x", "2 s old"),
     measure=_ensembles,
     limits_rad={
-        "quadratic, automatic": _limits(0.10, 0.062, 0.052),
-        "cubic, refined 3x": _limits(0.031, 0.014, 0.008),
-        "cubic, refined live, 1 s old": _limits(0.06, 0.03, 0.02),
+        "quartic, automatic": _limits(0.022, 0.014, 0.013),
+        "quartic, refined 3x": _limits(0.012, 0.0065, 0.005),
     },
 )
