@@ -187,8 +187,8 @@ class Reconstructor:
         return prepare(min(_WARP_ERROR_RAD, key=error_rad2))
 
     def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
-        """Response of the registration; mean gradients where there is none, with the reason in `no_response`."""
-        self.no_response = ""
+        """Response of the registration; mean gradients where there is none, for the reason `no_response`."""
+        self.no_response = self.response_problem = ""
         if not isinstance(self._register, GaussNewton):
             self.no_response = f'registration.method = "{self.registration.method}" has none'
         elif not self._reconstruction.response:
@@ -201,6 +201,7 @@ class Reconstructor:
                 return response_sensitivity(linear_response(self._register, self.subimages, self._at_rest.modes, model))
             except ReconstructionError as error:
                 self.no_response = str(error)
+                self.response_problem = f"mean gradients replace the response of the registration: {error}"
         return geometric_sensitivity(self.sensor, _parameters(self._register, self._at_rest))
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:

@@ -112,6 +112,7 @@ class Instrument:
         now = Circumstances.of(self.devices)
         problem = self._problem if self._reconstructor is None else ""
         of_dark, of_reference = self._doubt_of_dark(now), self._doubt_of_reference(now)
+        of_response = "" if self._reconstructor is None else self._reconstructor.response_problem
         return Status(
             bench=self.bench,
             camera_name=camera.name,
@@ -132,7 +133,7 @@ class Instrument:
             dark=_validity(self.dark, of_dark),
             reference=_validity(self.reference, problem or of_reference),
             lattice=self._lattice,
-            warning=problem or of_dark or of_reference,
+            warning=problem or of_dark or of_reference or of_response,
         )
 
     def take_dark(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:

@@ -95,7 +95,7 @@ def reconstruct(
 
     Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
     """
-    from app.cli.tables import print_refinement, print_views, progress_bar
+    from app.cli.tables import print_refinement, print_views, print_warning, progress_bar
     from app.commands.reconstruct import reconstruct_files
     from app.results.dataset import result_dataset, write_results
     from app.results.plot import check_plot_path, plot_views
@@ -117,3 +117,5 @@ def reconstruct(
     print_views(reconstructed.wavefront)
     if refine:
         print_refinement(reconstructed.changes_rad)
+    if reconstructed.response_problem:
+        print_warning(f"less accurate: {reconstructed.response_problem}")

@@ -133,10 +133,14 @@ def _print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> 
 
 def _print_rotation(rotation: Circulation, *, rotates: bool) -> None:
     """Print the rotation of the subimages, and a warning if it contradicts layers."""
-    console = Console()
-    console.print(rotation_sentence(rotation), highlight=False, soft_wrap=True)
+    Console().print(rotation_sentence(rotation), highlight=False, soft_wrap=True)
     if rotates:
-        console.print(f"[yellow]warning:[/] {ROTATES}", highlight=False, soft_wrap=True)
+        print_warning(ROTATES)
+
+
+def print_warning(sentence: str) -> None:
+    """Print a warning."""
+    Console().print(f"[yellow]warning:[/] {sentence}", highlight=False, soft_wrap=True)
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:

@@ -22,6 +22,7 @@ class Reconstructed:
     wavefront: Wavefront
     bench: Bench  # with the lattice in force
     changes_rad: tuple[float, ...]  # RMS change by each round of refinement, mean over the views
+    response_problem: str  # why the response of the registration is not used; empty if it is, or was not wanted
 
 
 def reconstruct_files(
@@ -48,7 +49,7 @@ def reconstruct_files(
                 wavefront = step.wavefront
                 changes_rad.append(step.change_rad)
                 progress("refining", done / refine)
-        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad))
+        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), reconstructor.response_problem)
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
 

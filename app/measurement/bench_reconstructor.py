@@ -52,6 +52,11 @@ class BenchReconstructor:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
         return self._reconstructor(as_image(frame, "frame"))
 
+    @property
+    def response_problem(self) -> str:
+        """Why the response of the registration is not used; empty if it is, or was not wanted."""
+        return self._reconstructor.response_problem
+
     def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
         if whole_number(most, "rounds") < 0:
