@@ -34,7 +34,11 @@ def selftest() -> None:
 def study(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME]...", help="Names of sweeps, or calibration or exposure; all sweeps if omitted."),
+        typer.Argument(
+            metavar="[NAME]...",
+            help="Names of sweeps, or calibration or exposure; all sweeps if omitted. mask, then the masks to predict: "
+            "image files or names such as circle.",
+        ),
     ] = None,
     *,
     out: Annotated[Path, typer.Option(help="Folder for tables and figures: JSON, CSV and PNG.")],
@@ -50,10 +54,11 @@ def study(
 ) -> None:
     """Measure the estimator's error against the truth.
 
-    The sweeps vary noise, defects and sources (docs/estimator.md). Two more studies have names: calibration tests how
-    well lattices are found, exposure how fast auto-exposure is (docs/calibration.md).
+    The sweeps vary noise, defects and sources (docs/estimator.md). More studies have names: calibration tests how well
+    lattices are found, exposure how fast auto-exposure is (docs/calibration.md), and mask predicts how accurate a mask
+    will be before it is manufactured, beside the square (docs/estimator.md).
 
-    Example: svwfs study exposure --seeds 1 --out study
+    Example: svwfs study mask ring.png circle --seeds 1 --out study
     """
     from app.evaluation.study.catalogue import chosen_studies
 

@@ -143,6 +143,8 @@ def _decoded(path: Path) -> NDArray[Any] | None:
     if suffix in {".tif", ".tiff"}:
         return np.asarray(tifffile.imread(path))
     content = np.frombuffer(path.read_bytes(), np.uint8)
+    if not content.size:
+        raise ValueError("it is empty")
     decoded: NDArray[Any] | None = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if decoded is None:
         raise ValueError("unknown format")

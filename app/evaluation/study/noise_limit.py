@@ -60,6 +60,12 @@ def scatter_of(wavefronts: Iterable[Wavefront], expected: Floats, views: Views =
     return Scatter(_mean_rms(np.sqrt(variance)), _mean_rms(sigma), covered)
 
 
+def error_bar_rad(wavefront: Wavefront, views: Views = None) -> float:
+    """Error bar of a wavefront: mean over the views of the RMS over the lenslets."""
+    sigma = np.where(wavefront.displacement.valid, wavefront.sigma(), np.nan)
+    return _mean_rms(sigma if views is None else sigma[views])
+
+
 def bound_rad(bench: Bench, mask: str, reconstructor: Reconstructor, field_modes: int, views: Views = None) -> float:
     """Cramer-Rao bound of `Scatter.rms_rad` for the modes of `without_prior`, from the exact model of the bench.
 

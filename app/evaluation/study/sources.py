@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from app.bench.config import Bench
 from app.cache import cache_folder
+from app.errors import InputError
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import WarpEstimators
@@ -20,6 +22,8 @@ from simulated_devices.settings import Mask, Source
 
 _MASKS: tuple[Mask, ...] = ("square", "circle", "octagon", "ellipse", "peaks")
 _CELLS = 6  # of the checkerboard, along a side
+_BRIGHT = 0.1  # of the highest brightness; darker points are outside the source
+_ROUNDING = 1e-9
 
 
 def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
@@ -28,7 +32,7 @@ def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResul
     sources["checkerboard"] = replace(source, file=str(_checkerboard()), mask="image")
     for index, (name, each) in enumerate(sources.items()):
         with_source = replace(bench, simulation=replace(bench.simulation, source=each))
-        views = _lit_views(with_source, each)
+        views = lit_views(with_source)
         estimators = WarpEstimators(with_source, NoiseFreeFrames(with_source).reference(each.mask))
         for done, screen in enumerate(seeded(with_source, seeds)):
             progress(name, (index + done / seeds) / len(sources))
@@ -36,16 +40,21 @@ def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResul
             yield from estimators.compare(frame.photons, frame.truth, name, views=views)
 
 
-def _lit_views(bench: Bench, source: Source) -> NDArray[np.bool_]:
-    """True for views within the opening, (view_row, view_column); all views of the checkerboard count."""
-    field = bench.field
-    if source.mask == "image":
-        return np.ones((field.view_rows, field.view_columns), np.bool_)
-    points = source_points(source.mask, source, object_samples=bench.simulation.object_samples)
+def lit_views(bench: Bench) -> NDArray[np.bool_]:
+    """True for views within the outline of the source, (view_row, view_column).
+
+    The outline is the convex hull of the points with a tenth of the highest brightness.
+    """
+    simulation, field = bench.simulation, bench.field
+    points = source_points(simulation.source.mask, simulation.source, object_samples=simulation.object_samples)
+    bright = points.area_m2 > _BRIGHT * points.area_m2.max()
+    try:
+        outline = ConvexHull(points.position_m[bright]).equations  # outward normal and offset of each side
+    except QhullError as error:
+        raise InputError("the source is a point or a line: no view lies inside it") from error
     y_m, x_m = np.meshgrid(field.view_y_m, field.view_x_m, indexing="ij")
-    view_m = np.stack([x_m, y_m], axis=-1)
-    distance_m = np.linalg.norm(view_m[..., None, :] - points.position_m, axis=-1)
-    return np.asarray(points.area_m2[np.argmin(distance_m, axis=-1)] > 0)
+    distance_m = np.stack([x_m, y_m], axis=-1) @ outline[:, :2].T + outline[:, 2]
+    return np.asarray(np.all(distance_m <= _ROUNDING * field.half_width_m, axis=-1))
 
 
 def _checkerboard() -> Path:

@@ -1,0 +1,186 @@
+"""Accuracy of source masks, predicted before they are manufactured and beside a full simulation.
+
+Without noise, the prediction is the response of one pass to the screens of the bench: the local wavefronts of the
+screen over each lenslet change its image to first order, and the registration turns that change into a displacement.
+It includes what the warp and the modes cannot describe. The noise follows from the Fisher information of the reference
+(the Cramer-Rao bound) and from the estimator's own error bars.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from app.bench.config import Bench
+from app.errors import InputError
+from app.evaluation.cases import CaseResult
+from app.evaluation.noise_free import NoiseFreeFrames, seeded
+from app.evaluation.study.camera_noise import camera
+from app.evaluation.study.estimators import WarpEstimator, compared, with_rms
+from app.evaluation.study.noise_limit import bound_rad, error_bar_rad, scatter_of, true_lenslet, without_prior
+from app.evaluation.study.sources import lit_views
+from app.evaluation.study_kinds import Sweep
+from app.progress import Progress
+from reconstruction.arrays import Floats, Image
+from reconstruction.errors import ReconstructionError
+from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.registration.gauss_newton.estimator import GaussNewton
+from reconstruction.settings import Warp
+from reconstruction.wavefront import Wavefront
+from simulated_devices.optics.source import read_grey_image
+from simulated_devices.sample import Sample
+from simulated_devices.settings import MASKS
+
+_PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
+_SIMULATED_E = 1e3  # light of the simulated noise
+_DRAWS = 40
+_SPEED, _EM_GAIN = 1, 1.0  # low read noise
+_WARP: Warp = "cubic"
+_DEGREE = 5  # of the wavefronts over a lenslet, and over the field
+_NODES = 8  # of Gauss-Legendre quadrature
+
+
+def mask_study(masks: Sequence[str]) -> Sweep:
+    """Return the study of some masks: names of built-in ones, or image files.
+
+    Raises `InputError` if there is none, or if one is unknown or no image.
+    """
+    if not masks:
+        raise InputError(f"mask needs image files or names after it: svwfs study mask FILE..., or {_built_in()}")
+    sources = {name: _changes(name) for name in dict.fromkeys(("square", *masks))}
+    return Sweep(
+        name="mask",
+        title=f"Masks, {_WARP} warp in one pass",
+        axis="mask (its light relative to the square)",
+        measure=partial(_measure, sources=sources),
+    )
+
+
+def _changes(name: str) -> dict[str, str]:
+    """Settings of the source with that mask."""
+    if name in MASKS and name != "image":
+        return {"mask": name}
+    if not Path(name).exists():
+        raise InputError(f"there is no mask and no file {name}: give an image file, or {_built_in()}")
+    try:
+        read_grey_image(Path(name))
+    except ValueError as error:
+        raise InputError(f"mask: {error}") from error
+    return {"mask": "image", "file": name}
+
+
+def _built_in() -> str:
+    return ", ".join(mask for mask in MASKS if mask != "image")
+
+
+def _measure(
+    bench: Bench, seeds: int, progress: Progress, *, sources: dict[str, dict[str, str]]
+) -> Iterator[CaseResult]:
+    square = NoiseFreeFrames(bench).reference("square")
+    for index, (name, changes) in enumerate(sources.items()):
+        source = replace(bench.simulation.source, **changes)  # type: ignore[arg-type] # checked by `_changes`
+        try:
+            study = _MaskStudy(replace(bench, simulation=replace(bench.simulation, source=source)), square)
+            at = f"{name} ({study.light:.2f})"
+            progress(f"{name}, residual", index / len(sources))
+            yield from study.residuals(seeds, at)
+            progress(f"{name}, noise", (index + 0.5) / len(sources))
+            yield from study.noise(at)
+        except (InputError, ReconstructionError) as error:
+            raise InputError(f"mask {name}: {error}") from error
+
+
+class _MaskStudy:
+    """One mask on a bench; `square` is the reference with the square, for the exposure."""
+
+    def __init__(self, bench: Bench, square: Image) -> None:
+        self._bench, self._mask = bench, bench.simulation.source.mask
+        self._views = lit_views(bench)
+        if not self._views.any():
+            raise InputError("no view lies inside it: check [field] view_spacing_m")
+        self._reference = NoiseFreeFrames(bench).reference(self._mask)
+        self._square_peak = float(square.max())
+        self.light = float(self._reference.sum() / square.sum())  # relative to the square
+
+    def residuals(self, seeds: int, at: str) -> Iterator[CaseResult]:
+        """Noise-free residual of one pass with automatic modes, predicted and simulated, for each screen."""
+        estimator = WarpEstimator(self._bench, self._reference, _WARP)
+        predict = LinearPass(self._bench, estimator, self._reference)
+        for screen in seeded(self._bench, seeds):
+            frames = NoiseFreeFrames(screen)
+            frame = frames.frame(self._mask)
+            yield compared("residual: predicted", at, predict(frames.sample), frame.truth, views=self._views)
+            wavefront = estimator.reconstructor(frame.photons)
+            yield compared("residual: simulated", at, wavefront, frame.truth, views=self._views)
+
+    def noise(self, at: str) -> Iterator[CaseResult]:
+        """Noise of 45 modes at equal peak, and at the exposure that gives the square that peak."""
+        for label, own_peak in (("", float(self._reference.max())), (" in the square", self._square_peak)):
+            for peak_e in _PEAKS_E:
+                yield from self._noise(at, f"noise, {peak_e:g} e-{label}", np.float32(peak_e / own_peak), peak_e)
+
+    def _noise(self, at: str, curve: str, electrons_per_photon: np.float32, peak_e: float) -> Iterator[CaseResult]:
+        seen = camera(self._bench, _SPEED, _EM_GAIN)
+        electrons = self._reference * electrons_per_photon
+        settings, known = without_prior(self._bench), seen.counts(electrons)
+        estimator = WarpEstimator(self._bench, known, _WARP, reconstruction=settings, noise=seen.noise)
+        reconstructor = estimator.reconstructor
+        without = reconstructor(known)
+        bound = bound_rad(self._bench, self._mask, reconstructor, without.displacement.modes.count, self._views)
+        yield with_rms(f"{curve}: bound", at, without, bound)
+        yield with_rms(f"{curve}: predicted", at, without, error_bar_rad(without, self._views))
+        if peak_e == _SIMULATED_E:
+            seed = self._bench.simulation.seed
+            draws = (reconstructor(seen.exposed(electrons, seed, draw)) for draw in range(_DRAWS))
+            simulated = scatter_of(draws, without.views, self._views)
+            yield with_rms(f"{curve}: simulated", at, without, simulated.rms_rad)
+
+
+class LinearPass:
+    """One pass of an estimator for screens without noise, to first order in their wavefronts."""
+
+    def __init__(self, bench: Bench, estimator: WarpEstimator, reference: Image) -> None:
+        self._bench, self._reconstructor = bench, estimator.reconstructor
+        self._at_rest = self._reconstructor.register(reference)
+        registration = self._reconstructor.registration_for(reference)
+        if not isinstance(registration, GaussNewton):
+            raise TypeError("only the Gauss-Newton registration has a response")
+        model = true_lenslet(bench, bench.simulation.source.mask, self._reconstructor.subimages.width)
+        self._modes = LegendreModes((_DEGREE + 1) * (_DEGREE + 2) // 2)
+        derivatives = model.derivatives(_DEGREE, self._modes.values(*model.position.T))
+        self._response = registration.response(model.image(), derivatives) @ registration.parameters
+
+    def __call__(self, sample: Sample) -> Wavefront:
+        """Return the wavefront found for a sample."""
+        local = local_screen(sample, self._bench, self._modes)
+        displacement = np.einsum("lnmqk,lnmq->lk", self._response, local, optimize=True)
+        shape = self._at_rest.coefficients.shape
+        displacement = np.swapaxes(displacement.reshape(*shape[:2], 2, -1), 2, 3)
+        found = replace(self._at_rest, coefficients=self._at_rest.coefficients + displacement)
+        return self._reconstructor.solve(found)
+
+
+def local_screen(sample: Sample, bench: Bench, modes: LegendreModes) -> Floats:
+    """Screen as wavefronts P_m(xi) P_n(eta) T_q over each lenslet, rad, (lenslet, n, m, field_mode); 0 beyond degree 5.
+
+    The projection is exact up to rounding for screens that are polynomials of that degree.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    project = np.polynomial.legendre.legvander(nodes, _DEGREE) * weights[:, None] * (np.arange(_DEGREE + 1) + 0.5)
+    sensor, rays, half_m = bench.sensor, sample.ray_map, bench.sensor.lenslet_pitch_m / 2
+
+    def along(center_m: Floats) -> Floats:
+        """Positions on the screen, (lenslet, pupil node, field node)."""
+        u_m = center_m[:, None, None] + half_m * nodes[:, None]
+        return np.asarray(rays.pupil_scale * u_m + rays.field_scale * bench.field.half_width_m * nodes)
+
+    x_m, y_m = along(sensor.pupil_x_m), along(sensor.pupil_y_m)
+    along_y, along_x = sample.screen.basis_y(y_m.ravel()), sample.screen.basis_x(x_m.ravel())
+    phase = np.asarray(along_y @ sample.screen.coefficients @ along_x.T).reshape(*y_m.shape, *x_m.shape)
+    series = np.einsum("rjvcih,jn,im,vb,ha->rcnmba", phase, project, project, project, project, optimize=True)
+    local = np.einsum("rcnmba,qba->rcnmq", series, modes.products)
+    n, m = np.indices(local.shape[2:4])
+    local[:, :, n + m > _DEGREE] = 0
+    return np.asarray(local.reshape(-1, *local.shape[2:]))

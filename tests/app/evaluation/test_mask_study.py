@@ -1,0 +1,143 @@
+"""`svwfs study mask`: predictions beside the full simulation, and files that are no masks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.command_line import run
+
+from app.bench.config import load_bench
+from app.errors import InputError
+from app.evaluation.noise_free import NoiseFreeFrames
+from app.evaluation.study.estimators import WarpEstimator, mean_rms
+from app.evaluation.study.mask import LinearPass, local_screen
+from app.evaluation.study.sources import lit_views
+from reconstruction.modes.field_modes import LegendreModes
+from simulated_devices.optics.phase_screen import PhaseScreen
+from simulated_devices.optics.ray_map import RayMap
+from simulated_devices.sample import Sample
+
+
+def test_local_screen_adds_up_to_the_screen(small_toml: Path) -> None:
+    bench, modes = load_bench(small_toml), LegendreModes(21)
+    along_m = (np.arange(101) - 50) * 0.1e-3
+    y, x = np.meshgrid(along_m * 1e3, along_m * 1e3, indexing="ij")
+    screen = PhaseScreen(0.3 * x**2 * y - y**3 + x * y + 2 * x, 0.1e-3)  # splines are exact for cubics
+    sample = Sample(screen=screen, ray_map=RayMap(pupil_scale=0.9, field_scale=0.8))
+    local = local_screen(sample, bench, modes).reshape(5, 7, 6, 6, 21)
+    xi, eta, x_field, y_field = np.random.default_rng(1).uniform(-1, 1, (4, 20))
+    of_field = modes.values(x_field, y_field)
+    for row, column in ((0, 0), (4, 5), (2, 3)):
+        products = np.polynomial.legendre.legval2d(eta, xi, np.eye(36).reshape(6, 6, 36))  # (n m, position)
+        found = np.einsum("kq,kp,qp->p", local[row, column].reshape(36, 21), products, of_field)
+        x_m = 0.9 * (bench.sensor.pupil_x_m[column] + xi * 0.25e-3) + 0.8 * 0.6e-3 * x_field
+        y_m = 0.9 * (bench.sensor.pupil_y_m[row] + eta * 0.25e-3) + 0.8 * 0.6e-3 * y_field
+        assert found == pytest.approx(screen.at(x_m, y_m), abs=1e-4)  # the spline's basis is float32
+
+
+def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path) -> None:
+    bench = load_bench(small_toml, ("simulation.screen.rms_rad=0.5", "simulation.screen.correlation_length_m=1e-3"))
+    frames = NoiseFreeFrames(bench)
+    frame, reference = frames.frame("square"), frames.reference("square")
+    estimator = WarpEstimator(bench, reference, "affine")
+    simulated = estimator.reconstructor(frame.photons)
+    predicted = LinearPass(bench, estimator, reference)(frames.sample)
+    everywhere = np.ones((5, 7), np.bool_)
+    error = mean_rms(simulated.views - frame.truth, everywhere)
+    assert error > 0.03  # what an affine warp cannot describe
+    assert mean_rms(predicted.views - simulated.views, everywhere) < 0.2 * error
+
+
+def test_mask_study_predicts_the_simulation(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    y, x = np.mgrid[-1:1:60j, -1:1:60j]
+    file = tmp_path / "four.npy"
+    np.save(file, (np.hypot(abs(x) - 0.5, abs(y) - 0.5) > 0.3).astype(np.float32))
+    words = ("--seeds", "1", "--bench", str(small_toml), "--out", str(tmp_path / "out"))
+    assert run(monkeypatch, "study", "mask", str(file), "circle", *words) == 0
+    curves = json.loads((tmp_path / "out" / "study.json").read_text())["sweeps"]["mask"]["curves"]
+    by_mask = {
+        name: {Path(point["at"]).name.split()[0]: point["mean_rad"] for point in points}
+        for name, points in curves.items()
+    }
+    labels = [Path(point["at"]).name for point in curves["residual: simulated"]]
+    assert labels == ["square (1.00)", "four.npy (0.73)", "circle (0.78)"]  # 1 - 0.09 pi and pi / 4 on 13 x 13 points
+    for mask in ("square", "four.npy", "circle"):
+        for light in ("1000 e-", "1000 e- in the square"):
+            bound, predicted, simulated = (
+                by_mask[f"noise, {light}: {row}"][mask] for row in ("bound", "predicted", "simulated")
+            )
+            assert 0.99 < predicted / bound < 1.1
+            assert simulated == pytest.approx(predicted, rel=0.1)
+        assert by_mask["residual: predicted"][mask] == pytest.approx(by_mask["residual: simulated"][mask], rel=0.1)
+    bright, dim = (by_mask[f"noise, {peak} e-: predicted"]["square"] for peak in ("10000", "300"))
+    assert bright < dim / 4
+    assert by_mask["noise, 300 e-: bound"]["square"] == by_mask["noise, 300 e- in the square: bound"]["square"]
+    assert "residual: predicted" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "there is no mask and no file"),
+        (b"", "is not a readable image"),
+        (b"no image", "is not a readable image"),
+        (np.zeros((4, 4)), "not all of it 0"),
+        (np.full((4, 4), np.nan), "finite brightness"),
+        (np.ones((4, 4, 4)), "one grey image"),
+    ],
+)
+def test_bad_mask_is_rejected_before_computing(
+    content: bytes | np.ndarray | None,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / ("mask.npy" if isinstance(content, np.ndarray) else "mask.png")
+    if isinstance(content, np.ndarray):
+        np.save(file, content)
+    elif content is not None:
+        file.write_bytes(content)
+    assert run(monkeypatch, "study", "mask", str(file), "--out", str(tmp_path / "out")) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_mask_study_needs_a_mask(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "study", "mask", "--out", str(tmp_path / "out")) == 2
+    assert "svwfs study mask FILE..., or square, stars, circle" in capsys.readouterr().err
+
+
+def test_views_inside_the_outline_of_the_source_count(tmp_path: Path, small_toml: Path) -> None:
+    bench = load_bench(small_toml)
+
+    def lit(**changes: Any) -> np.ndarray:
+        source = replace(bench.simulation.source, **changes)
+        return lit_views(replace(bench, simulation=replace(bench.simulation, source=source)))
+
+    assert lit(mask="square").all()
+    assert lit(mask="circle").tolist() == [[False, True, False], [True, True, True], [False, True, False]]
+    assert lit(mask="ellipse", ellipse_ratio=0.6).tolist() == [[False] * 3, [True] * 3, [False] * 3]
+    ring, between, point = np.zeros((12, 12)), np.zeros((12, 12)), np.zeros((13, 13))
+    ring[0] = ring[-1] = ring[:, 0] = ring[:, -1] = 1
+    between[7:10, 7:10] = 1  # 0.1 ... 0.4 mm; the views lie at 0 and 0.5 mm
+    point[6, 6] = 1
+    file = str(tmp_path / "mask.npy")
+    np.save(file, ring)
+    assert lit(mask="image", file=file).all()
+    np.save(file, between)
+    assert not lit(mask="image", file=file).any()
+    np.save(file, point)
+    with pytest.raises(InputError, match="a point or a line"):
+        lit(mask="image", file=file)
