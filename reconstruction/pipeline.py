@@ -20,6 +20,7 @@ from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.sensitivity import Sensitivity, geometric_sensitivity, response_sensitivity
@@ -88,13 +89,24 @@ class Reconstructor:
         light, _ = self._light(reference, "reference")
         self._bad = find_bad_pixels(reference, dark)
         self.subimages = self._cut(light)
+        with one_blas_thread():  # so that results repeat
+            self._prepare_estimators(light, registration, lenslet_model)
+
+    def _prepare_estimators(
+        self,
+        light: Image,
+        registration: RegistrationSettings,
+        lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None,
+    ) -> None:
+        """Prepare registration and solve."""
+        reconstruction = self._reconstruction
         self.registration, self._register, at_rest = self._prepare(light, registration)
         # The reference registered against itself shows the certainty of each lenslet and field mode.
         self._at_rest = at_rest
         self._sensitivity = self._respond(lenslet_model)
         self._expected = _variance(at_rest)  # (L,), px^2; NaN where unknown
         usual = np.nanmedian(self._expected) if np.isfinite(self._expected).any() else 1.0
-        self._certainty = np.where(noise is None, 1.0, usual / self._expected).reshape(at_rest.valid.shape)
+        self._certainty = np.where(self.noise is None, 1.0, usual / self._expected).reshape(at_rest.valid.shape)
         self._modal = None
         if reconstruction.method == "modal":
             self._modal = self._solver(reconstruction.basis, reconstruction.pupil_modes)
