@@ -46,16 +46,29 @@ class WarpEstimator:
         noise: CameraNoise | None = None,
     ) -> None:
         """Prepare for a reference (row, column) above the dark, in the unit of the frames."""
-        self._bench = bench
-        method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
-        self.reconstructor = method.reconstructor(
-            reference, lattice=bench.design_lattice(*reference.shape), dark=np.zeros_like(reference), noise=noise
-        )
+        self._bench, self._reference, self._noise = bench, reference, noise
+        self._method = replace(bench, registration=RegistrationSettings(warp=warp), reconstruction=reconstruction)
+        self.reconstructor = self._prepared(self._method)
+
+    @cached_property
+    def by_gradients(self) -> Reconstructor:
+        """Reconstruction from mean gradients, without the response of the registration."""
+        settings = replace(self._method.reconstruction, response=False)
+        return self._prepared(replace(self._method, reconstruction=settings))
 
     @cached_property
     def refinement(self) -> Refinement:
         """Refinement by the model of the bench."""
         return Refinement(self.reconstructor, BenchModel(self._bench, self.reconstructor))
+
+    def _prepared(self, method: Bench) -> Reconstructor:
+        reference = self._reference
+        return method.reconstructor(
+            reference,
+            lattice=self._bench.design_lattice(*reference.shape),
+            dark=np.zeros_like(reference),
+            noise=self._noise,
+        )
 
     def rounds(self, displacement: Displacement, most: int = ROUNDS) -> list[tuple[Wavefront, float]]:
         """Return the wavefront after each round of refinement and its seconds; early ends repeat the last wavefront."""
@@ -104,7 +117,7 @@ class WarpEstimators:
                 wavefront = estimator.reconstructor.solve(displacement)
                 yield compared(curve, at, wavefront, truth, views=views)
                 if sample is not None:
-                    wavefront = exact_wavefront(sample, estimator.reconstructor, displacement)
+                    wavefront = exact_wavefront(sample, estimator.by_gradients, displacement)
                     yield compared(f"{curve}, true slopes", at, wavefront, truth, views=views)
                 if warp in self._refined:
                     curve += " refined"
