@@ -24,7 +24,7 @@ class SlopeFit:
 def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeFit:
     """Compare the views of a wavefront with the slopes measured; `modes` are those of the reconstruction.
 
-    Modal: the difference is the integral of the fit's residual slopes, the measured wavefront is the fit plus it.
+    Modal: the difference is the integral of the misfit of the displacements, the measured wavefront is the fit plus it.
     (Integrating the slopes themselves would add Southwell's discretisation error, many times the difference.) Zonal:
     the views are the measured wavefront; the fit is the least-squares fit of the modes to them.
     """
@@ -35,9 +35,8 @@ def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeF
     field, displacement = wavefront.field, wavefront.displacement
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     field_modes = np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1)
-    measured = np.tensordot(field_modes, displacement.coefficients, axes=([-1], [2])) * sensor.slope_per_px
-    fitted = np.tensordot(field_modes @ solution.coefficients.T, modes.gradients, axes=1)
-    difference = zonal_wavefront(measured - fitted, displacement.valid & modes.inside, pitch_m=sensor.lenslet_pitch_m)
+    misfit = np.tensordot(field_modes, solution.misfit, axes=([-1], [2])) * sensor.slope_per_px
+    difference = zonal_wavefront(misfit, displacement.valid & modes.inside, pitch_m=sensor.lenslet_pitch_m)
     difference[~field.contains(x, y[:, None])] = np.nan
     return SlopeFit(without_piston(views + difference), views, difference)
 
