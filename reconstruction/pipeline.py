@@ -199,20 +199,13 @@ class Reconstructor:
         return prepare(min(_WARP_ERROR_RAD, key=error_rad2))
 
     def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
-        """Response of the registration; mean gradients where there is none, for the reason `no_response`."""
-        self.no_response = self.response_problem = ""
-        if not isinstance(self._register, GaussNewton):
-            self.no_response = f'registration.method = "{self.registration.method}" has none'
-        elif not self._reconstruction.response:
-            self.no_response = "response = false"
-        elif lenslet_model is None:
-            self.no_response = "there is no model of the bench"
-        else:
+        """Response of the registration; mean gradients where there is none, or none is wanted."""
+        self.response_problem = ""  # why there is none although it is wanted
+        if isinstance(self._register, GaussNewton) and self._reconstruction.response and lenslet_model is not None:
             try:
                 model = lenslet_model(self.subimages)
                 return response_sensitivity(linear_response(self._register, self.subimages, self._at_rest.modes, model))
             except ReconstructionError as error:
-                self.no_response = str(error)
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
         return geometric_sensitivity(self.sensor, _parameters(self._register, self._at_rest))
 

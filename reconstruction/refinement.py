@@ -1,7 +1,7 @@
 """Refinement: subtracts the estimator's bias, found with a forward model (defect correction).
 
 The model renders a frame of the estimated wavefront, which is registered against the model's own reference. The
-displacements found, minus the true mean gradients, are the estimator's bias at this wavefront. It is subtracted from
+displacements found, minus those that the solve expects, are the estimator's bias at this wavefront. It is subtracted from
 the measured displacements, and the wavefront is estimated again. Only a difference enters, so that the model may be
 coarse. A round is kept if it brings the modelled displacements closer to the measured ones.
 """
@@ -42,7 +42,7 @@ class ImagingModel(Protocol):
 class Bias:
     """Systematic error of the estimator at one wavefront."""
 
-    displacement: Floats  # measured minus true, px, (lenslet_row, lenslet_column, field_mode, xy)
+    displacement: Floats  # measured minus expected, px, (lenslet_row, lenslet_column, field_mode, xy)
     modelled: Floats  # displacements of the model's image, px, as `displacement`; NaN where lost
     views: Floats  # the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column)
 
@@ -106,7 +106,9 @@ class Refinement:
 
 def _misfit_px(displacement: Displacement, bias: Bias) -> float:
     """RMS difference of measured and modelled displacements over the lenslets that both have."""
-    return float(np.sqrt(np.nanmean((displacement.coefficients - bias.modelled) ** 2)))
+    square = (displacement.coefficients - bias.modelled) ** 2
+    known = np.isfinite(square)
+    return float(np.sqrt(np.mean(square[known]))) if known.any() else np.inf
 
 
 def distance_rad(one: Floats, other: Floats) -> float:

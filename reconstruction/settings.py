@@ -20,7 +20,7 @@ class RegistrationSettings:
     """Method and warp of the registration, and the star positions of a pinhole source."""
 
     method: Method = "gauss_newton"
-    warp: Warp | None = None  # omitted: affine or quadratic, chosen by the noise; quadratic if that is unknown
+    warp: Warp | None = None  # omitted: the one with the least expected error; quartic if the noise is unknown
     conserve_flux: bool = True
     rotation: bool = False  # gauss_newton: whether subimages may rotate; layers cannot make them
     threads: int = 2  # of gauss_newton

@@ -37,7 +37,7 @@ def print_refinement(changes_rad: Sequence[float]) -> None:
     changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
     rounds = f"{len(changes_rad)} round" + "s" * (len(changes_rad) != 1)
     Console().print(
-        f"refined in {rounds}, each changing the wavefront by {changes} rad RMS"
+        f"refined in {rounds}, changing the wavefront by {changes} rad RMS"
         if changes
         else "not refined: it would not improve"
     )

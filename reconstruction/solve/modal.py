@@ -25,12 +25,12 @@ from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.runtime.compilation import compiled
-from reconstruction.solve.sensitivity import Sensitivity
+from reconstruction.solve.sensitivity import Lenslets, Sensitivity
 
 _PRIOR_EXPONENT = 5.0  # of the pupil degree
 _PRIOR_PER_FIELD_DEGREE = 0.5  # t; 0.25 ... 1 change the residuals of docs/estimator.md by less than 3 %
 _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
-_INDISTINCT = 1e-12  # the same, below which modes cannot be told apart without a prior
+_INDISTINCT = 1e-6  # the same, below which modes cannot be told apart without a prior
 # Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
 _PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
 _BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
@@ -173,7 +173,10 @@ class ModalSolver:
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
         self._singular, vectors = self._decompose(basis)
         self._scaled = basis @ vectors
-        self._across = self._components(basis, vectors)
+        self._left_singular = self._scaled / self._singular  # to left singular vectors, see `_rows`
+        self._across = np.concatenate(
+            [self._rows(self._left_singular, some).astype(np.float32) for some in self._chunks()]
+        ).T.copy()  # left singular vectors, (n, lenslet * K)
         self._equations = lru_cache(maxsize=16)(self._down_dated)
 
     def __call__(self, displacement: Displacement, *, weights: Floats | None = None) -> ModalSolution:
@@ -229,7 +232,7 @@ class ModalSolver:
     def _chunks(self) -> list[slice]:
         return [slice(first, first + _AT_ONCE) for first in range(0, len(self._is_usable), _AT_ONCE)]
 
-    def _rows(self, basis: Floats, some: slice) -> Floats:
+    def _rows(self, basis: Floats, some: Lenslets) -> Floats:
         """Whitened design matrix of some lenslets, (lenslet * K, column of the basis)."""
         sensitivity = self._sensitivity(self._modes, some)
         whitened = self._whiten[some] * self._is_usable[some, None, None]
@@ -247,22 +250,17 @@ class ModalSolver:
         seen = square > _UNSEEN * square[-1]
         return np.sqrt(square[seen]), vectors[:, seen]
 
-    def _components(self, basis: Floats, vectors: Floats) -> Image:
-        """Left singular vectors of the design matrix, (n, lenslet * K)."""
-        columns = basis @ (vectors / self._singular)
-        return np.concatenate([self._rows(columns, some).astype(np.float32) for some in self._chunks()]).T.copy()
-
     def _down_dated(self, share_bytes: bytes) -> _Equations:
         """The equations of lenslets with that share of their certainty, (lenslet,)."""
         share = np.frombuffer(share_bytes)
         known = (share > 0).reshape(self._modes.inside.shape)
-        lost = self._is_usable & (share < 1)
+        lost = np.flatnonzero(self._is_usable & (share < 1))
         singular, vectors, scaled = self._singular, None, self._scaled
-        if lost.any():
-            across = self._across.reshape(len(singular), len(share), -1)[:, lost]
-            missing = across * np.sqrt(1 - share[lost, None]).astype(np.float32)
-            missing = missing.reshape(len(singular), -1)
-            left = np.eye(len(singular)) - missing @ missing.T
+        if lost.size:
+            # In double precision: what only these lenslets show must vanish.
+            missing = self._rows(self._left_singular, lost).reshape(lost.size, -1, len(singular))
+            weighted = (1 - share[lost, None, None]) * missing
+            left = np.eye(len(singular)) - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
             square, vectors = np.linalg.eigh(singular[:, None] * left * singular)
             self._require_distinct(square, int(np.count_nonzero(share)))
             seen = square > _UNSEEN * max(square[-1], _TINY)

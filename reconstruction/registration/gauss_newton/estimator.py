@@ -63,7 +63,7 @@ class GaussNewton:
         self._warp = prepare_template(
             reference, modes, near, conserve_flux=conserve_flux, rotation=rotation, noise=reference.noise
         )
-        self._basis = self._warp.grid.basis
+        self._basis = self.parameters  # in double precision, so that results repeat
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(reference, self._warp, np.outer(near, near).ravel())
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
@@ -95,7 +95,10 @@ class GaussNewton:
         return classify_lenslets(
             reference,
             self._modes,
-            (fits.displacement @ self._basis).astype(np.float64).reshape(len(fits.gain), 2, self._modes.count),
+            (fits.displacement @ self._basis)
+            .astype(np.float32)
+            .astype(np.float64)
+            .reshape(len(fits.gain), 2, self._modes.count),
             covariance=errors.covariance,
             residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.contrast.max(),
             chi_square=errors.chi_square,

@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from support.command_line import run
 from support.recordings import edit_line, record, remove_coefficients, replace_pixels
 
 from app.bench.config import write_bench
+from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, Interrupted, RunError
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
 from app.recording.reader import Recording
@@ -148,6 +150,7 @@ def test_other_method_is_compared(recording: Recording, tmp_path: Path) -> None:
         "noise": kept.reconstructor().noise,
         "reference_frames": kept.reference.frames,
         "dark": kept.dark.mean if kept.dark else None,
+        "lenslet_model": partial(lenslet_model, kept.bench),
     }
     modal, zonal = (
         Reconstructor(kept.reference.mean, reconstruction=reconstruction, **settings)
