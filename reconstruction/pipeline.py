@@ -196,12 +196,14 @@ class Reconstructor:
             _, method, at_rest = prepare(warp)
             return self._noise_rad2(_parameters(method, at_rest), at_rest) + _WARP_ERROR_RAD[warp] ** 2
 
-        return prepare(min(_WARP_ERROR_RAD, key=error_rad2))
+        # Warps that rotate and bend more than quadratic ones amplify noise.
+        return prepare(min(list(_WARP_ERROR_RAD)[: 2 if registration.rotation else None], key=error_rad2))
 
     def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
         """Response of the registration; mean gradients where there is none, or none is wanted."""
         self.response_problem = ""  # why there is none although it is wanted
-        if isinstance(self._register, GaussNewton) and self._reconstruction.response and lenslet_model is not None:
+        is_wanted = self._reconstruction.response and not self.registration.rotation  # it holds for gradients only
+        if is_wanted and isinstance(self._register, GaussNewton) and lenslet_model is not None:
             try:
                 model = lenslet_model(self.subimages)
                 return response_sensitivity(linear_response(self._register, self.subimages, self._at_rest.modes, model))

@@ -47,7 +47,7 @@ class ReconstructionSettings:
     method: Literal["zonal", "modal"] = "modal"
     basis: PupilBasis = "legendre"
     pupil_modes: int | None = None
-    response: bool = True  # modal: use the modelled response of the registration instead of mean gradients
+    response: bool = True  # modal: with warps that do not rotate, the modelled response instead of mean gradients
     refine: bool = False  # live: correct frames by the bias that a forward model finds in the background
 
     def __post_init__(self) -> None:

@@ -177,7 +177,8 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{name}: not valid TOML: {error}") from error
-    if is_recorded and "rotation" not in tree.get("registration", {}):
+    of_registration = tree.get("registration", {})
+    if is_recorded and isinstance(of_registration, dict) and "rotation" not in of_registration:
         for (section, key), value in _OF_VERSION_0_1.items():
             if isinstance(tree.setdefault(section, {}), dict):
                 tree[section].setdefault(key, value)

@@ -123,7 +123,7 @@ def test_verification_names_the_other_version(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "replay", RECORDING, "--verify") == 1
-    assert "0.1.0" in capsys.readouterr().out
+    assert f"{FRAMES} of {FRAMES} frames differ from what was recorded" in capsys.readouterr().err
 
 
 def test_recording_of_0_1_plays_as_a_camera() -> None:
