@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 
@@ -231,7 +231,12 @@ class Reconstructor:
         if len(parameters) == 2 * field_modes.count or not isinstance(field_modes, LegendreModes | ZernikeModes):
             return None
         half_width_m = np.array(self.sensor.pupil_half_width_m)
-        return partial(layered_basis, modes.products[1:], field_modes.products, half_width=half_width_m)
+
+        def basis(scale: Floats) -> Floats:
+            arrays = modes.products[1:], field_modes.products, scale, half_width_m
+            return _layered_basis(tuple((array.shape, array.tobytes()) for array in arrays))
+
+        return basis
 
     def _noise_rad2(self, parameters: Floats, at_rest: Displacement) -> float:
         """Mean noise variance of the views, rad^2, if every lenslet were as certain as the mean valid one."""
@@ -286,6 +291,12 @@ class Reconstructor:
         if np.issubdtype(image.dtype, np.integer):
             return np.asarray(image >= math.ceil(self._full_scale))  # 7x faster than comparing with a float
         return np.asarray(image >= self._full_scale)
+
+
+@lru_cache(maxsize=16)
+def _layered_basis(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> Floats:
+    """`layered_basis` of arrays given by shape and content: the same for every reference of a bench."""
+    return layered_basis(*(np.frombuffer(content).reshape(shape) for shape, content in arrays))
 
 
 def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:
