@@ -43,7 +43,6 @@ class Template:
 
     grid: Grid
     contrast: Floats  # standard deviation of the light, counts, (L,)
-    expected: Floats  # light, a mean over neighbours, counts, (L, N)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
 
@@ -62,7 +61,7 @@ class Template:
         whole = weight.sum(axis=1, keepdims=True)
         weight *= ~excluded
         weight *= whole / np.maximum(weight.sum(axis=1, keepdims=True), _NOTHING)
-        light = self.expected[lenslets]
+        light = np.maximum(self.grid.light[lenslets], 0)
         return *(_propagated(v, inverse, weight, descent) for v in (np.ones_like(light), light)), share
 
 
@@ -151,9 +150,9 @@ def prepare_template(
         grid.inverse[some], grid.descent[some] = inverse, descent
         grid.normal[some] = weighted @ np.swapaxes(descent, 1, 2)
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
-        per_light.append(_propagated(expected, inverse, weight, descent))
+        per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
-    return Template(grid, reference.light[:, pixels].std(axis=1), smooth, *whole)
+    return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
 
 
 def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
