@@ -32,7 +32,7 @@ _SATURATED_FRACTION = 0.01  # of the frame's pixels; with more, the frame is rej
 _BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 _WARP_CHOICE_MODES = 45  # pupil modes for the predicted noise; a smooth wavefront needs about as many
 # Systematic error of each warp, rad: mean over the square's ensembles of docs/estimator.md (4.2 rad RMS).
-_WARP_ERROR_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.010, "quartic": 0.008}
+_WARP_ERROR_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
 
 
 class Reconstructor:
