@@ -14,15 +14,21 @@ from drivers.dcam import session
 from drivers.dcam.capabilities import AMPLIFIERS, TRIGGERS, has_em_gain, read_capabilities, read_region, set_region
 from drivers.dcam.capture import Capture
 from drivers.dcam.library import DcamLibrary, load_library
-from drivers.dcam.pixel_warnings import pixel_warnings
+from drivers.dcam.pixel_warnings import FILTERS, pixel_warnings
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.dcam.session import ListedCamera
 from drivers.dcam.settings import DcamSettings
 from drivers.dcam.structures import DeviceOpen, sized
 from drivers.device import Property
-from drivers.errors import DeviceError, Disconnected, Unsupported, WrongState
+from drivers.errors import REFUSALS, DeviceError, Disconnected, Unsupported, WrongState
 from drivers.frame import Frame, Region
+
+# A running camera may deny reading these.
+_MODE = (
+    *(Id.CCDMODE, Id.READOUTSPEED, Id.BINNING, Id.TRIGGERSOURCE, Id.TRIGGERACTIVE, *FILTERS),
+    *(Id.SUBARRAYMODE, Id.SUBARRAYHPOS, Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS, Id.SUBARRAYVSIZE),
+)
 
 
 class DcamCamera(Camera):
@@ -52,9 +58,10 @@ class DcamCamera(Camera):
         """All settings, every DCAM property by Hamamatsu's name, and warnings."""
         common = super().properties()
         with self._access():
-            strings: dict[str, Property] = {
-                name: session.string(self._library, self._handle, number) for name, number in session.STRINGS.items()
-            }
+            strings: dict[str, Property] = {}
+            for name, number in session.STRINGS.items():
+                with suppress(*REFUSALS):  # not all cameras have all of them
+                    strings[name] = session.string(self._library, self._handle, number)
             return common | strings | self._values.readable() | {"warnings": "; ".join(self.warnings())}
 
     def warnings(self) -> tuple[str, ...]:
@@ -160,6 +167,7 @@ class DcamCamera(Camera):
             return
         with self._restored_on_failure(Id.CCDMODE):
             self._values.set(Id.CCDMODE, ids.CCDMODE_EM if amplifier == "em" else ids.CCDMODE_NORMAL)
+            self._values.forget_list()  # the other amplifier has other properties
             if amplifier == "em":
                 self._prepare_em_gain()
 
@@ -195,6 +203,7 @@ class DcamCamera(Camera):
     def _start(self) -> None:
         self._release_ring()
         allowed = self.capabilities
+        self._values.remember(_MODE)
         capture = Capture(
             self._values,
             (allowed.rows, allowed.columns),
@@ -216,6 +225,7 @@ class DcamCamera(Camera):
             return
         self._capture.stop()
         self._capture, self._unreleased = None, self._capture
+        self._values.check_online()  # a running camera may deny it
         try:
             self._release_ring()
         except Disconnected:
@@ -244,9 +254,9 @@ class DcamCamera(Camera):
         return frame
 
     def _is_protected(self) -> bool:
-        return (
-            has_em_gain(self._values) and self._values.get_or(Id.EMGAINWARNING_STATUS, 0) == ids.EMGAINWARNING_PROTECTED
-        )
+        protected = ids.EMGAINWARNING_PROTECTED  # also if the running camera denies its status: the frame is black
+        has_status = has_em_gain(self._values) and self._values.has(Id.EMGAINWARNING_STATUS)
+        return has_status and self._values.get_or(Id.EMGAINWARNING_STATUS, protected) == protected
 
 
 def _opened(library: DcamLibrary, camera: ListedCamera) -> int:

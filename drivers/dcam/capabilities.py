@@ -1,5 +1,6 @@
 """Capabilities and sensor region of a DCAM camera in its present mode."""
 
+import math
 from contextlib import suppress
 
 from drivers.camera import CameraCapabilities
@@ -60,7 +61,7 @@ def _sensor(values: Properties) -> tuple[Region | None, int]:
         values.limits(identifier)
         for identifier in (Id.SUBARRAYVSIZE, Id.SUBARRAYHSIZE, Id.SUBARRAYVPOS, Id.SUBARRAYHPOS)
     )
-    step_px = round(max(1, rows.step, columns.step, top.step, left.step))
+    step_px = math.lcm(*(max(1, round(limits.step)) for limits in (rows, columns, top, left)))
     return Region(0, 0, round(rows.range.maximum), round(columns.range.maximum)), step_px
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.dcam.properties import Properties
-from drivers.dcam.property_ids import ALIVE_ONLINE, PRODUCER_NONE, Id
+from drivers.dcam.property_ids import PRODUCER_NONE, Id
 from drivers.dcam.structures import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
-from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, WrongState
+from drivers.errors import DeviceError, DeviceTimeout, FrameLost, WrongState
 from drivers.frame import Frame
 
 _SLICE_S = 0.1  # longest wait in the library; after that much silence the camera's status is polled
@@ -143,10 +143,18 @@ class Capture:
             self._check_alive()
         except FrameLost:
             self._is_loss_reported = True
-            self._note_exposure_end()
+            if self._is_fired_here:
+                self._restart()
         else:
             if request.eventhappened & _STOPPED:
                 self._check_alive(at_once=True)
+
+    def _restart(self) -> None:
+        """Start again after a software-triggered frame was lost: some cameras then ignore the next trigger."""
+        self.stop()
+        self._lost += self._transferred().nFrameCount + 1
+        self._next, self._last, self._is_loss_reported, self._is_exposing = 0, None, False, False
+        self._library.call("dcamcap_start", self._handle, _SEQUENCE)
 
     def _note_exposure_end(self) -> None:
         if self._is_fired_here:
@@ -159,8 +167,7 @@ class Capture:
             self._seen_alive_s = -math.inf
         if now_s - self._seen_alive_s < 0.9 * _SLICE_S:
             return
-        if self._values.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
-            raise Disconnected("the camera is gone: check its power and cable, then connect again")
+        self._values.check_online()
         status = c_int32()
         self._library.call("dcamcap_status", self._handle, byref(status))
         if status.value != _BUSY:

@@ -7,14 +7,18 @@ class NotThere(Unsupported):
     """The camera has no such property, or no next one."""
 
 
+class Denied(WrongState):
+    """A busy camera does not allow access to this property."""
+
+
 # Error, message, and the codes (unsigned) with their names in Hamamatsu's header; the library returns negative numbers.
 _TABLE: tuple[tuple[type[DeviceError], str, str], ...] = (
     (
         WrongState,
         "the camera cannot do this in its present state",
-        """80000101 BUSY, 80000103 NOTREADY, 80000104 NOTSTABLE, 80000105 UNSTABLE, 80000107 NOTBUSY,
-        8000082C ACCESSDENY""",
+        "80000101 BUSY, 80000103 NOTREADY, 80000104 NOTSTABLE, 80000105 UNSTABLE, 80000107 NOTBUSY",
     ),
+    (Denied, "a running camera does not allow this: stop it first", "8000082C ACCESSDENY"),
     (WrongState, "the wait for a frame was aborted", "80000102 ABORT"),
     (DeviceTimeout, "the camera did not answer in time", "80000106 TIMEOUT"),
     (
@@ -23,12 +27,17 @@ _TABLE: tuple[tuple[type[DeviceError], str, str], ...] = (
         "80000110 EXCLUDED, 81001001 FAILOPENBUS, 82001001 FAILOPENCAMERA",
     ),
     (DeviceError, "the computer lacks a resource that the camera needs", "80000201 NORESOURCE"),
-    (DeviceError, "the computer lacks memory for the frames: lower camera.ring_frames", "80000203 NOMEMORY"),
+    (
+        DeviceError,
+        "the computer lacks memory for the frames: lower camera.ring_frames",
+        "80000203 NOMEMORY, 8000083F LESSSYSTEMMEMORY",
+    ),
     (
         Unsupported,
         "Hamamatsu's driver for the camera's interface is missing or damaged: install the DCAM-API again",
         "80000204 NOMODULE, 80000205 NODRIVER, 80000211 INVALIDMODULE",
     ),
+    (Unsupported, "the camera needs a newer DCAM-API: install it from Hamamatsu", "84002002 NEWRUNTIMEREQUIRED"),
     (
         Disconnected,
         "no Hamamatsu camera was found: check its power and cable, and that no other program holds it",
@@ -50,7 +59,12 @@ _TABLE: tuple[tuple[type[DeviceError], str, str], ...] = (
         """80000806 INVALIDCAMERA, 80000807 INVALIDHANDLE, 80000F01 UNREACH, 80000F07 NOCONNECTION,
         83001002 FAILREADCAMERA, 83001003 FAILWRITECAMERA, 84002001 INVALIDWAITHANDLE""",
     ),
-    (BadValue, "the camera refused the value", "80000808 INVALIDPARAM, 80000821 INVALIDVALUE, 80000822 OUTOFRANGE"),
+    (
+        BadValue,
+        "the camera refused the value",
+        """80000808 INVALIDPARAM, 80000821 INVALIDVALUE, 80000822 OUTOFRANGE,
+        8000082E WRONGPROPERTYVALUE""",
+    ),
     (
         Unsupported,
         "this camera cannot do this, or not in its present mode",
@@ -62,6 +76,11 @@ _TABLE: tuple[tuple[type[DeviceError], str, str], ...] = (
         "80000825 INVALIDPROPERTYID, 80000828 NOPROPERTY",
     ),
     (BadValue, "the camera refused the region", "8000082B INVALIDSUBARRAY"),
+    (
+        Unsupported,
+        "frame bundling must be off: switch it off in Hamamatsu's program",
+        "80000832 FRAMEBUNDLESHOULDBEOFF",
+    ),
     (Disconnected, "Hamamatsu's DCAM-API has ended: connect again", "80000F04 UNLOADED"),
 )
 ERRORS = {

@@ -5,7 +5,7 @@ from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 
 # Harmless value, and the effect of any other.
-_FILTERS = {
+FILTERS = {
     Id.RECURSIVEFILTER: (ids.OFF, "the camera's recursive filter averages frames, which lowers their noise"),
     Id.FRAMEAVERAGINGMODE: (ids.OFF, "the camera averages frames, which lowers their noise"),
     Id.SPOTNOISEREDUCER: (ids.OFF, "the camera's spot noise reducer changes single pixels"),
@@ -14,6 +14,7 @@ _FILTERS = {
     Id.INTENSITYLUT_MODE: (1, "the camera maps the counts by a table"),
     Id.PHOTONIMAGINGMODE: (0, "the camera's photon imaging mode changes the counts"),
     Id.CAPTUREMODE: (1, "the camera takes calibration frames, no images"),
+    Id.EMCCD_CALIBRATIONMODE: (ids.OFF, "the camera calibrates its EM gain: its frames are no images"),
 }
 
 
@@ -21,7 +22,7 @@ def pixel_warnings(values: Properties, *, has_em_gain: bool) -> tuple[str, ...]:
     """Query the camera and return the warnings, normally none."""
     warnings = [
         sentence
-        for identifier, (harmless, sentence) in _FILTERS.items()
+        for identifier, (harmless, sentence) in FILTERS.items()
         if values.get_or(identifier, harmless) != harmless
     ]
     triggered = values.get_or(Id.TRIGGERSOURCE, 1) == ids.TRIGGER_SOURCES["external"]

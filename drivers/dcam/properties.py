@@ -1,15 +1,16 @@
 """Properties of an open DCAM camera."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from ctypes import byref, c_char_p, c_double, c_int32, cast, create_string_buffer
 from dataclasses import dataclass
 
-from drivers.dcam.errors import NotThere
+from drivers.dcam.errors import Denied, NotThere
 from drivers.dcam.library import DcamLibrary
-from drivers.dcam.property_ids import OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute
+from drivers.dcam.property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
 from drivers.dcam.structures import PropertyAttribute, PropertyValueText, sized
 from drivers.device import Property
-from drivers.errors import BadValue, DeviceError, Disconnected
+from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
 from drivers.range import Range
 
 _TEXT_BYTES = 256
@@ -35,10 +36,18 @@ class Properties:
         self.library = library
         self.handle = handle
         self._known: frozenset[int] | None = None  # all properties in the present mode
+        self._remembered: dict[int, float] = {}  # values that a running camera may deny
 
     def forget_list(self) -> None:
         """Query the list of properties again, as needed after a change of mode."""
         self._known = None
+        self._remembered.clear()
+
+    def remember(self, identifiers: Iterable[int]) -> None:
+        """Read these properties, if present, so that they stay known while the camera is running."""
+        for identifier in identifiers:
+            if identifier not in self._remembered and self.has(identifier):
+                self._remembered[identifier] = self.get(identifier)
 
     def limits(self, identifier: int) -> Limits:
         """Limits in the present mode."""
@@ -62,14 +71,27 @@ class Properties:
         return identifier in self._known
 
     def get(self, identifier: int) -> float:
-        """Value in force."""
+        """Value in force; the remembered one if the running camera denies it."""
         value = c_double()
-        self.library.call("dcamprop_getvalue", self.handle, identifier, byref(value))
+        try:
+            self.library.call("dcamprop_getvalue", self.handle, identifier, byref(value))
+        except Denied:
+            if identifier not in self._remembered:
+                raise
+            return self._remembered[identifier]
         return value.value
 
     def get_or(self, identifier: int, default: float) -> float:
-        """Value in force, or the default if the camera lacks the property."""
-        return self.get(identifier) if self.has(identifier) else default
+        """Value in force, or the default if the camera lacks the property or denies it while running."""
+        try:
+            return self.get(identifier) if self.has(identifier) else default
+        except Denied:
+            return default
+
+    def check_online(self) -> None:
+        """Raise `Disconnected` if the library knows that the camera is gone; a running camera may deny the answer."""
+        if self.get_or(Id.SYSTEM_ALIVE, ALIVE_ONLINE) != ALIVE_ONLINE:
+            raise Disconnected("the camera is gone: check its power and cable, then connect again")
 
     def set(self, identifier: int, value: float) -> float:
         """Write a value, rounded to its step; return the one in force."""
@@ -83,6 +105,7 @@ class Properties:
         except BadValue as error:
             name, least, most = self.name(identifier).lower(), allowed.range.minimum, allowed.range.maximum
             raise BadValue(f"{name} = {value:g}, allowed are {least:g} ... {most:g}: {error}") from error
+        self._remembered.pop(identifier, None)
         return taken.value
 
     def set_if_present(self, identifier: int, value: float) -> None:
@@ -118,12 +141,17 @@ class Properties:
         return text.value.decode(errors="replace")
 
     def readable(self) -> dict[str, Property]:
-        """All readable properties by Hamamatsu's names; one that fails holds the error message."""
+        """All readable properties by Hamamatsu's names; one that fails holds the error message.
+
+        A property whose attributes or name the camera does not report is left out.
+        """
         readable: dict[str, Property] = {}
         for identifier in self._identifiers():
-            allowed = self.limits(identifier)
+            try:
+                allowed, name = self.limits(identifier), self.name(identifier)
+            except REFUSALS:
+                continue
             if allowed.attribute & Attribute.READABLE:
-                name = self.name(identifier)
                 try:
                     readable[name] = self._worded(identifier, allowed)
                 except Disconnected:
@@ -135,7 +163,8 @@ class Properties:
     def _worded(self, identifier: int, allowed: Limits) -> Property:
         value = self.get(identifier)
         if allowed.attribute & Attribute.HASVALUETEXT:
-            return self.text(identifier, value)
+            with suppress(*REFUSALS):
+                return self.text(identifier, value)
         return value if allowed.kind == TYPE_REAL else round(value)
 
     def _identifiers(self) -> Iterator[int]:
@@ -143,9 +172,10 @@ class Properties:
         identifier = c_int32(0)
         while self._advance(identifier):
             yield identifier.value
-            base = self.limits(identifier.value)
-            if base.elements:
-                for element in range(1, round(self.get(base.elements))):
+            with suppress(*REFUSALS):
+                base = self.limits(identifier.value)
+                count = round(self.get(base.elements)) if base.elements else 1
+                for element in range(1, count):
                     yield identifier.value + element * base.element_step
 
     def _advance(self, identifier: c_int32) -> bool:

@@ -1,13 +1,14 @@
 """The process's session with the DCAM-API and the cameras listed in it."""
 
 import threading
+from contextlib import suppress
 from ctypes import byref, c_char_p, cast, create_string_buffer
 from dataclasses import dataclass
 
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.dcam.structures import DeviceString, Init, sized
 from drivers.discovery import DiscoveredDevice
-from drivers.errors import BadValue, Disconnected
+from drivers.errors import BadValue, DeviceError, Disconnected
 
 STRINGS = {
     "bus": 0x04000101,
@@ -53,7 +54,12 @@ def begin(library: DcamLibrary) -> int:
         session = _sessions.get(library)
         if session is None:
             answer = sized(Init)
-            library.call("dcamapi_init", byref(answer))
+            try:
+                library.call("dcamapi_init", byref(answer))
+            except DeviceError:
+                with suppress(DeviceError):  # without it every later attempt of this process fails, too
+                    library.call("dcamapi_uninit")
+                raise
             session = _sessions[library] = _Session(answer.iDeviceCount)
         session.users += 1
         return session.cameras

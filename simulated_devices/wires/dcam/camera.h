@@ -26,7 +26,7 @@ struct Camera {
     double values[PROPERTIES][ELEMENTS];
     int32_t ring_frames; /* 0 without a buffer */
     Slot *ring;
-    bool is_capturing, is_snap;
+    bool is_capturing, is_snap, is_jammed;
     int32_t exposed, transferred; /* frames since the start */
     int32_t overexposed_frames;
     double exposure_end_s; /* of the current frame; infinite while waiting for a trigger */
@@ -51,6 +51,10 @@ typedef struct {
     double speed, offset_s, origin_s; /* cameras' clock relative to real time; at speed 0 it jumps */
     int32_t sessions, present;
     bool is_held, is_stalled, is_overexposed, has_cooler_trouble, rounds;
+    bool has_failed_init;   /* until dcamapi_uninit every init fails */
+    bool answers_while_busy; /* SYSTEM_ALIVE and modes, which Hamamatsu's manual says it denies */
+    bool hides_em;          /* the EM properties exist only with the EM amplifier */
+    bool jams_on_loss;      /* a triggered camera that lost a frame needs a restart */
     Plug plug, plug_then;
     double unplug_at_s;
     int32_t to_lose;
@@ -58,6 +62,7 @@ typedef struct {
     int32_t slow_ms[FUNCTIONS], calls[FUNCTIONS];
     int32_t removed[PROPERTIES], removed_count;
     int32_t refused_id, refused_code;
+    int32_t stepped_id, step; /* another step of this property */
     struct Camera cameras[CAMERAS];
 } World;
 

@@ -27,6 +27,7 @@ void advance(struct Camera *camera) {
         if (world.to_lose > 0) {
             world.to_lose--;
             camera->is_loss_untold = true;
+            camera->is_jammed = world.jams_on_loss && is_triggered(camera);
         } else
             camera->ring[camera->transferred++ % camera->ring_frames] = slot;
         camera->exposure_end_s = is_triggered(camera) ? INFINITY : slot.end_s + frame_period_s(camera);
@@ -77,7 +78,7 @@ int32_t dcamcap_start(HDCAM h, int32_t mode) {
     if (h->is_capturing) return leave(BUSY);
     h->is_capturing = true;
     h->is_snap = mode == CAPTURE_SNAP;
-    h->has_stopped_itself = h->is_loss_untold = false;
+    h->has_stopped_itself = h->is_loss_untold = h->is_jammed = false;
     h->exposed = h->transferred = 0;
     h->exposure_end_s = is_triggered(h) ? INFINITY : now_s() + frame_period_s(h);
     return leave(code);
@@ -119,7 +120,7 @@ int32_t dcamcap_firetrigger(HDCAM h, int32_t iKind) {
         follow_time();
     }
     if (!h->is_capturing) return leave(NOTBUSY);
-    h->exposure_end_s = now_s() + frame_period_s(h);
+    if (!h->is_jammed) h->exposure_end_s = now_s() + frame_period_s(h);
     pthread_cond_broadcast(&world.changed);
     return leave(code);
 }

@@ -91,6 +91,7 @@ typedef struct {
 #define INVALIDPROPERTYID ((int32_t)0x80000825)
 #define NOPROPERTY ((int32_t)0x80000828)
 #define INVALIDSUBARRAY ((int32_t)0x8000082b)
+#define ACCESSDENY ((int32_t)0x8000082c)
 #define INVALIDFRAMEINDEX ((int32_t)0x80000833)
 #define NOTSUPPORT ((int32_t)0x80000f03)
 #define UNLOADED ((int32_t)0x80000f04)

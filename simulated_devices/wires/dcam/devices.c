@@ -6,10 +6,11 @@
 
 int32_t dcamapi_init(DCAMAPI_INIT *param) {
     int32_t code = enter(F_dcamapi_init);
-    if (code < 0) return leave(code);
     if (!param || param->size != sizeof *param) return leave(INVALIDPARAM);
     if (world.sessions) return leave(BUSY); /* one session per process */
-    if (world.present == 0 || world.plug != PLUGGED) return leave(NOCAMERA);
+    if (code > 0 && (world.has_failed_init || world.present == 0 || world.plug != PLUGGED)) code = NOCAMERA;
+    world.has_failed_init = code < 0;
+    if (code < 0) return leave(code);
     world.sessions = 1;
     param->iDeviceCount = world.present;
     return leave(SUCCESS);
@@ -19,6 +20,7 @@ int32_t dcamapi_uninit(void) {
     int32_t code = enter(F_dcamapi_uninit);
     if (code > 0) {
         world.sessions = 0;
+        world.has_failed_init = false;
         for (int i = 0; i < CAMERAS; i++) power_on(&world.cameras[i]);
         pthread_cond_broadcast(&world.changed);
     }

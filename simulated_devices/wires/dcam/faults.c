@@ -28,7 +28,8 @@ int32_t enter(Function function) {
         world.failing[function].times--;
         return world.failing[function].code;
     }
-    return function == F_dcamapi_init || world.sessions > 0 ? SUCCESS : UNLOADED;
+    bool needs_session = function != F_dcamapi_init && function != F_dcamapi_uninit;
+    return needs_session && !world.sessions ? UNLOADED : SUCCESS;
 }
 
 static bool writes(Function function) {
@@ -89,11 +90,12 @@ DCAM_EXPORT void stand_in_reset(double speed) {
     world.present = 1;
     world.is_held = world.is_stalled = world.is_overexposed = world.has_cooler_trouble = false;
     world.rounds = true;
+    world.has_failed_init = world.answers_while_busy = world.hides_em = world.jams_on_loss = false;
     world.plug = PLUGGED;
     world.unplug_at_s = INFINITY;
     world.to_lose = 0;
     world.removed_count = 0;
-    world.refused_id = 0;
+    world.refused_id = world.stepped_id = 0;
     memset(world.failing, 0, sizeof world.failing);
     memset(world.slow_ms, 0, sizeof world.slow_ms);
     memset(world.calls, 0, sizeof world.calls);
@@ -141,6 +143,9 @@ SETTER(lose, world.to_lose += value)       /* the next frames, before transfer *
 SETTER(overexpose, world.is_overexposed = value)
 SETTER(rounds, world.rounds = value)       /* a value between two steps, or refuses it */
 SETTER(cooler_trouble, world.has_cooler_trouble = value)
+SETTER(answers_while_busy, world.answers_while_busy = value)
+SETTER(hides_em, world.hides_em = value)
+SETTER(jams_on_loss, world.jams_on_loss = value)
 
 /* Pull the plug, after some time, in one of three ways. */
 DCAM_EXPORT void stand_in_unplug(int32_t plug, double after_s) {
@@ -209,6 +214,14 @@ DCAM_EXPORT void stand_in_refuse(int32_t id, int32_t code) {
     lock();
     world.refused_id = id;
     world.refused_code = code;
+    unlock();
+}
+
+/* Give this property another step. */
+DCAM_EXPORT void stand_in_step(int32_t id, int32_t step) {
+    lock();
+    world.stepped_id = id;
+    world.step = step;
     unlock();
 }
 

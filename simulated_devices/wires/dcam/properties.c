@@ -14,17 +14,18 @@ typedef struct {
     double minimum, maximum, step, initial;
 } Limits;
 
-static bool is_removed(int32_t id) {
+static bool is_absent(const struct Camera *camera, int32_t id) {
     for (int32_t i = 0; i < world.removed_count; i++)
         if (world.removed[i] == id) return true;
-    return false;
+    bool is_of_em_gain = id >= SENSITIVITY && id <= MEASURED_SENSITIVITY;
+    return world.hides_em && is_of_em_gain && !is_em(camera);
 }
 
 /* The property of an id, or NULL, and its array element. */
-static const Property *find(int32_t id, int32_t *element) {
+static const Property *find(const struct Camera *camera, int32_t id, int32_t *element) {
     for (const Property *property = SHEET; property < SHEET + SHEET_LENGTH; property++)
         for (*element = 0; *element < property->elements; ++*element)
-            if (property->id + ELEMENT_STEP * *element == id) return is_removed(property->id) ? NULL : property;
+            if (property->id + ELEMENT_STEP * *element == id) return is_absent(camera, property->id) ? NULL : property;
     return NULL;
 }
 
@@ -60,6 +61,7 @@ static Limits limits(const struct Camera *camera, const Property *property) {
         found.maximum = last->value;
         found.step = 1;
     }
+    if (property->id == world.stepped_id) found.step = world.step;
     switch (property->id) {
     case READOUTSPEED: return is_em(camera) ? found : (Limits){1, 1, 0, 1};
     case CONTRASTGAIN: return is_em(camera) ? found : (Limits){1, 5, 1, 1};
@@ -177,7 +179,7 @@ int32_t dcamprop_getattr(HDCAM h, DCAMPROP_ATTR *param) {
     int32_t code = enter_camera(F_dcamprop_getattr, h), element;
     if (code < 0) return leave(code);
     if (!param || param->cbSize != sizeof *param) return leave(INVALIDPARAM);
-    const Property *property = find(param->iProp, &element);
+    const Property *property = find(h, param->iProp, &element);
     if (!property) return leave(INVALIDPROPERTYID);
     Limits allowed = limits(h, property);
     uint32_t attribute = (uint32_t)property->type | ATTR_HASDEFAULT | ATTR_EFFECTIVE;
@@ -213,9 +215,12 @@ int32_t dcamprop_getvalue(HDCAM h, int32_t iProp, double *value) {
         }
         return leave(code);
     }
-    const Property *property = find(iProp, &element);
+    const Property *property = find(h, iProp, &element);
     if (!property) return leave(INVALIDPROPERTYID);
     if (!(property->access & R)) return leave(NOTREADABLE);
+    bool is_mode = (property->access & WS) && !(property->access & WB);
+    bool is_denied = h->is_capturing && !world.answers_while_busy && (is_mode || iProp == SYSTEM_ALIVE);
+    if (is_denied) return leave(ACCESSDENY);
     *value = element ? h->values[property - SHEET][element] : value_of(h, iProp);
     return leave(code);
 }
@@ -224,12 +229,12 @@ int32_t dcamprop_setgetvalue(HDCAM h, int32_t iProp, double *value, int32_t opti
     (void)option;
     int32_t code = enter_camera(F_dcamprop_setgetvalue, h), element;
     if (code < 0) return leave(code);
-    const Property *property = find(iProp, &element);
+    const Property *property = find(h, iProp, &element);
     if (!property) return leave(INVALIDPROPERTYID);
     if (iProp == world.refused_id) return leave(world.refused_code);
     if (!(property->access & W)) return leave(NOTWRITABLE);
-    if (h->is_capturing && !(property->access & WB)) return leave(BUSY);
-    if (!h->is_capturing && h->ring && !(property->access & WR)) return leave(NOTSTABLE);
+    if (h->is_capturing && !(property->access & WB)) return leave(ACCESSDENY);
+    if (!h->is_capturing && h->ring && !(property->access & WR)) return leave(ACCESSDENY);
     code = take(h, property, value);
     if (code < 0) return leave(code);
     if (!fits(h, iProp, *value)) return leave(INVALIDSUBARRAY);
@@ -244,7 +249,7 @@ int32_t dcamprop_setgetvalue(HDCAM h, int32_t iProp, double *value, int32_t opti
 int32_t dcamprop_queryvalue(HDCAM h, int32_t iProp, double *value, int32_t option) {
     int32_t code = enter_camera(F_dcamprop_queryvalue, h), element;
     if (code < 0) return leave(code);
-    const Property *property = find(iProp, &element);
+    const Property *property = find(h, iProp, &element);
     if (!property) return leave(INVALIDPROPERTYID);
     if (option != OPTION_NEXT && option != OPTION_PRIOR) return leave(INVALIDPARAM);
     Limits allowed = limits(h, property);
@@ -263,14 +268,14 @@ int32_t dcamprop_getnextid(HDCAM h, int32_t *iProp, int32_t option) {
     int32_t code = enter_camera(F_dcamprop_getnextid, h), element;
     if (code < 0) return leave(code);
     if (option == OPTION_ARRAYELEMENT) {
-        const Property *property = find(*iProp, &element);
+        const Property *property = find(h, *iProp, &element);
         if (!property || element + 1 >= property->elements) return leave(NOPROPERTY);
         *iProp += ELEMENT_STEP;
         return leave(code);
     }
     if (option != 0 && option != OPTION_NEXT) return leave(NOTSUPPORT);
     for (int32_t i = 0; i < SHEET_LENGTH; i++)
-        if (SHEET[i].id > *iProp && !is_removed(SHEET[i].id)) {
+        if (SHEET[i].id > *iProp && !is_absent(h, SHEET[i].id)) {
             *iProp = SHEET[i].id;
             return leave(code);
         }
@@ -280,7 +285,7 @@ int32_t dcamprop_getnextid(HDCAM h, int32_t *iProp, int32_t option) {
 int32_t dcamprop_getname(HDCAM h, int32_t iProp, char *text, int32_t textbytes) {
     int32_t code = enter_camera(F_dcamprop_getname, h), element;
     if (code < 0) return leave(code);
-    const Property *property = find(iProp, &element);
+    const Property *property = find(h, iProp, &element);
     if (!property) return leave(INVALIDPROPERTYID);
     if (!text || textbytes < 1) return leave(INVALIDPARAM);
     if (element) snprintf(text, (size_t)textbytes, "%s[%d]", property->name, element);
@@ -292,7 +297,7 @@ int32_t dcamprop_getvaluetext(HDCAM h, DCAMPROP_VALUETEXT *param) {
     int32_t code = enter_camera(F_dcamprop_getvaluetext, h), element;
     if (code < 0) return leave(code);
     if (!param || param->cbSize != sizeof *param || !param->text || param->textbytes < 1) return leave(INVALIDPARAM);
-    const Property *property = find(param->iProp, &element);
+    const Property *property = find(h, param->iProp, &element);
     if (!property) return leave(INVALIDPROPERTYID);
     const Choice *named = choice(property, param->value);
     if (!named) return leave(INVALIDVALUE);

@@ -103,6 +103,22 @@ class StandIn:
         """Round a value between two steps, or refuse it."""
         self._call("rounds", is_automatic)
 
+    def answer_while_busy(self) -> None:
+        """Answer during capture what Hamamatsu's manual says is denied: SYSTEM_ALIVE and the modes."""
+        self._call("answers_while_busy", 1)
+
+    def hide_em_gain(self) -> None:
+        """Offer the EM properties with the EM amplifier only."""
+        self._call("hides_em", 1)
+
+    def jam_on_loss(self) -> None:
+        """Take no trigger after a lost frame until the capture is restarted."""
+        self._call("jams_on_loss", 1)
+
+    def set_step(self, identifier: int, step: int) -> None:
+        """Give one property another step."""
+        self._call("step", identifier, step)
+
     def trigger(self) -> None:
         """Send an external trigger."""
         self._call("trigger")

@@ -223,6 +223,33 @@ def test_region_refused_half_way_is_restored(stand_in: StandIn, camera: DcamCame
     assert (camera.capabilities.rows, camera.capabilities.columns) == (64, 80)
 
 
+@pytest.mark.parametrize("changed", [Id.SUBARRAYHPOS, Id.SUBARRAYVPOS])
+def test_region_step_is_common_multiple(stand_in: StandIn, changed: Id) -> None:
+    stand_in.set_step(changed, 24)
+    with open_camera(stand_in) as camera:
+        assert camera.capabilities.region_step_px == 48  # of 16 and 24
+        with pytest.raises(BadValue, match="in steps of 48"):
+            camera.set_region(Region(0, 0, 24, 24))
+        region = Region(48, 96, 144, 192)
+        assert camera.set_region(region) == region
+
+
+def test_modes_stay_known_while_running(stand_in: StandIn) -> None:
+    region = Region(32, 48, 64, 80)
+    with open_camera(stand_in, binning=2, region=region, readout_speed=2, trigger="software") as camera:
+        camera._values.set(Id.RECURSIVEFILTER, 2)
+        warnings = camera.warnings()
+        before = camera.properties()
+        camera.start()
+        assert (camera.binning, camera.region, camera.readout_speed) == (2, region, 2)
+        assert (camera.amplifier, camera.em_gain, camera.trigger) == ("em", 4.0, "software")
+        assert camera.warnings() == warnings != ()
+        running = camera.properties()
+        assert running.keys() == before.keys()
+        for name in ("BINNING", "CCD MODE", "SUBARRAY HSIZE", "RECURSIVE FILTER", "warnings"):
+            assert running[name] == before[name]
+
+
 def test_modes_cannot_be_changed_while_running(camera: DcamCamera) -> None:
     camera.start()
     for change in (

@@ -190,6 +190,7 @@ def test_change_while_running_holds_from_next_frame(stand_in: StandIn, camera: D
 
 @pytest.mark.parametrize("how", Plug)
 def test_unplugged_during_long_exposure_raises_at_once(stand_in: StandIn, how: Plug) -> None:
+    stand_in.answer_while_busy()
     with open_camera(stand_in, readout_speed=1, exposure_s=3.8) as camera:
         camera.start()
         camera.read(5.0)
@@ -198,6 +199,28 @@ def test_unplugged_during_long_exposure_raises_at_once(stand_in: StandIn, how: P
         with pytest.raises(Disconnected):
             camera.read(10.0)
         assert stand_in.now() - start_s == pytest.approx(2.0, abs=0.11)
+
+
+@pytest.mark.parametrize("trigger", ["internal", "external", "software"])
+def test_long_wait_needs_nothing_that_busy_camera_denies(stand_in: StandIn, trigger: str) -> None:
+    with open_camera(stand_in, readout_speed=1, exposure_s=3.8, trigger=trigger) as camera:
+        camera.start()
+        if trigger == "external":
+            with pytest.raises(DeviceTimeout):
+                camera.read(5.0)
+            stand_in.trigger()
+        assert camera.read(5.0).index == 0
+        assert (camera.state, camera.trigger) == ("running", trigger)
+
+
+def test_silent_loss_that_busy_camera_hides_shows_at_stop(stand_in: StandIn, camera: DcamCamera) -> None:
+    camera.read(1.0)
+    stand_in.unplug(Plug.SILENTLY)
+    with pytest.raises(DeviceTimeout):
+        camera.read(1.0)
+    with pytest.raises(Disconnected, match="camera is gone"):
+        camera.stop()
+    assert camera.state == "lost"
 
 
 def test_wait_slice_and_stop_take_under_200_ms(stand_in: StandIn) -> None:

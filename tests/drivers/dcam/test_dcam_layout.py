@@ -10,7 +10,7 @@ import pytest
 from support.dcam_tools import compiling
 
 from drivers.dcam import structures
-from drivers.dcam.errors import ERRORS, NotThere, error_of
+from drivers.dcam.errors import ERRORS, Denied, NotThere, error_of
 from drivers.dcam.library import PROTOTYPES, DcamLibrary
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 from simulated_devices.wires.dcam.build import SOURCES, build_program
@@ -82,14 +82,15 @@ MEANINGS: dict[type[DeviceError], list[int]] = {
         *[0x80000F07, 0x83001002, 0x83001003, 0x80000807, 0x80000F01],
         *[0x80000206, 0x80000806, 0x80000F04, 0x84002001],
     ],
-    WrongState: [0x80000101, 0x80000102, 0x80000103, 0x80000104, 0x80000105, 0x80000107, 0x8000082C],
-    BadValue: [0x80000808, 0x80000821, 0x80000822, 0x8000082B],
+    WrongState: [0x80000101, 0x80000102, 0x80000103, 0x80000104, 0x80000105, 0x80000107],
+    Denied: [0x8000082C],
+    BadValue: [0x80000808, 0x80000821, 0x80000822, 0x8000082B, 0x8000082E],
     Unsupported: [
         *[0x80000F02, 0x80000F03, 0x80000823, 0x80000824, 0x80000825, 0x80000828],
-        *[0x80000204, 0x80000205, 0x80000207, 0x80000211],
+        *[0x80000204, 0x80000205, 0x80000207, 0x80000211, 0x80000832, 0x84002002],
     ],
     Busy: [0x80000110, 0x81001001, 0x82001001],
-    DeviceError: [0x80000201, 0x80000203, 0x80000302, 0x80000304],
+    DeviceError: [0x80000201, 0x80000203, 0x8000083F, 0x80000302, 0x80000304],
 }
 
 

@@ -64,6 +64,13 @@ def test_missing_camera_is_reported(stand_in: StandIn) -> None:
         open_camera(stand_in)
 
 
+def test_failed_init_is_undone(stand_in: StandIn) -> None:
+    stand_in.attach(0)
+    assert discover(library(stand_in)) == ()
+    stand_in.attach(1)
+    open_camera(stand_in).close()  # in the same process
+
+
 def test_camera_opens_after_other_program_releases_it(stand_in: StandIn) -> None:
     stand_in.hold()
     for _ in range(2):
@@ -155,6 +162,7 @@ def test_failed_start_can_be_repeated(stand_in: StandIn, camera: DcamCamera, fun
 
 @pytest.mark.parametrize("how", Plug)
 def test_unplugged_camera_is_lost_and_reopens(stand_in: StandIn, how: Plug) -> None:
+    stand_in.answer_while_busy()
     camera = open_camera(stand_in)
     camera.start()
     stand_in.unplug(how)
@@ -179,6 +187,7 @@ def test_unplugged_camera_is_lost_and_reopens(stand_in: StandIn, how: Plug) -> N
 @pytest.mark.parametrize("second", Plug)
 def test_second_unplug_reaches_waiting_reader(stand_in: StandIn, first: Plug, second: Plug) -> None:
     """Regression: the stand-in once hung waiting for the second unplug."""
+    stand_in.answer_while_busy()
     with open_camera(stand_in) as camera:
         camera.start()
         stand_in.unplug(first)

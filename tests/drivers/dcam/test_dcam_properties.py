@@ -131,6 +131,7 @@ def test_every_readable_property_is_reported(camera: DcamCamera) -> None:
         (Id.INTENSITYLUT_MODE, 3, "table"),
         (Id.PHOTONIMAGINGMODE, 1, "photon imaging"),
         (Id.CAPTUREMODE, 2, "calibration"),
+        (Id.EMCCD_CALIBRATIONMODE, 2, "calibrates its EM gain"),
     ],
 )
 def test_camera_filters_warn(camera: DcamCamera, identifier: Id, value: float, word: str) -> None:
@@ -145,6 +146,40 @@ def test_warm_sensor_warns(stand_in: StandIn, camera: DcamCamera) -> None:
     stand_in.break_cooler()
     (warning,) = camera.warnings()
     assert "cooler reports a fault at 12.5 degC" in warning
+
+
+def test_em_gain_is_prepared_for_camera_that_hides_it(stand_in: StandIn) -> None:
+    stand_in.hide_em_gain()
+    with open_camera(stand_in, amplifier="normal") as camera:
+        assert "DIRECT EM GAIN MODE" not in camera.properties()
+        camera.set_amplifier("em")
+        properties = camera.properties()
+        assert (properties["DIRECT EM GAIN MODE"], properties["EM GAIN PROTECT MODE"]) == ("ON", "ON")
+        camera.set_amplifier("normal")
+        assert camera.em_gain == 1.0
+
+
+def test_unsupported_string_or_attribute_spoils_no_record(stand_in: StandIn, camera: DcamCamera) -> None:
+    whole = camera.properties()
+    stand_in.fail("dcamdev_getstring", 0x80000808)  # INVALIDPARAM, of the first string
+    assert whole.keys() - camera.properties().keys() == {"bus"}
+    for function in ("dcamprop_getattr", "dcamprop_getname"):
+        stand_in.fail(function, 0x80000F03, after=20)
+        (missing,) = whole.keys() - camera.properties().keys()
+        assert missing.isupper()
+    stand_in.fail("dcamprop_getattr", 0x80000F03, after=1)  # asked whether the first property is an array
+    assert camera.properties().keys() == whole.keys()
+    stand_in.fail("dcamprop_getvaluetext", 0x80000F03)
+    assert camera.properties()["TRIGGER SOURCE"] == 1  # its number
+
+
+def test_black_frame_is_refused_if_its_cause_cannot_be_read(stand_in: StandIn, camera: DcamCamera) -> None:
+    stand_in.overexpose()
+    camera.start()
+    camera.read(1.0)
+    stand_in.fail("dcamprop_getvalue", 0x8000082C, times=2)
+    with pytest.raises(DeviceError, match="protects its EM register"):
+        camera.read(0.05)
 
 
 def test_unreadable_property_holds_error_message(stand_in: StandIn, camera: DcamCamera) -> None:

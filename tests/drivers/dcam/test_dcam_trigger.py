@@ -78,6 +78,18 @@ def test_software_trigger_fires_again_after_lost_frame(stand_in: StandIn) -> Non
         assert camera.read(1.0).index == 5
 
 
+def test_lost_frame_restarts_camera_that_ignores_next_trigger(stand_in: StandIn, camera: DcamCamera) -> None:
+    stand_in.jam_on_loss()
+    camera.set_trigger("software")
+    camera.start()
+    assert camera.read(1.0).index == 0
+    stand_in.lose(1)
+    for index in (2, 3):
+        frame = camera.read(1.0)
+        assert frame.index == index
+        assert frame.pixels[0, 0] == index - 2  # the camera counts from 0 again
+
+
 def test_refused_software_trigger_times_out(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="software") as camera:
         camera.start()
