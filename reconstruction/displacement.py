@@ -12,7 +12,7 @@ from reconstruction.modes.field_modes import FieldModes
 
 # Error of each coefficient without noise, taken as uncorrelated. On the screens of docs/estimator.md it is 0.001 px and
 # correlated along rows of lenslets; with 0.002 to 0.004 the residuals were least.
-SYSTEMATIC_PX = 0.003
+SYSTEMATIC_PX = 0.0025
 
 Outcomes = NDArray[np.int8]  # an `Outcome` for every lenslet
 

@@ -4,7 +4,7 @@ The parameters of all lenslets' warps (`sensitivity`) are linear in e_pq. One re
 them with the full covariance of each lenslet. Wavefronts of layered samples span a subspace (`layered_modes`): of
 119 x 10 coefficients 560 are free.
 
-The smoothness prior: each coefficient is normally distributed about zero with standard deviation s n^-5 t^m, n and m
+The smoothness prior: each coefficient is normally distributed about zero with standard deviation s n^-4 t^m, n and m
 the degrees of R_p and T_q. The strength s and the noise level maximise the evidence of the data (MacKay, Neural
 Computation 4, 415, 1992); t is fixed, because results hardly depend on it. So there may be as many modes as the lattice
 carries, and lost lenslets are bridged by their neighbours.
@@ -27,10 +27,12 @@ from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.runtime.compilation import compiled
 from reconstruction.solve.sensitivity import Lenslets, Sensitivity
 
-_PRIOR_EXPONENT = 5.0  # of the pupil degree
+_PRIOR_EXPONENT = 4.0  # of the pupil degree; 3 and 5 are less probable given the screens of docs/estimator.md
 _PRIOR_PER_FIELD_DEGREE = 0.5  # t; with 0.25 or 1, residuals changed by 15 % at most, in most cases by 3 %
 _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
-_INDISTINCT = 1e-6  # the same, below which modes cannot be told apart without a prior
+# Without a prior: largest variance of the wavefront in one component over the median component's. It is below 2000 for
+# as many modes as the lattice carries, and above 20 000 for a tenth more.
+_AMPLIFICATION = 1e4
 # Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
 _PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
 _BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
@@ -171,6 +173,7 @@ class ModalSolver:
         if field_degree is not None:
             scale = modes.degree[1:, None] ** -_PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
+        self._unknowns = basis.shape[1]
         self._singular, vectors = self._decompose(basis)
         self._scaled = basis @ vectors
         self._left_singular = self._scaled / self._singular  # to left singular vectors, see `_rows`
@@ -178,6 +181,8 @@ class ModalSolver:
             [self._rows(self._left_singular, some).astype(np.float32) for some in self._chunks()]
         ).T.copy()  # left singular vectors, (n, lenslet * K)
         self._equations = lru_cache(maxsize=16)(self._down_dated)
+        if not self._is_smooth:
+            self._equations(self._is_usable.astype(np.float64).tobytes())  # fails early
 
     def __call__(self, displacement: Displacement, *, weights: Floats | None = None) -> ModalSolution:
         """Fit the displacements of the valid lenslets inside the pupil.
@@ -246,7 +251,6 @@ class ModalSolver:
             rows = self._rows(basis, some)
             normal += rows.T @ rows
         square, vectors = np.linalg.eigh(normal)
-        self._require_distinct(square, int(np.count_nonzero(self._is_usable)))
         seen = square > _UNSEEN * square[-1]
         return np.sqrt(square[seen]), vectors[:, seen]
 
@@ -262,21 +266,29 @@ class ModalSolver:
             weighted = (1 - share[lost, None, None]) * missing
             left = np.eye(len(singular)) - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
             square, vectors = np.linalg.eigh(singular[:, None] * left * singular)
-            self._require_distinct(square, int(np.count_nonzero(share)))
             seen = square > _UNSEEN * max(square[-1], _TINY)
             singular, vectors = np.sqrt(square[seen]), vectors[:, seen]
             scaled = scaled @ vectors
         if self._is_smooth:  # extrapolate by one lenslet only
             known = self._modes.inside & ndimage.binary_dilation(known, structure=np.ones((3, 3), np.bool_))
         values = self._modes.values[1:, known]
-        return _Equations(
-            singular, vectors, scaled.astype(np.float32), known, values - values.mean(axis=1, keepdims=True)
-        )
+        values -= values.mean(axis=1, keepdims=True)
+        if not self._is_smooth:
+            self._require_distinct(values, scaled / singular)
+        return _Equations(singular, vectors, scaled.astype(np.float32), known, values)
 
-    def _require_distinct(self, square: Floats, lenslets: int) -> None:
-        if not self._is_smooth and not square[0] > _INDISTINCT * square[-1]:
+    def _require_distinct(self, values: Floats, scaled: Floats) -> None:
+        """Raise if a component without a prior is unseen, or its noise dominates the wavefront at the lenslets.
+
+        `values` (pupil_mode - 1, lenslet); `scaled` (coefficient, n), coefficients per unit of noise.
+        """
+        wavefronts = np.tensordot(values, scaled.reshape(len(values), -1, scaled.shape[1]), axes=(0, 0))
+        flat = wavefronts.reshape(-1, scaled.shape[1])
+        variance = np.linalg.eigvalsh(flat.T @ flat)
+        is_unseen = scaled.shape[1] < self._unknowns
+        if is_unseen or variance[-1] > _AMPLIFICATION * np.median(variance):
             raise ReconstructionError(
-                f"{lenslets} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
+                f"{values.shape[1]} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
                 " lower pupil_modes, or leave it out"
             )
 
