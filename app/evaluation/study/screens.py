@@ -97,8 +97,10 @@ def _ensembles(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseRes
 def _refined(
     warp: Warp, estimator: WarpEstimator, length_m: float, film: dict[int, NoiseFreeFrame]
 ) -> Iterator[CaseResult]:
-    """Refine the newest frame by itself, then by the frames before it."""
+    """Follow a film in one pass; refine the newest frame by itself, then by the frames before it."""
     newest = film[0]
+    wavefront = _one_pass_live(estimator, [film[seconds] for seconds in reversed(_FILM_S)])
+    yield compared(f"{warp}, live", length_m, wavefront, newest.truth)
     rounds = estimator.rounds(estimator.reconstructor.register(newest.photons))
     for count, (wavefront, seconds) in enumerate(rounds, 1):
         yield compared(f"{warp}, refined {count}x", length_m, wavefront, newest.truth, seconds=seconds)
@@ -106,6 +108,14 @@ def _refined(
         frames = [film[age_s * back] for back in reversed(range(ROUNDS + 1))]
         wavefront = _refined_live(estimator, frames)
         yield compared(f"{warp}, refined live, {age_s} s old", length_m, wavefront, newest.truth)
+
+
+def _one_pass_live(estimator: WarpEstimator, film: Sequence[NoiseFreeFrame]) -> Wavefront:
+    """Register each frame from the displacement of the one before it, as the acquisition does."""
+    displacement = estimator.reconstructor.register(film[0].photons)
+    for frame in film[1:]:
+        displacement = estimator.reconstructor.register(frame.photons, start=displacement)
+    return estimator.reconstructor.solve(displacement)
 
 
 def _refined_live(estimator: WarpEstimator, film: Sequence[NoiseFreeFrame]) -> Wavefront:
