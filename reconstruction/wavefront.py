@@ -11,7 +11,7 @@ from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import Displacement
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.modal_solution import ModalSolution
 
 
 class Solution(Protocol):

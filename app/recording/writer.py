@@ -37,7 +37,7 @@ from app.recording.frame_lines import FrameLine
 from app.run_facts import now, software_facts, write_record
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
-from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import rms
 
 T = TypeVar("T")

@@ -21,7 +21,7 @@ from app.results.view_quality import Variable, about, point_spread, structure, t
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.quality.image_quality import psf
-from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 if TYPE_CHECKING:  # opening a file needs no reconstruction

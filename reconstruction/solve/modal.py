@@ -14,17 +14,17 @@ prepared equations by down-dating.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
-from reconstruction.runtime.compilation import compiled
+from reconstruction.solve.evidence import maximize_evidence
+from reconstruction.solve.modal_solution import Equations, ModalSolution
 from reconstruction.solve.sensitivity import Lenslets, Sensitivity
 
 _PRIOR_EXPONENT = 4.0  # of the pupil degree; 3 and 5 are less probable given the screens of docs/estimator.md
@@ -33,101 +33,9 @@ _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 # Without a prior: largest variance of the wavefront in one component over the median component's. It is below 2000 for
 # as many modes as the lattice carries, and above 20 000 for a tenth more.
 _AMPLIFICATION = 1e4
-# Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
-_PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
-_BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
-_FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per logarithm
 _LEAST_NOISE = 1e-6  # variance of the noise over that of the systematic error, below which the noise is unknown
 _AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
 _TINY = np.finfo(np.float64).tiny
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
-    """The problem of some lenslets in independent components: data = singular x + noise, e = scaled x."""
-
-    singular: Floats  # (n,)
-    vectors: Floats | None  # of the down-dated equations in the prepared components, (n, n); None if these are all
-    scaled: Image  # ((pupil_mode - 1) * field_mode, n)
-    known: Mask  # where the wavefront is known, (lenslet_row, lenslet_column)
-    values: Floats  # of the pupil modes there, minus their means, (pupil_mode - 1, known lenslet)
-
-
-@dataclass(frozen=True, eq=False)
-class ModalSolution:
-    """Dual-orthogonal coefficients of one wavefront; error bars are computed on request."""
-
-    coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
-    _equations: _Equations
-    _variance: Floats  # of the components x, (n,)
-    _freedom: float  # number of data minus that of the components which they determine
-    _displacement: Displacement
-    _parameters: Floats  # (K, 2Q)
-    _fitted: Callable[[], Floats]  # parameters of the fit, px, (lenslet, K)
-
-    @property
-    def known(self) -> Mask:
-        """Lenslets at which the wavefront is known, (lenslet_row, lenslet_column)."""
-        return self._equations.known
-
-    def wavefront(self, field_modes: Floats) -> Floats:
-        """Wavefront, rad, for values (..., field_mode) of the field modes; see `wavefront.Solution`."""
-        phase = field_modes @ (self.coefficients[1:].T @ self._equations.values)
-        if phase.shape[-1] == self.known.size:
-            return phase.reshape(*phase.shape[:-1], *self.known.shape)
-        wavefront = np.full((*phase.shape[:-1], *self.known.shape), np.nan)
-        wavefront[..., self.known] = phase
-        return wavefront
-
-    def sigma(self, field_modes: Floats) -> Floats:
-        """Standard deviation of `wavefront`, rad, the same shape."""
-        values = self._equations.values.T.astype(np.float32)
-        flat = field_modes.reshape(-1, field_modes.shape[-1]).astype(np.float32)
-        sigma = np.full((len(flat), *self.known.shape), np.nan)
-        for view, at in enumerate(flat):
-            sigma[view, self.known] = np.linalg.norm(values @ (at @ self._root_covariance), axis=1)
-        return sigma.reshape(*field_modes.shape[:-1], *self.known.shape)
-
-    @cached_property
-    def coefficients_sigma(self) -> Floats:
-        """Standard deviation of each coefficient, rad, (pupil_mode, field_mode); zero for the piston."""
-        sigma = np.zeros_like(self.coefficients)
-        sigma[1:] = np.linalg.norm(self._root_covariance, axis=-1)
-        return sigma
-
-    @property
-    def covariance(self) -> Floats:
-        """Covariance of the coefficients, rad^2, (pupil_mode - 1, field_mode) twice; without the piston.
-
-        It includes the noise of the displacements and what the prior suppresses.
-        """
-        shape = self._root_covariance.shape[:2]
-        flat = self._root_covariance.reshape(-1, len(self._variance)).astype(np.float64)
-        return (flat @ flat.T).reshape(*shape, *shape)
-
-    @cached_property
-    def misfit(self) -> Floats:
-        """Displacements minus those of the fit, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where lost."""
-        coefficients = self._displacement.coefficients
-        fitted = (self._fitted() @ self._parameters).reshape(*coefficients.shape[:2], 2, -1)
-        return coefficients - np.swapaxes(fitted, 2, 3)
-
-    @cached_property
-    def chi_square(self) -> float:
-        """Reduced chi-square of the displacements about the fit: about 1 if the misfit is noise."""
-        lenslets, valid = self._displacement.valid.size, self._displacement.valid.ravel() & self.known.ravel()
-        misfit = np.swapaxes(self.misfit, 2, 3).reshape(lenslets, -1)[valid] @ self._parameters.T
-        covariance = self._displacement.covariance.reshape(lenslets, *self.misfit.shape[2:], *self.misfit.shape[2:])
-        covariance = covariance[valid].transpose(0, 2, 1, 4, 3).reshape(len(misfit), *2 * self._parameters.shape[1:])
-        variance = np.einsum("ka,lab,kb->lk", self._parameters, covariance, self._parameters, optimize=True)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return float(np.sum(misfit**2 / variance) / self._freedom)
-
-    @cached_property
-    def _root_covariance(self) -> Image:
-        """Square root of the covariance, (pupil_mode - 1, field_mode, n)."""
-        root = self._equations.scaled * np.sqrt(self._variance).astype(np.float32)
-        return root.reshape(len(self.coefficients) - 1, self.coefficients.shape[1], -1)
 
 
 class ModalSolver:
@@ -205,7 +113,7 @@ class ModalSolver:
         )
         square = singular**2
         if self._is_smooth:
-            ratio, noise = _maximize_evidence(square / np.max(square), along, total, count)
+            ratio, noise = maximize_evidence(square / np.max(square), along, total, count)
             ratio /= np.max(square)
             variance = ratio / (1 + ratio * square)  # over that of the noise
         else:
@@ -254,7 +162,7 @@ class ModalSolver:
         seen = square > _UNSEEN * square[-1]
         return np.sqrt(square[seen]), vectors[:, seen]
 
-    def _down_dated(self, share_bytes: bytes) -> _Equations:
+    def _down_dated(self, share_bytes: bytes) -> Equations:
         """The equations of lenslets with that share of their certainty, (lenslet,)."""
         share = np.frombuffer(share_bytes)
         known = (share > 0).reshape(self._modes.inside.shape)
@@ -275,7 +183,7 @@ class ModalSolver:
         values -= values.mean(axis=1, keepdims=True)
         if not self._is_smooth:
             self._require_distinct(values, scaled / singular)
-        return _Equations(singular, vectors, scaled.astype(np.float32), known, values)
+        return Equations(singular, vectors, scaled.astype(np.float32), known, values)
 
     def _require_distinct(self, values: Floats, scaled: Floats) -> None:
         """Raise if a component without a prior is unseen, or its noise dominates the wavefront at the lenslets.
@@ -310,35 +218,3 @@ def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Flo
     expected = (1 + SYSTEMATIC_PX**2 / usual) * of_noise + _LEAST_NOISE * usual * alike
     expected[~is_known] = alike
     return expected, is_known, usual / (usual + SYSTEMATIC_PX**2)
-
-
-@compiled
-def _maximize_evidence(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
-    """Most probable ratio of prior to noise variance, and noise variance.
-
-    `square` (n,): squared singular values, at most 1; `along` (n,): the `count` data along the singular vectors;
-    `total`: their sum of squares. Component n has the variance noise (1 + ratio square_n), the rest only noise. The
-    noise follows from the ratio in closed form; its variance is at least 1, that of the expected errors.
-    """
-    energy = along**2
-    beyond = max(total - np.sum(energy), 0.0)
-    decade, most_probable = 0.0, 0.0
-    for tried in (_PRIOR_DECADES, _BETWEEN_DECADES):
-        around, best = decade, -np.inf
-        for between in tried:
-            evidence, noise = _evidence(10.0 ** (around + between), square, energy, beyond, count)
-            if evidence > best:
-                best, decade, most_probable = evidence, around + between, noise
-    return 10.0**decade, most_probable
-
-
-@compiled
-def _evidence(ratio: float, square: Floats, energy: Floats, beyond: float, count: int) -> tuple[float, float]:
-    """Log evidence of one ratio, up to a constant, and the most probable noise variance."""
-    spread = 1.0 + ratio * square
-    total = np.sum(energy / spread) + beyond
-    noise = max(total / count, 1.0)
-    evidence = -(count * np.log(noise) + total / noise) / 2
-    for first in range(0, spread.size, _FACTORS):
-        evidence -= np.log(np.prod(spread[first : first + _FACTORS])) / 2
-    return evidence, noise

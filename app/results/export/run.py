@@ -19,7 +19,7 @@ from app.results.export.images import psf_grid, psf_reach, write_psf_grid, write
 from app.results.replay.run import first_bench
 from reconstruction.arrays import Floats
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 T = TypeVar("T")

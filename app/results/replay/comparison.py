@@ -13,7 +13,7 @@ from app.results.view_quality import Variable, about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.refinement import mean_rms
-from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 _VIEW = ("view_row", "view_column")

@@ -35,7 +35,7 @@ from app.measurement.routines.averages import Average
 from app.recording.reader import Recording
 from drivers.interface import Frame
 from reconstruction.settings import ReconstructionSettings
-from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
 DOCUMENT = DOCS / "streams.md"

@@ -27,7 +27,7 @@ from app.results.export.images import psf_grid, psf_reach, write_psf_grid, write
 from app.results.export.run import Format, export
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import diffraction_rad
-from reconstruction.solve.modal import ModalSolution
+from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import rms
 
 SENSOR = sensor_of(7, 9)

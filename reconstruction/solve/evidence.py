@@ -1,0 +1,46 @@
+"""Strength of the smoothness prior and noise level, by the evidence of the data.
+
+MacKay, Neural Computation 4, 415 (1992).
+"""
+
+import numpy as np
+
+from reconstruction.arrays import Floats
+from reconstruction.runtime.compilation import compiled
+
+# Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
+_PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
+_BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
+_FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per logarithm
+
+
+@compiled
+def maximize_evidence(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
+    """Most probable ratio of prior to noise variance, and noise variance.
+
+    `square` (n,): squared singular values, at most 1; `along` (n,): the `count` data along the singular vectors;
+    `total`: their sum of squares. Component n has the variance noise (1 + ratio square_n), the rest only noise. The
+    noise follows from the ratio in closed form; its variance is at least 1, that of the expected errors.
+    """
+    energy = along**2
+    beyond = max(total - np.sum(energy), 0.0)
+    decade, most_probable = 0.0, 0.0
+    for tried in (_PRIOR_DECADES, _BETWEEN_DECADES):
+        around, best = decade, -np.inf
+        for between in tried:
+            evidence, noise = _evidence(10.0 ** (around + between), square, energy, beyond, count)
+            if evidence > best:
+                best, decade, most_probable = evidence, around + between, noise
+    return 10.0**decade, most_probable
+
+
+@compiled
+def _evidence(ratio: float, square: Floats, energy: Floats, beyond: float, count: int) -> tuple[float, float]:
+    """Log evidence of one ratio, up to a constant, and the most probable noise variance."""
+    spread = 1.0 + ratio * square
+    total = np.sum(energy / spread) + beyond
+    noise = max(total / count, 1.0)
+    evidence = -(count * np.log(noise) + total / noise) / 2
+    for first in range(0, spread.size, _FACTORS):
+        evidence -= np.log(np.prod(spread[first : first + _FACTORS])) / 2
+    return evidence, noise

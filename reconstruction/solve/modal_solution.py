@@ -1,0 +1,98 @@
+"""Wavefront and error bars of the modal reconstruction, evaluated on request."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.displacement import Displacement
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equations:
+    """The problem of some lenslets in independent components: data = singular x + noise, e = scaled x."""
+
+    singular: Floats  # (n,)
+    vectors: Floats | None  # of the down-dated equations in the prepared components, (n, n); None if these are all
+    scaled: Image  # ((pupil_mode - 1) * field_mode, n)
+    known: Mask  # where the wavefront is known, (lenslet_row, lenslet_column)
+    values: Floats  # of the pupil modes there, minus their means, (pupil_mode - 1, known lenslet)
+
+
+@dataclass(frozen=True, eq=False)
+class ModalSolution:
+    """Dual-orthogonal coefficients of one wavefront; error bars are computed on request."""
+
+    coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
+    _equations: Equations
+    _variance: Floats  # of the components x, (n,)
+    _freedom: float  # number of data minus that of the components which they determine
+    _displacement: Displacement
+    _parameters: Floats  # (K, 2Q)
+    _fitted: Callable[[], Floats]  # parameters of the fit, px, (lenslet, K)
+
+    @property
+    def known(self) -> Mask:
+        """Lenslets at which the wavefront is known, (lenslet_row, lenslet_column)."""
+        return self._equations.known
+
+    def wavefront(self, field_modes: Floats) -> Floats:
+        """Wavefront, rad, for values (..., field_mode) of the field modes; see `wavefront.Solution`."""
+        phase = field_modes @ (self.coefficients[1:].T @ self._equations.values)
+        if phase.shape[-1] == self.known.size:
+            return phase.reshape(*phase.shape[:-1], *self.known.shape)
+        wavefront = np.full((*phase.shape[:-1], *self.known.shape), np.nan)
+        wavefront[..., self.known] = phase
+        return wavefront
+
+    def sigma(self, field_modes: Floats) -> Floats:
+        """Standard deviation of `wavefront`, rad, the same shape."""
+        values = self._equations.values.T.astype(np.float32)
+        flat = field_modes.reshape(-1, field_modes.shape[-1]).astype(np.float32)
+        sigma = np.full((len(flat), *self.known.shape), np.nan)
+        for view, at in enumerate(flat):
+            sigma[view, self.known] = np.linalg.norm(values @ (at @ self._root_covariance), axis=1)
+        return sigma.reshape(*field_modes.shape[:-1], *self.known.shape)
+
+    @cached_property
+    def coefficients_sigma(self) -> Floats:
+        """Standard deviation of each coefficient, rad, (pupil_mode, field_mode); zero for the piston."""
+        sigma = np.zeros_like(self.coefficients)
+        sigma[1:] = np.linalg.norm(self._root_covariance, axis=-1)
+        return sigma
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the coefficients, rad^2, (pupil_mode - 1, field_mode) twice; without the piston.
+
+        It includes the noise of the displacements and what the prior suppresses.
+        """
+        shape = self._root_covariance.shape[:2]
+        flat = self._root_covariance.reshape(-1, len(self._variance)).astype(np.float64)
+        return (flat @ flat.T).reshape(*shape, *shape)
+
+    @cached_property
+    def misfit(self) -> Floats:
+        """Displacements minus those of the fit, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where lost."""
+        coefficients = self._displacement.coefficients
+        fitted = (self._fitted() @ self._parameters).reshape(*coefficients.shape[:2], 2, -1)
+        return coefficients - np.swapaxes(fitted, 2, 3)
+
+    @cached_property
+    def chi_square(self) -> float:
+        """Reduced chi-square of the displacements about the fit: about 1 if the misfit is noise."""
+        lenslets, valid = self._displacement.valid.size, self._displacement.valid.ravel() & self.known.ravel()
+        misfit = np.swapaxes(self.misfit, 2, 3).reshape(lenslets, -1)[valid] @ self._parameters.T
+        covariance = self._displacement.covariance.reshape(lenslets, *self.misfit.shape[2:], *self.misfit.shape[2:])
+        covariance = covariance[valid].transpose(0, 2, 1, 4, 3).reshape(len(misfit), *2 * self._parameters.shape[1:])
+        variance = np.einsum("ka,lab,kb->lk", self._parameters, covariance, self._parameters, optimize=True)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return float(np.sum(misfit**2 / variance) / self._freedom)
+
+    @cached_property
+    def _root_covariance(self) -> Image:
+        """Square root of the covariance, (pupil_mode - 1, field_mode, n)."""
+        root = self._equations.scaled * np.sqrt(self._variance).astype(np.float32)
+        return root.reshape(len(self.coefficients) - 1, self.coefficients.shape[1], -1)
