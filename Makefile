@@ -19,7 +19,7 @@ help:
 setup: qt-libraries .venv/ready ## make .venv; with root, install the system libraries of Qt
 
 run: setup ## the live window on the simulated bench
-	.venv/bin/svwfs live
+	.venv/bin/svwfs live --overwrite
 
 # Some tests wait for a clock, so one process more than a small computer has cores; each has one thread of linear
 # algebra. The tests of a file stay together because they share fixtures.

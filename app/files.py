@@ -1,8 +1,11 @@
-"""Image files and atomic writes."""
+"""Image files, and the one way to write any file: checked, atomic and durable."""
 
 import logging
+import math
 import os
-from collections.abc import Iterator
+import secrets
+import sys
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,16 +16,18 @@ from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
 
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
+_MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
+
 
 def read_image(path: Path) -> NDArray[Any]:
     """Read a grey image (row, column) from a TIFF or NPY file; `InputError` if it is not one."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
+    check_readable(path)
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file raises below
     try:
-        image = np.load(path, allow_pickle=False) if path.suffix.lower() == ".npy" else tifffile.imread(path)
+        image = _read_npy(path) if path.suffix.lower() == ".npy" else _read_tiff(path)
     except Exception as error:
-        raise InputError(f"{path}: cannot be read as TIFF or NPY: {error}") from error
+        raise InputError(f"{path}: cannot be read as TIFF or NPY: {in_words(error)}") from error
     if not isinstance(image, np.ndarray) or image.ndim != 2 or 0 in image.shape:
         shape = " x ".join(str(length) for length in np.shape(image)) or "nothing"
         raise InputError(f"{path}: holds {shape}; one grey image is needed (rows x columns)")
@@ -31,12 +36,43 @@ def read_image(path: Path) -> NDArray[Any]:
     return image
 
 
+def _read_npy(path: Path) -> NDArray[Any]:
+    with path.open("rb") as file:
+        if file.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
+            raise ValueError("it does not begin as an NPY file")
+    mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # fails if the file is shorter than its header says
+    return np.array(mapped)
+
+
+def _read_tiff(path: Path) -> NDArray[Any]:
+    with tifffile.TiffFile(path) as file:
+        series = file.series[0]
+        if math.prod(series.shape) > _MOST_PIXELS:
+            raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
+        return series.asarray()
+
+
+def check_readable(path: Path) -> None:
+    """Raise `InputError` if a path is no file: a folder, a pipe, or nothing at all."""
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be used: {in_words(error)}") from error
+
+
+def in_words(error: BaseException) -> str:
+    """Say in one line why something failed."""
+    text = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
+    return " ".join(text.split()) or type(error).__name__
+
+
 def make_folder(path: Path) -> None:
     """Make a folder and its parents unless they exist."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RunError(f"{path}: the folder cannot be made: {error.strerror or error}") from error
+        raise RunError(f"{path}: the folder cannot be made: {in_words(error)}") from error
 
 
 def nearest_existing(path: Path) -> Path:
@@ -44,21 +80,87 @@ def nearest_existing(path: Path) -> Path:
     return next(each for each in (path.absolute(), *path.absolute().parents) if each.exists())
 
 
+def check_writable(folder: Path) -> None:
+    """Raise `InputError` if nothing can be written into a folder, which need not exist yet."""
+    existing = nearest_existing(folder)
+    if not existing.is_dir():
+        raise InputError(f"{existing}: not a folder")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"{existing}: no permission to write there")
+
+
+def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
+    """Check the files that a command will write before it begins.
+
+    Parameters
+    ----------
+    outputs
+        The files; None stands for an option that was not given.
+    inputs
+        Files and folders that the command reads.
+    overwrite
+        Whether existing files may be replaced; inputs never are.
+
+    Raises
+    ------
+    InputError
+        If an output is an input, lies in an input folder or is named twice, or exists and must not be replaced.
+    """
+    taken = [path for path in inputs if path is not None]
+    for path in outputs:
+        if path is None:
+            continue
+        try:
+            if any(_is_part(path, other) for other in taken):
+                raise InputError(f"{path}: is used by this command already; give the output another name")
+            if os.path.lexists(path) and not overwrite:
+                raise InputError(f"{path}: exists already; --overwrite replaces it")
+            if not path.name or (path.exists() and not path.is_file()):
+                raise InputError(f"{path}: not a file that can be written")
+            check_writable(path.parent)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be used: {in_words(error)}") from error
+        taken.append(path)
+
+
+def _is_part(path: Path, other: Path) -> bool:
+    if Path(os.path.realpath(path)).is_relative_to(os.path.realpath(other)):
+        return True
+    return path.exists() and other.exists() and path.samefile(other)  # a hard link
+
+
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path that replaces `path` on success and is deleted on failure (atomic write)."""
+    """Yield an empty file that replaces `path` on success and is deleted on failure (atomic write).
+
+    Its name cannot be predicted, so that nobody else can put a link there. It is on the disk before it replaces `path`.
+    """
     if not path.name or (path.exists() and not path.is_file()):
         raise RunError(f"{path}: not a file that can be written")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial{path.suffix}")
+    temporary = path.with_name(f".{secrets.token_hex(8)}.partial{path.suffix}")
     try:
         make_folder(path.parent)
+        os.close(os.open(temporary, _NEW, 0o666))
         try:
             yield temporary
+            sync(temporary)
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+        sync(path.parent)
     except OSError as error:
-        raise RunError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise RunError(f"{path}: cannot be written: {in_words(error)}") from error
+
+
+def sync(path: Path) -> None:
+    """Force a file, or the names in a folder, to the disk, so that they survive a power failure."""
+    if sys.platform == "win32" and path.is_dir():  # it cannot be opened there
+        return
+    file = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
 
 
 def write_image(path: Path, image: NDArray[Any]) -> None:

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args, ge
 import cattrs
 import tomli_w
 
-from app.bench.presets import PRESETS
+from app.bench.bench_files import bench_file, read_bench_text
 from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
+from app.files import in_words
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
@@ -142,16 +143,8 @@ def drivers_of(kind: Any) -> dict[str, type]:
 
 def load_bench(source: str | Path, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
     """Read a bench from a TOML file or a preset; see `parse_bench`."""
-    name = str(source)
-    path = Path(source) if Path(source).exists() else PRESETS.get(name, Path(source))
-    try:
-        text = path.read_text("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name}: not a text file") from error
-    except OSError as error:
-        known = ", ".join(PRESETS)
-        raise InputError(f"{name}: {error.strerror}; give a bench TOML or a preset ({known})") from error
-    return parse_bench(text, name, overrides, is_recorded=is_recorded)
+    text = read_bench_text(Path(source) if is_recorded else bench_file(source))
+    return parse_bench(text, str(source), overrides, is_recorded=is_recorded)
 
 
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
@@ -175,8 +168,8 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     """
     try:
         tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name}: not valid TOML: {error}") from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{name}: not valid TOML: {in_words(error)}") from error
     of_registration = tree.get("registration", {})
     if is_recorded and isinstance(of_registration, dict) and "rotation" not in of_registration:
         for (section, key), value in _OF_VERSION_0_1.items():
@@ -224,8 +217,9 @@ def _override(tree: dict[str, Any], override: str) -> None:
     path, equals, value = override.partition("=")
     *sections, key = path.strip().split(".")
     try:
-        parsed = tomllib.loads(f"value = {value}")["value"] if equals else None
-    except tomllib.TOMLDecodeError:
+        read = tomllib.loads(f"value = {value}") if equals else {}
+        parsed = read["value"] if len(read) == 1 else None  # a line break would begin another setting
+    except (tomllib.TOMLDecodeError, RecursionError):
         parsed = value.strip()  # a bare word is a string
     if parsed is None or not sections or not key:
         raise InputError(f"setting {override!r}: write section.key=value, for example registration.warp=affine")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import gettempdir
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.cli.options import BenchOption, SeedsOption, SetOption, load
+from app.cli.options import BenchOption, OverwriteOption, SeedsOption, SetOption, bench_file, load
 from app.errors import InputError, RunError
+from app.files import check_outputs
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
@@ -50,6 +52,7 @@ def study(
         ),
     ] = None,
     bench: BenchOption = "paper_simulation",
+    overwrite: OverwriteOption = False,
     setting: SetOption = None,
 ) -> None:
     """Measure the estimator's error against the truth.
@@ -62,15 +65,21 @@ def study(
     """
     from app.evaluation.study.catalogue import chosen_studies
 
-    _run(chosen_studies(names or [], frames), load(bench, setting), seeds, out)
+    studies = chosen_studies(names or [], frames)
+    inputs = [bench_file(bench), *(Path(name) for name in names or [])]
+    _run(studies, load(bench, setting), seeds, out, inputs=inputs, overwrite=overwrite)
 
 
-def _run(studies: list[Study], bench: Bench, seeds: int, out: Path) -> None:
+def _run(
+    studies: Sequence[Study], bench: Bench, seeds: int, out: Path, *, inputs: Iterable[Path] = (), overwrite: bool
+) -> None:
     """Run studies under a progress bar and print their results."""
     from app.cli.tables import progress_bar
     from app.evaluation.run_studies import run_studies
+    from app.evaluation.study_files import files_of
     from app.evaluation.study_tables import print_results
 
+    check_outputs(files_of(studies, out), inputs=inputs, overwrite=overwrite)
     with progress_bar() as progress:
         results = run_studies(bench, studies, seeds, out, progress)
     print_results(results)
@@ -100,6 +109,7 @@ def benchmark(
         str | None,
         typer.Option("--bench", "-b", metavar="TOML", help=f"With --live: simulated bench [default: {_LIVE_BENCH}]."),
     ] = None,
+    overwrite: OverwriteOption = False,
     setting: SetOption = None,
 ) -> None:
     """Measure the speed beside other libraries.
@@ -110,6 +120,7 @@ def benchmark(
 
     Example: svwfs benchmark --live 60 --check
     """
+    check_outputs([json], overwrite=overwrite)
     if live is not None:
         settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
         loaded = load(bench or _LIVE_BENCH, list(settings))
@@ -166,6 +177,7 @@ def table1(
     out: OutOption,
     seeds: SeedsOption = 1,
     peers: PeersOption = False,
+    overwrite: OverwriteOption = False,
     bench: BenchOption = "paper_simulation",
     setting: SetOption = None,
 ) -> None:
@@ -175,7 +187,7 @@ def table1(
     """
     from app.evaluation.paper import paper_tables
 
-    _run([paper_tables.table1(peers=peers)], load(bench, setting), seeds, out)
+    _run([paper_tables.table1(peers=peers)], load(bench, setting), seeds, out, overwrite=overwrite)
 
 
 @paper.command()
@@ -184,6 +196,7 @@ def table2(
     out: OutOption,
     seeds: SeedsOption = 1,
     peers: PeersOption = False,
+    overwrite: OverwriteOption = False,
     bench: BenchOption = "paper_experiment",
     setting: SetOption = None,
 ) -> None:
@@ -193,12 +206,17 @@ def table2(
     """
     from app.evaluation.paper import paper_tables
 
-    _run([paper_tables.table2(peers=peers)], load(bench, setting), seeds, out)
+    _run([paper_tables.table2(peers=peers)], load(bench, setting), seeds, out, overwrite=overwrite)
 
 
 @paper.command()
 def sources(
-    *, out: OutOption, seeds: SeedsOption = 1, bench: BenchOption = "paper_simulation", setting: SetOption = None
+    *,
+    out: OutOption,
+    seeds: SeedsOption = 1,
+    overwrite: OverwriteOption = False,
+    bench: BenchOption = "paper_simulation",
+    setting: SetOption = None,
 ) -> None:
     """The supplement's study of other source shapes.
 
@@ -206,4 +224,4 @@ def sources(
     """
     from app.evaluation.paper import paper_tables
 
-    _run([paper_tables.sources()], load(bench, setting), seeds, out)
+    _run([paper_tables.sources()], load(bench, setting), seeds, out, overwrite=overwrite)

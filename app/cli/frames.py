@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from app.cli.options import BenchOption, SetOption, load
+from app.cli.options import BenchOption, OverwriteOption, SetOption, bench_file, load
+from app.files import check_outputs
 
 
 def calibrate(
@@ -17,7 +18,7 @@ def calibrate(
     dark: Annotated[Path | None, typer.Option(help="Frame with the light off.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Picture of the frame with its lenslets: PNG, PDF or SVG.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file given by --out.")] = False,
+    overwrite: OverwriteOption = False,
     setting: SetOption = None,
 ) -> None:
     """Find the lenslet lattice in a reference frame.
@@ -30,11 +31,10 @@ def calibrate(
     import json
 
     from app.cli.tables import progress_bar
-    from app.commands.calibrate import as_numbers, check_out, differences, summary, write_calibrated
+    from app.commands.calibrate import as_numbers, differences, summary, write_calibrated
     from app.commands.calibrate import calibrate as run
 
-    if out is not None:
-        check_out(out, overwrite=overwrite)
+    check_outputs((out, plot), inputs=(reference, dark, bench_file(bench)), overwrite=overwrite)
     if plot is not None:
         from app.results.plot import check_plot_path
 
@@ -64,14 +64,17 @@ def simulate(
     noise_free: Annotated[
         bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")
     ] = False,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Simulate dark, reference and frame, with the true wavefronts.
 
     Example: svwfs simulate --bench paper_simulation --out simulated
     """
     from app.cli.tables import progress_bar
+    from app.commands.simulate import files_of
     from app.commands.simulate import simulate as run
 
+    check_outputs(files_of(out), inputs=(bench_file(bench),), overwrite=overwrite)
     loaded = load(bench, setting)
     with progress_bar() as progress:
         run(loaded, out, noise_free=noise_free, progress=lambda fraction: progress("rendering", fraction))
@@ -89,6 +92,7 @@ def reconstruct(
     refine: Annotated[
         int, typer.Option(min=0, max=100, help="Maximum rounds of refinement with the forward model.")
     ] = 0,
+    overwrite: OverwriteOption = False,
     setting: SetOption = None,
 ) -> None:
     """Reconstruct the wavefronts of one frame from image files.
@@ -100,6 +104,7 @@ def reconstruct(
     from app.results.dataset import result_dataset, write_results
     from app.results.plot import check_plot_path, plot_views
 
+    check_outputs((out, plot), inputs=(frame, reference, dark, bench_file(bench)), overwrite=overwrite)
     if plot is not None:
         check_plot_path(plot)
     loaded = load(bench, setting)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.options import BenchOption, FramesOption, SetOption, load
+from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, load
 from app.errors import InputError
 
 _LIVE_OUT = Path("svwfs-output")
@@ -33,6 +33,7 @@ def live(
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for screenshot, results and timings of such a run.")] = _LIVE_OUT,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Open the window with live wavefronts at every field position.
 
@@ -46,11 +47,13 @@ def live(
     if replay is None:
         if frames is not None:
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
-        raise typer.Exit(live_window(load(bench or _LIVE_BENCH, setting), seconds=seconds, out=out))
+        raise typer.Exit(
+            live_window(load(bench or _LIVE_BENCH, setting), seconds=seconds, out=out, overwrite=overwrite)
+        )
     from app.results.replay.player import Player
 
     player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
-    raise typer.Exit(live_window(player.bench, seconds=seconds, out=out, player=player))
+    raise typer.Exit(live_window(player.bench, seconds=seconds, out=out, overwrite=overwrite, player=player))
 
 
 def measure(
@@ -68,6 +71,7 @@ def measure(
     auto_expose: Annotated[
         bool, typer.Option("--auto-expose", help="Find the exposure first, without the sample: bright, not saturated.")
     ] = False,
+    overwrite: OverwriteOption = False,
     setting: SetOption = None,
 ) -> None:
     """Measure without a window: dark, reference, frames, results.
@@ -89,7 +93,9 @@ def measure(
 
     loaded = load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
     with progress_bar() as progress:
-        measured = run(loaded, frames, out, progress, average=average or FRAMES, auto_expose=auto_expose)
+        measured = run(
+            loaded, frames, out, progress, average=average or FRAMES, auto_expose=auto_expose, overwrite=overwrite
+        )
     print_measurement(measured, out)
 
 

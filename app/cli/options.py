@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -22,6 +23,16 @@ FramesOption = Annotated[
     str | None, typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded.")
 ]
 SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
+
+
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, except inputs.")]
+
+
+def bench_file(bench: str) -> Path:
+    """Return the file of a bench, an input that no output may replace."""
+    from app.bench.bench_files import bench_file as find
+
+    return find(bench)
 
 
 def load(bench: str, setting: list[str] | None) -> Bench:

@@ -5,10 +5,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from app.cli.options import FramesOption, SetOption
+from app.cli.options import FramesOption, OverwriteOption, SetOption
 
 RecordingArgument = Annotated[Path, typer.Argument(help="Folder of a recording.")]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
 
 
 def recover(recording: RecordingArgument) -> None:
@@ -37,6 +36,7 @@ def replay(
     setting: SetOption = None,
     frames: FramesOption = None,
     out: Annotated[Path | None, typer.Option(help="NetCDF file for the results.")] = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Reconstruct the frames of a recording again.
 
@@ -58,6 +58,7 @@ def replay(
             settings=tuple(setting or ()),
             frames=frames,
             out=out,
+            overwrite=overwrite,
             verify=verify,
             progress=progress,
         )

@@ -9,8 +9,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from app.bench.bench_files import bench_file, read_bench_text
 from app.bench.config import Bench, parse_bench, write_bench
-from app.bench.presets import PRESETS
 from app.errors import InputError
 from app.files import atomic_write, read_image
 from app.measurement.bench_reconstructor import full_scale_of
@@ -108,16 +108,9 @@ def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | list[str]
     }
 
 
-def check_out(path: Path, *, overwrite: bool) -> None:
-    """Raise `InputError` if the output file exists and must not be replaced."""
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: already exists; choose another name, or replace it with --overwrite")
-
-
 def write_calibrated(calibrated: CalibratedBench, source: str, path: Path) -> None:
     """Write the bench with its lattice, keeping the comments of `source`, a TOML file or preset."""
-    origin = Path(source) if Path(source).exists() else PRESETS[source]
-    text = bench_text(origin.read_text("utf-8"), calibrated.bench)
+    text = bench_text(read_bench_text(bench_file(source)), calibrated.bench)
     with atomic_write(path) as temporary:
         temporary.write_text(text, "utf-8")
 

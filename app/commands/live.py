@@ -10,7 +10,9 @@ from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.commands.display import use_display
-from app.files import make_folder
+from app.errors import InputError
+from app.files import check_outputs, make_folder
+from app.recording.folder import FRAME_LINES
 from app.results.dataset import result_dataset, write_results
 from app.results.replay.player import Player
 from app.run_facts import now, software_facts, timing_facts, write_record
@@ -18,7 +20,9 @@ from app.run_facts import now, software_facts, timing_facts, write_record
 _UNATTENDED_S = 5.0
 
 
-def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Player | None = None) -> int:
+def live_window(
+    bench: Bench, *, seconds: float | None, out: Path, overwrite: bool, player: Player | None = None
+) -> int:
     """Run the window and return the exit status; a `player` replaces the bench's devices by a recording.
 
     Without a display, or with `seconds`, the window closes by itself that time after the first wavefront and writes
@@ -26,14 +30,19 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
     """
     if not use_display():
         seconds = seconds or _UNATTENDED_S
+    picture, results, run = (out / name for name in ("window.png", "result.nc", "run.json"))
+    if seconds is not None:
+        if (out / FRAME_LINES).exists():
+            raise InputError(f"{out}: holds a recording; choose another folder with --out")
+        check_outputs([picture, results, run], overwrite=overwrite)
     from app.gui.application import run_window
 
     made: list[Acquisition] = []  # one more after each reconnection
 
     def finish(measurement: Measurement) -> None:
-        _write_run(out / "run.json", made[-1])
+        _write_run(run, made[-1])
         if measurement.wavefront is not None:
-            write_results(out / "result.nc", result_dataset(measurement.wavefront), bench=bench, inputs={})
+            write_results(results, result_dataset(measurement.wavefront), bench=bench, inputs={})
 
     with stream_sinks(bench) as sinks:
 
@@ -48,9 +57,8 @@ def live_window(bench: Bench, *, seconds: float | None, out: Path, player: Playe
         if seconds is None:
             return run_window(make, begin=begin)
         make_folder(out)
-        picture = out / "window.png"
         status = run_window(make, offscreen_s=seconds, screenshot=picture, on_finish=finish, begin=begin)
-    sys.stdout.write(f"screenshot: {picture}\nresults: {out / 'result.nc'}\ntimings: {out / 'run.json'}\n")
+    sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status
 
 

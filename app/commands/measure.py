@@ -14,25 +14,34 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.commands.prompt import ask
 from app.errors import InputError, Interrupted, RunError
+from app.files import check_outputs
 from app.progress import Progress
 from app.recording.folder import RUN, check_free
 from app.recording.reader import Recording
-from app.results.recording_results import Measured, write_measured
+from app.results.recording_results import Measured, files_of, write_measured
 from drivers.interface import DeviceError
 
 _POLL_S = 0.05
 
 
 def measure(
-    bench: Bench, frames: int, out: Path, progress: Progress, *, average: int = FRAMES, auto_expose: bool = False
+    bench: Bench,
+    frames: int,
+    out: Path,
+    progress: Progress,
+    *,
+    average: int = FRAMES,
+    auto_expose: bool = False,
+    overwrite: bool = False,
 ) -> Measured:
     """Record `frames` frames into the folder `out`, with the results, the dark and the reference.
 
     Dark and reference are means of `average` frames each; with `auto_expose` the exposure is found first. If it ends
     early, also by Ctrl-C, the results so far are written. `RunError` for a failed device or an unusable reference,
-    `InputError` for an impossible bench or a folder that holds a recording.
+    `InputError` for an impossible bench, a folder that holds a recording, or results that exist without `overwrite`.
     """
     check_free(out)
+    check_outputs(files_of(out), overwrite=overwrite)
     is_stopped, fault = False, ""
     with stream_sinks(bench) as sinks:
         acquisition = Acquisition(bench, open_devices, sinks)

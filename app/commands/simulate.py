@@ -17,6 +17,12 @@ from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
 
 _CONDITIONS = {"dark": (False, False), "reference": (True, False), "frame": (True, True)}  # light on, sample in
+_TRUTH = "truth.nc"
+
+
+def files_of(out: Path) -> list[Path]:
+    """Return the files that `simulate` writes."""
+    return [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)]
 
 
 def simulate(bench: Bench, out: Path, *, noise_free: bool, progress: Callable[[float], None]) -> None:
@@ -31,7 +37,7 @@ def simulate(bench: Bench, out: Path, *, noise_free: bool, progress: Callable[[f
             image, state = _mean_photons(simulated, camera) if noise_free else _frame(camera)
             write_image(out / f"{name}.tif", image)
         truth = truth_dataset(simulated.truth_wavefront(state or 0), bench)
-    write_results(out / "truth.nc", truth, bench=bench, inputs={"frame": "frame.tif"})
+    write_results(out / _TRUTH, truth, bench=bench, inputs={"frame": "frame.tif"})
 
 
 def _mean_photons(simulated: SimulatedBench, camera: SimulatedCamera) -> tuple[NDArray[np.float32], int | None]:

@@ -12,8 +12,19 @@ from matplotlib.figure import Figure
 from app.errors import InputError
 from app.evaluation.cases import rows
 from app.evaluation.study_figures import sweep_figure, table_figure, trial_figure
-from app.evaluation.study_kinds import PAPER_NUMBERS, ComparisonTable, StudyResult, Sweep, TrialStudy, sweeps_of
+from app.evaluation.study_kinds import PAPER_NUMBERS, ComparisonTable, Study, StudyResult, Sweep, TrialStudy, sweeps_of
 from app.files import atomic_write
+
+_OF_SWEEPS = ("study.json", "study.csv", "estimator.png")
+
+
+def files_of(studies: Sequence[Study], out: Path) -> list[Path]:
+    """Return the files that `write_newest` writes."""
+    names: dict[str, None] = {}  # in order, without repetition
+    for study in studies:
+        ours = _OF_SWEEPS if isinstance(study, Sweep) else (f"{study.name}{end}" for end in (".json", ".csv", ".png"))
+        names |= dict.fromkeys(ours)
+    return [out / name for name in names]
 
 
 def write_newest(results: Sequence[StudyResult], out: Path) -> None:
@@ -61,9 +72,10 @@ def _write_sweeps(sweeps: Sequence[tuple[Sweep, xr.Dataset]], seeds: int, out: P
             lines.append({"sweep": sweep.name, **point})
             curves.setdefault(point.pop("curve"), []).append(point)
         tree[sweep.name] = {"title": sweep.title, "axis": sweep.axis, "curves": curves}
-    write_json(out / "study.json", {"seeds": seeds, "sweeps": tree})
-    _write_csv(out / "study.csv", columns, lines)
-    _write_png(out / "estimator.png", sweep_figure(sweeps))
+    numbers, table, figure = (out / name for name in _OF_SWEEPS)
+    write_json(numbers, {"seeds": seeds, "sweeps": tree})
+    _write_csv(table, columns, lines)
+    _write_png(figure, sweep_figure(sweeps))
 
 
 def _write_trials(study: TrialStudy, data: xr.Dataset, seeds: int, out: Path) -> None:

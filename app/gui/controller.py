@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from PyQt6.QtCore import QStandardPaths, pyqtBoundSignal
+from PyQt6.QtCore import QBuffer, QStandardPaths, pyqtBoundSignal
 from PyQt6.QtGui import QPixmap
 
 from app.acquisition.instrument import Instrument, Status
@@ -107,12 +107,19 @@ class Controller:
         if path is None:
             folder = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation)
             path = Path(folder or ".") / f"svwfs-{_time_of_day()}.png"
-        is_saved = picture.save(str(path))
-        if is_saved:
-            self._messages.inform(f"saved {path}")
-        else:
-            self._messages.warn(f"{path} cannot be written: check the folder and the disk space")
-        return is_saved
+        encoded = QBuffer()  # Qt does not notice a full disk
+        encoded.open(QBuffer.OpenModeFlag.WriteOnly)
+        if not picture.save(encoded, path.suffix.lstrip(".") or "png"):
+            self._messages.warn(f"{path} cannot be written: give a name that ends in .png or .jpg")
+            return False
+        try:
+            with atomic_write(path) as temporary:
+                temporary.write_bytes(encoded.data().data())
+        except RunError as error:
+            self._messages.warn(str(error))
+            return False
+        self._messages.inform(f"saved {path}")
+        return True
 
     def save_bench(self, path: Path) -> None:
         """Save the bench with the lattice and device settings in force."""

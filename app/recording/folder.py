@@ -1,14 +1,13 @@
 """The folder of a recording: names in it, `run.json`, free folders and the lock."""
 
 import json
-import os
 import sys
 from itertools import chain, count
 from pathlib import Path
 from typing import IO, Any
 
 from app.errors import InputError
-from app.files import nearest_existing
+from app.files import check_writable
 
 FORMAT = "svwfs recording 1"
 
@@ -20,6 +19,7 @@ BIAS = "biases/{}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy
 CALIBRATION = "calibrations/{}"  # folder of a calibration, by number
 RESULTS = "results/{}"  # group in the store, by number of the calibration
 PIXELS = "0"  # the array of frames in the store: the finest scale of an OME-NGFF image
+_PARTS = (RUN, FRAME_LINES, STORE, START, BIAS, CALIBRATION)
 BEFORE = -1  # in place of a frame index: the frame before the recording
 
 
@@ -39,13 +39,18 @@ def read_run(folder: Path) -> dict[str, Any]:
     return run
 
 
+def parts_of(folder: Path) -> list[Path]:
+    """Return the files and folders of a recording, which no command may replace."""
+    return [folder / part.split("/")[0] for part in _PARTS]
+
+
 def check_free(folder: Path) -> None:
     """Raise `InputError` if no recording can begin in the folder."""
     try:
         for name in (RUN, FRAME_LINES, STORE):
             if (folder / name).exists():
                 raise InputError(f"{folder}: holds a recording already: {name}")
-        _check_writable(folder)
+        check_writable(folder)
     except OSError as error:
         raise _unusable(folder, error) from error
 
@@ -53,7 +58,7 @@ def check_free(folder: Path) -> None:
 def new_folder(wanted: Path) -> Path:
     """Make a new folder, named with -2, -3, ... if the name is taken (also by another program at the same moment)."""
     try:
-        _check_writable(wanted.parent)
+        check_writable(wanted.parent)
         wanted.parent.mkdir(parents=True, exist_ok=True)
         numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
         return next(folder for folder in chain([wanted], numbered) if _is_made(folder))
@@ -67,14 +72,6 @@ def _is_made(folder: Path) -> bool:
     except FileExistsError:
         return False
     return True
-
-
-def _check_writable(folder: Path) -> None:
-    existing = nearest_existing(folder)
-    if not existing.is_dir():
-        raise InputError(f"{existing}: not a folder")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError(f"{existing}: no permission to write there")
 
 
 def _unusable(folder: Path, error: OSError) -> InputError:

@@ -15,7 +15,8 @@ import xarray as xr
 
 from app.bench.config import Bench, write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write
+from app.files import atomic_write, in_words
+from app.results.hdf_file import HdfFile
 from app.results.rotation import rotation_variables
 from app.results.view_quality import Variable, about, point_spread, structure, transfer
 from reconstruction.arrays import Floats
@@ -136,21 +137,40 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
     `InputError` if a piece has another shape than the first, because the settings changed between them.
     """
+    count = 0
     with atomic_write(path) as temporary:
         for piece in pieces:
-            if temporary.exists():
+            if count:
                 _append(temporary, piece)
-                continue
-            origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
-            piece.assign_attrs(title="Space-variant wavefront", **origin).to_netcdf(
-                temporary, engine="h5netcdf", unlimited_dims=[_FRAME] if _FRAME in piece.dims else []
-            )
-        if not temporary.exists():
+            else:
+                temporary.write_bytes(_netcdf(piece, bench, inputs))
+            count += piece.sizes.get(_FRAME, 1)
+        if not count:
             raise RunError(f"{path}: there is nothing to write: no frame has a wavefront")
+        _verify(temporary, path, count)
+
+
+def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:
+    """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory."""
+    origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
+    return piece.assign_attrs(title="Space-variant wavefront", **origin).to_netcdf(
+        engine="h5netcdf", unlimited_dims=[_FRAME] if _FRAME in piece.dims else []
+    )
+
+
+def _verify(written: Path, path: Path, frames: int) -> None:
+    """Raise `RunError` unless the file can be read and has all frames."""
+    try:
+        with h5netcdf.File(written, "r") as file:
+            found = file.dimensions[_FRAME].size if _FRAME in file.dimensions else 1
+    except OSError as error:
+        raise RunError(f"{path}: cannot be read again: {in_words(error)}") from error
+    if found != frames:
+        raise RunError(f"{path}: only {found} of {frames} frames were written")
 
 
 def _append(path: Path, piece: xr.Dataset) -> None:
-    with h5netcdf.File(path, "r+") as file:
+    with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
         first = file.dimensions[_FRAME].size
         sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != _FRAME}
         _require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != _FRAME})

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +17,13 @@ from app.results.rotation import rotation_of
 from reconstruction.arrays import Floats
 from reconstruction.registration.circulation import Circulation
 from reconstruction.wavefront import rms
+
+_RESULTS = "results.nc"
+
+
+def files_of(folder: Path) -> list[Path]:
+    """Return the files that `write_measured` writes."""
+    return [folder / name for name in (_RESULTS, "dark.tif", "reference.tif")]
 
 
 @dataclass(slots=True)
@@ -63,7 +71,7 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
     first = next(pieces, None)
     if first is not None:
         names = {"dark": "dark.tif", "reference": "reference.tif"}
-        write_pieces(recording.folder / "results.nc", chain([first], pieces), bench=bench, inputs=names)
+        write_pieces(recording.folder / _RESULTS, chain([first], pieces), bench=bench, inputs=names)
     return measured
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 import tifffile
 
 from app.errors import InputError, RunError
-from app.files import atomic_write, read_image, write_image
+from app.files import atomic_write, check_outputs, read_image, write_image
 
 IMAGE = np.arange(12, dtype=np.uint16).reshape(3, 4)
 
@@ -59,3 +61,97 @@ def test_unwritable_folder_raises_run_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RunError, match="folder cannot be made"):
         write_image(tmp_path / "file" / "image.tif", IMAGE)
+
+
+def test_outputs_never_replace_inputs(tmp_path: Path) -> None:
+    frame, link, hard_link, folder = (tmp_path / name for name in ("frame.tif", "link.tif", "hard.tif", "run"))
+    write_image(frame, IMAGE)
+    link.symlink_to(frame)
+    hard_link.hardlink_to(frame)
+    folder.mkdir()
+    for output in (frame, link, hard_link, tmp_path / "run" / ".." / "frame.tif", folder / "new" / "run.json"):
+        with pytest.raises(InputError, match="is used by this command already"):
+            check_outputs([output], inputs=[frame, None, folder], overwrite=True)
+    with pytest.raises(InputError, match="is used by this command already"):
+        check_outputs([tmp_path / "new", None, tmp_path / "new"], overwrite=True)
+
+
+def test_existing_outputs_need_overwrite(tmp_path: Path) -> None:
+    there, dangling = tmp_path / "there.nc", tmp_path / "dangling.nc"
+    there.touch()
+    dangling.symlink_to(tmp_path / "nowhere")
+    for output in (there, dangling):
+        with pytest.raises(InputError, match="exists already; --overwrite replaces it"):
+            check_outputs([output], overwrite=False)
+        check_outputs([output], overwrite=True)
+    for output in (tmp_path, tmp_path / ("a" * 300), there / "inside"):
+        with pytest.raises(InputError):
+            check_outputs([output], overwrite=True)
+
+
+def test_partial_file_follows_no_symlink(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    victim, names = tmp_path / "victim", iter(("guessed", "other"))
+    victim.write_text("precious")
+    monkeypatch.setattr("app.files.secrets.token_hex", lambda _: next(names))
+    (tmp_path / ".guessed.partial.txt").symlink_to(victim)
+    with pytest.raises(RunError, match="File exists"), atomic_write(tmp_path / "new.txt") as temporary:
+        temporary.write_text("harm")
+    assert victim.read_text() == "precious"
+    with atomic_write(tmp_path / "new.txt") as temporary:
+        temporary.write_text("good")
+    assert (tmp_path / "new.txt").read_text() == "good"
+
+
+def test_partial_names_differ(tmp_path: Path) -> None:
+    names = set()
+    for _ in range(20):
+        with atomic_write(tmp_path / ("n" * 251 + ".txt")) as temporary:  # as long as a name can be
+            names.add(temporary.name)
+            assert temporary.stat().st_mode & 0o777 == 0o666 & ~_umask()
+    assert len(names) == 20
+
+
+def _umask() -> int:
+    before = os.umask(0)
+    os.umask(before)
+    return before
+
+
+def test_file_is_on_disk_before_it_gets_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, synced = tmp_path / "run.json", []
+
+    def note(file: int) -> None:
+        synced.append((Path(f"/proc/self/fd/{file}").resolve(), path.exists(), os.fstat(file).st_size))
+
+    monkeypatch.setattr(os, "fsync", note)
+    with atomic_write(path) as temporary:
+        temporary.write_text("four")
+    assert [(synced[0][0], *synced[0][1:]), synced[1][:2]] == [(temporary, False, 4), (tmp_path, True)]
+
+
+def test_failed_sync_keeps_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    path = tmp_path / "run.json"
+    path.write_text("old")
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(RunError, match=r"run\.json: cannot be written: Input/output error"), atomic_write(path) as new:
+        new.write_text("new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_image_files_that_lie_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.npy").write_text("no array")
+    header = np.lib.format.MAGIC_PREFIX + b"\x01\x00v\x00"
+    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999, 999999), }"
+    (tmp_path / "bomb.npy").write_bytes(header + text.ljust(117) + b"\n" + bytes(100))
+    huge = np.zeros((2**15, 2**14), np.uint8)
+    tifffile.imwrite(tmp_path / "bomb.tif", huge, compression="deflate")
+    os.mkfifo(tmp_path / "pipe.npy")
+    sentences = {"text.npy": "does not begin as an NPY file", "bomb.npy": "cannot be read", "bomb.tif": "are too many"}
+    for name, sentence in (sentences | {"pipe.npy": "not a file", "a" * 300: "File name too long"}).items():
+        with pytest.raises(InputError, match=sentence) as fault:
+            read_image(tmp_path / name)
+        assert "\n" not in str(fault.value)

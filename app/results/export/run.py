@@ -10,8 +10,9 @@ import numpy as np
 
 from app.bench.config import write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write
+from app.files import atomic_write, check_outputs
 from app.progress import Progress
+from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
 from app.results.dataset import results_in_pieces, write_pieces
@@ -31,8 +32,7 @@ _REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the poi
 
 def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, progress: Progress) -> int:
     """Write the frames FIRST:END of a recording, or their results, to a file; return their number."""
-    if out.exists() and not overwrite:
-        raise InputError(f"{out}: exists already; --overwrite replaces it")
+    check_outputs([out], inputs=parts_of(folder), overwrite=overwrite)
     recording = Recording(folder)
     chosen = recording.select(frames)
     with one_blas_thread():

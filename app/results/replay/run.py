@@ -4,10 +4,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from app.bench.bench_files import bench_file
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
+from app.files import check_outputs
 from app.measurement.calibration import Calibration
 from app.progress import Progress
+from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
 from app.results.dataset import results_in_pieces, write_pieces
@@ -43,6 +46,7 @@ def replay(
     settings: tuple[str, ...],
     frames: str | None,
     out: Path | None,
+    overwrite: bool,
     verify: bool,
     progress: Progress,
 ) -> Replay:
@@ -51,6 +55,8 @@ def replay(
     With another `bench`, or changed `settings` of the recorded one, both are made and compared. With `verify`, raise
     `RunError` if a result differs from the recorded one in any bit.
     """
+    bench_read = None if bench is None else bench_file(bench)
+    check_outputs([out], inputs=[*parts_of(folder), bench_read], overwrite=overwrite)
     recording = Recording(folder)
     chosen = recording.select(frames)
     change = change_of(bench, settings)

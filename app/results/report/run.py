@@ -6,8 +6,9 @@ from pathlib import Path
 from matplotlib.backends.backend_pdf import PdfPages
 
 from app.errors import InputError
-from app.files import atomic_write
+from app.files import atomic_write, check_outputs
 from app.progress import Progress
+from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.results.replay.run import change_of
 from app.results.report.certainty import draw_certainty
@@ -36,9 +37,9 @@ def report_pages(
     """
     if out.suffix.lower() not in {".pdf", ".png"}:
         raise InputError(f"{out}: a report is a PDF or a PNG: give a name that ends in .pdf or .png")
-    if out.exists() and not overwrite:
-        raise InputError(f"{out}: exists already; --overwrite replaces it")
-    recordings = [Recording(folder), *([] if beside is None else [Recording(beside)])]
+    folders = [folder, *([] if beside is None else [beside])]
+    check_outputs([out], inputs=[part for each in folders for part in parts_of(each)], overwrite=overwrite)
+    recordings = [Recording(each) for each in folders]
     summary = summarise(recordings[0], frames, progress, change=change_of(None, settings))
     residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, progress))
     write_pages(out, _pages(summary, residual))

@@ -125,7 +125,7 @@ def test_malformed_override_is_refused(override: str) -> None:
 
 
 def test_missing_and_binary_files_raise_input_error(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere.toml: No such file.*preset .live_demo"):
+    with pytest.raises(InputError, match=r"nowhere.toml: no such file.*preset .live_demo"):
         load_bench(tmp_path / "nowhere.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not a text file"):

@@ -291,7 +291,7 @@ def test_dark_reference_is_named(
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        (("measure", "--bench", "nowhere.toml", "--frames", "3", "--out", "x"), "nowhere.toml: No such file"),
+        (("measure", "--bench", "nowhere.toml", "--frames", "3", "--out", "x"), "nowhere.toml: no such file"),
         (("measure", "--bench", "live_demo", "--frames", "0", "--out", "x"), "Invalid value for '--frames'"),
         (("simulate", "--bench", "live_demo", "--set", "sensor.colour=3", "--out", "x"), "sensor: unknown key colour"),
         (("nonsense",), "No such command"),

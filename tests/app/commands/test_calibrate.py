@@ -87,7 +87,7 @@ def test_existing_bench_is_not_overwritten(
     out = tmp_path / "b.toml"
     out.write_text("mine")
     assert run(monkeypatch, *command(reference, "--out", out)) == 2
-    assert "already exists" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert out.read_text() == "mine"
     assert run(monkeypatch, *command(reference, "--out", out, "--overwrite")) == 0
     assert load_bench(out).lattice is not None

@@ -55,7 +55,14 @@ def mine(plain: Recording, tmp_path: Path) -> Recording:
 
 
 def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
-    given: dict[str, Any] = {"bench": None, "frames": None, "out": None, "verify": False, "progress": lambda *_: None}
+    given: dict[str, Any] = {
+        "bench": None,
+        "frames": None,
+        "out": None,
+        "overwrite": False,
+        "verify": False,
+        "progress": lambda *_: None,
+    }
     return replay(folder, settings=settings, **{**given, **options})
 
 
@@ -317,7 +324,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], str]] = {
     "one number": (("--frames", "5"), "write FIRST:END"),
     "no number": (("--frames", "a:b"), "write FIRST:END"),
     "an unknown setting": (("--set", "registration.wrap=affine"), "the recorded bench: .*unknown key wrap"),
-    "no such bench": (("--bench", "nowhere.toml"), "nowhere.toml: No such file"),
+    "no such bench": (("--bench", "nowhere.toml"), "nowhere.toml: no such file"),
     "another sensor": (("--bench", "paper_simulation"), "does not fit this bench"),
 }
 

@@ -1,0 +1,97 @@
+"""No command replaces its inputs, or an existing file without --overwrite."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.command_line import run
+
+from app.files import write_image
+
+INPUTS = ("frame.tif", "reference.tif", "dark.tif", "bench.toml", "estimator.png", "run/run.json", "run/frames.jsonl")
+RECONSTRUCT = "reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out"
+CALIBRATE = "calibrate reference.tif --dark dark.tif --bench bench.toml"
+ONTO_INPUTS = (
+    *(f"{RECONSTRUCT} {name}" for name in INPUTS[:4]),
+    *(f"{RECONSTRUCT} r.nc --plot {name}" for name in ("frame.tif", "./frame.tif", "r.nc")),
+    *(f"{CALIBRATE} {option} {name}" for option in ("--out", "--plot") for name in INPUTS[1:4]),
+    *(f"replay run --out run/{name}" for name in ("run.json", "frames.jsonl", "frames.zarr/0/zarr.json")),
+    *(f"export run --to csv --out run/{name}" for name in ("run.json", "calibrations/0/bench.toml")),
+    "replay run --bench bench.toml --out bench.toml",
+    "study mask estimator.png --out .",
+)
+ONTO_EXISTING = (
+    f"{RECONSTRUCT} old",
+    f"{RECONSTRUCT} r.nc --plot old",
+    f"{CALIBRATE} --out old",
+    f"{CALIBRATE} --plot old",
+    "simulate --bench small_demo --out .",
+    "measure --bench small_demo --frames 3 --out .",
+    "replay run --out old",
+    "export run --to csv --out old",
+    "report run --out old.pdf",
+    "report run --beside run --out old.pdf",
+    "study size --out study",
+    "paper table1 --out study",
+    "benchmark --json old",
+    "live --seconds 1 --out window",
+)
+EXISTING = ("old", "old.pdf", "results.nc", "study/study.csv", "study/table1.png", "window/window.png")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory: some inputs and some files that exist already."""
+    monkeypatch.chdir(tmp_path)
+    for name in (*INPUTS, *EXISTING):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("precious")
+    for name in INPUTS[:3]:
+        write_image(tmp_path / name, np.full((172, 240), 500, np.uint16))
+    cv2.imwrite("estimator.png", np.full((8, 8), 255, np.uint8))
+    shutil.copyfile(small_toml, "bench.toml")
+    return tmp_path
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("command", ONTO_INPUTS)
+def test_no_input_is_overwritten(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, command: str
+) -> None:
+    before = contents(folder)
+    assert run(monkeypatch, *command.split(), "--overwrite") == 2
+    assert "is used by this command already; give the output another name" in capsys.readouterr().err
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize("command", ONTO_EXISTING)
+def test_existing_file_needs_overwrite(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, command: str
+) -> None:
+    before = contents(folder)
+    assert run(monkeypatch, *command.split()) == 2
+    errors = capsys.readouterr().err
+    assert "exists already; --overwrite replaces it" in errors
+    assert errors.count("\n") == 1
+    assert contents(folder) == before
+
+
+def test_overwrite_replaces_results(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", ".", "--overwrite") == 0
+    assert run(monkeypatch, *RECONSTRUCT.split(), "old", "--overwrite") == 0
+    assert (folder / "old").read_bytes().startswith(b"\x89HDF")
+
+
+def test_live_run_never_replaces_a_recording(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path
+) -> None:
+    assert run(monkeypatch, "live", "--seconds", "1", "--out", folder / "run", "--overwrite") == 2
+    assert "run: holds a recording; choose another folder with --out" in capsys.readouterr().err

@@ -1,0 +1,99 @@
+"""Results on a disk that fills up: HDF5 would crash the process."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5netcdf
+import numpy as np
+import pytest
+import xarray as xr
+
+from app.results.hdf_file import HdfFile
+
+# A limit on the size of files stands for the size of the disk; without HdfFile HDF5 writes to it and crashes.
+_PROGRAM = """
+import resource, sys
+from pathlib import Path
+import numpy as np, xarray as xr
+from app.bench.config import load_bench
+from app.errors import RunError
+from app.results.dataset import write_pieces
+
+room, out = int(sys.argv[1]), Path(sys.argv[2])
+bench = load_bench("small_demo")
+pieces = [xr.Dataset({"wavefront": (("frame", "x"), np.random.default_rng(n).normal(size=(8, 512)))}) for n in range(5)]
+resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+try:
+    write_pieces(out, pieces, bench=bench, inputs={})
+except RunError as error:
+    print(error)
+    sys.exit(1)
+"""
+
+
+def write(room: int, out: Path) -> subprocess.CompletedProcess[str]:
+    """Write 5 pieces of 8 frames where a file may have `room` bytes."""
+    command = [sys.executable, "-c", _PROGRAM, str(room), str(out)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - our own program
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> int:
+    """Size of the complete file."""
+    out = tmp_path_factory.mktemp("whole") / "results.nc"
+    done = write(10**8, out)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    with xr.open_dataset(out) as results:
+        expected = np.concatenate([np.random.default_rng(n).normal(size=(8, 512)) for n in range(5)])
+        np.testing.assert_array_equal(results["wavefront"], expected)
+    return out.stat().st_size
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.5, 0.7, 0.9, 0.999])
+def test_full_disk_is_one_line_and_no_file(whole: int, share: float, tmp_path: Path) -> None:
+    out = tmp_path / "results.nc"
+    done = write(int(share * whole), out)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert done.stdout == f"{out}: cannot be written: File too large\n"
+    assert not list(tmp_path.iterdir())
+
+
+class Filling:
+    """A file on a disk with room for so many bytes."""
+
+    def __init__(self, file: Any, room: int) -> None:
+        self._file, self._room = file, room
+
+    def write(self, data: memoryview) -> int:
+        if self._file.tell() >= self._room:
+            raise OSError(28, "No space left on device")
+        return int(self._file.write(data[: self._room - self._file.tell()]))
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._file, name)
+
+
+@pytest.mark.parametrize("room", [0, 3000, 20_000, 10**6])
+def test_hdf_file_keeps_what_the_disk_refuses(tmp_path: Path, room: int) -> None:
+    path, values = tmp_path / "file.nc", np.random.default_rng(0).normal(size=(40, 60))
+    path.touch()
+    file = HdfFile(path)
+    file._file = Filling(file._file, room)  # type: ignore[assignment]
+    with h5netcdf.File(file, "w") as written:
+        written.dimensions = {"y": None, "x": 60}
+        written.create_variable("a", ("y", "x"), float)
+        written.resize_dimension("y", 40)
+        written.variables["a"][:] = values
+    with h5netcdf.File(file, "r") as read:
+        np.testing.assert_array_equal(read.variables["a"][:], values)
+    if room < 10**6:
+        with pytest.raises(OSError, match="No space left"):
+            file.close()
+    else:
+        file.close()
+        with xr.open_dataset(path) as stored:
+            np.testing.assert_array_equal(stored["a"], values)
