@@ -13,6 +13,7 @@ from app.recording.recorded_devices import recorded_devices
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
+from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.stage import ManualStage
 from drivers.usb_lights.settings import DC2200Settings
@@ -87,6 +88,10 @@ def open_camera(settings: CameraSettings) -> Camera:
             from drivers.genicam.camera import GenicamCamera
 
             return GenicamCamera(settings)
+        case MicroManagerSettings():
+            from drivers.micro_manager.camera import MicroManagerCamera
+
+            return MicroManagerCamera(settings)
     raise InputError(f"camera.driver = {settings.driver!r} has no device of its own")
 
 

@@ -22,6 +22,7 @@ from app.errors import InputError
 from app.files import in_words
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
+from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights.settings import DC2200Settings
 from reconstruction.arrays import Counts
@@ -38,7 +39,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
-CameraSettings: TypeAlias = SimulatedCameraSettings | DcamSettings | GenicamSettings | RecordingSettings
+CameraSettings: TypeAlias = (
+    SimulatedCameraSettings | DcamSettings | GenicamSettings | MicroManagerSettings | RecordingSettings
+)
 LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings
 
 AUTOMATIC = "automatic"  # same as omitting the setting

@@ -36,6 +36,7 @@ class DeviceKind:
 KINDS = (
     DeviceKind("Hamamatsu cameras, over the DCAM-API", "dcam", "drivers.dcam.session"),
     DeviceKind("GigE Vision and USB3 Vision cameras, over Aravis", "genicam", "drivers.genicam.discovery"),
+    DeviceKind("Cameras of other makers, over Micro-Manager", "micro_manager", "drivers.micro_manager.core"),
     DeviceKind("Thorlabs DC2200 LED drivers, on USB", "thorlabs_dc2200", "drivers.usb_lights.thorlabs_dc2200"),
     DeviceKind(
         "Thorlabs DC4100 and DC4104 LED drivers, on serial ports",

@@ -32,6 +32,7 @@ from support.storm import FEW, MANY, Storm
 STORMS = {
     "genicam": "drivers/genicam/test_genicam.py::test_no_sequence_of_commands_and_faults_leaves_the_family",
     "dcam": "drivers/dcam/test_dcam_storm.py",
+    "micro_manager": "drivers/micro_manager/test_micro_manager.py::test_storm_raises_only_device_errors",
     "simulated_camera": "simulated_devices/test_simulated_storms.py::TestSimulatedCamera",
     "recording": "app/recording/test_recording_camera_storm.py",
     "simulated_light": "simulated_devices/test_simulated_storms.py::TestSimulatedLight",
@@ -39,7 +40,7 @@ STORMS = {
     "thorlabs_dc2200": "drivers/usb_lights/test_dc2200.py::TestStorm",
     "coolled": "drivers/serial_lights/test_coolled.py::TestStorm",
 }
-WAITING = {"genicam"}  # mostly for a real clock
+WAITING = {"genicam", "micro_manager"}  # mostly for a real clock
 BATCH = 1000  # sequences per process
 AT_ONCE = 12  # waiting processes
 HANGS_S = 300.0  # longer than a stall of a busy computer

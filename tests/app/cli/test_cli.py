@@ -33,6 +33,7 @@ from app.errors import Interrupted, RunError
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Devices, Frame
+from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights.settings import DC2200Settings
 from reconstruction.wavefront import rms
@@ -343,6 +344,7 @@ REAL_DEVICES: list[tuple[CameraSettings, LightSettings]] = [
     (DcamSettings(), DC4100Settings(port="COM1")),
     (GenicamSettings(), DC2200Settings()),
     (GenicamSettings(), CoolLEDSettings(port="COM1")),
+    (MicroManagerSettings(adapter="DemoCamera", device="DCam", properties={"Gain": "2"}), DC2200Settings()),
 ]
 LOAD_BENCHES = "from app.bench.config import load_bench; [load_bench(path) for path in sys.argv[1:]]"
 SHOW_HELP = "from app.cli import cli; cli(['--help'], standalone_mode=False)"
@@ -353,7 +355,7 @@ def test_reading_bench_and_help_load_no_devices_numba_or_qt(tmp_path: Path, prog
     paths = ["live_demo", *(str(tmp_path / f"{index}.toml") for index in range(len(REAL_DEVICES)))]
     for path, (camera, light) in zip(paths[1:], REAL_DEVICES, strict=True):
         Path(path).write_text(write_bench(replace(load_bench("live_demo"), camera=camera, light=light)))
-    loaded = "sys.exit(str([name for name in ('usb', 'serial', 'numba', 'PyQt6') if name in sys.modules]))"
+    loaded = "sys.exit(str([name for name in ('usb', 'serial', 'pymmcore', 'numba', 'PyQt6') if name in sys.modules]))"
     command = [sys.executable, "-c", f"import sys; {program}; {loaded}", *paths]
     finished = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603 - our own program
     assert finished.stderr == "[]\n"

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.micro_manager_core import FOLDER
 from support.simulated_scene import CAMERA, STILL, open_bench
 
 from app.acquisition.devices import open_camera, open_light
-from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench
+from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench, write_bench
 from app.commands import devices as device_report
 from app.commands.devices import KINDS, DeviceKind
 from app.errors import InputError, RunError
@@ -19,6 +20,7 @@ from drivers import discovery
 from drivers.errors import Disconnected, Unsupported
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Camera, LightSource
+from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import DC4100Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
@@ -66,7 +68,7 @@ def test_devices_lists_bench_sections(bench: SimulatedBench, capsys: pytest.Capt
     output = capsys.readouterr().out
     assert 'dcam:S/N 1   C9100-23B S/N 1\n      [camera]\n      driver = "dcam"\n      device = "S/N 1"\n' in output
     assert "coolled:COM7   perhaps a CoolLED\n    cannot be used yet: a cable\n" in output
-    assert output.count("none found") == 3
+    assert output.count("none found") == 4
     assert not bench.condition.is_light_on
 
 
@@ -136,6 +138,22 @@ def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str
     assert "up to 10 mA" in output.err
     assert lamp.heads[1].current_ma <= 10
     assert not lamp.is_lit
+
+
+def test_camera_behind_micro_manager_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small = {"OnCameraCCDXSize": "64", "OnCameraCCDYSize": "48", "MaximumExposureMs": "500"}
+    camera = MicroManagerSettings(
+        adapter="DemoCamera",
+        device="DCam",
+        adapter_folder=FOLDER,
+        properties={"PixelType": "16bit", "FastImage": "1"} | small,
+    )
+    written = tmp_path / "bench.toml"
+    written.write_text(write_bench(replace(load_bench("live_demo"), camera=camera, light=DC4100Settings(port="none"))))
+    bench = load_bench(str(written))
+    assert bench.camera == camera
+    device_report.check_and_print("camera", bench)
+    assert "camera passes all 15 checks" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("bench")

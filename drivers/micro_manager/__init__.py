@@ -1,0 +1,1 @@
+"""Cameras behind Micro-Manager's device adapters, called through pymmcore."""

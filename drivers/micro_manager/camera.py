@@ -1,0 +1,225 @@
+"""Cameras behind Micro-Manager's device adapters.
+
+Micro-Manager's core hides what the adapters do: the limits of this driver are listed in docs/hardware.md. Not yet tried
+on a real camera; the tests use Micro-Manager's DemoCamera.
+"""
+
+import time
+from collections import deque
+from contextlib import suppress
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.camera import Camera, CameraCapabilities
+from drivers.device import Property
+from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+from drivers.frame import Frame, Region
+from drivers.micro_manager.core import LABEL, LoadedCamera, load_pymmcore
+from drivers.micro_manager.settings import MicroManagerSettings
+from drivers.range import Range
+
+_POLL_S: Final = 1e-3  # between two looks for a frame: the core offers no event
+_CHECK_S: Final = 0.1  # between two checks of a silent camera
+_SILENCE_S: Final = 2.0  # beyond the exposure; after that the camera counts as lost
+_SHORTEST_S: Final = 1e-3  # if the adapter reports 0; many round to 0.01 ms
+_LONGEST_S: Final = 60.0  # if the adapter reports no limit
+_NUMBERS_NOTE: Final = "by Micro-Manager's core: a frame lost before it leaves no gap"
+
+
+class MicroManagerCamera(Camera):
+    """An open camera; `core` replaces Micro-Manager's in tests."""
+
+    def __init__(self, settings: MicroManagerSettings, core: Any = None) -> None:
+        super().__init__()
+        self._settings = settings
+        core = core or load_pymmcore().CMMCore()
+        self._is_started = self._is_aborted = False
+        self._heard_s = 0.0  # last sign of life; in the future while a long exposure ends
+        self._last = -1  # index of the last frame
+        self._exposures: deque[tuple[int, float]] = deque()  # first index and exposure_s
+        try:
+            self._line = LoadedCamera(core, settings.adapter, settings.device, settings.adapter_folder)
+            self._line.initialize(settings.properties)
+            self._name = f"{self._line.call('getDeviceDescription', LABEL)} ({settings.adapter}, {settings.device})"
+            self._set_up()
+        except BaseException:
+            with suppress(RuntimeError):
+                core.reset()
+            raise
+
+    def _set_up(self) -> None:
+        """Determine the sensor, and apply the settings."""
+        if self._line.call("getNumberOfComponents") != 1 or self._line.call("getBytesPerPixel") not in (1, 2):
+            raise Unsupported("only cameras that give one 8- or 16-bit number per pixel can be used: set PixelType")
+        self._binnings = self._find_binnings()
+        if 1 in self._binnings:
+            self._set_binning_text(1)
+        self._line.call("clearROI")
+        binning = self._read_binning()
+        rows, columns = (binning * self._line.call(f"getImage{side}") for side in ("Height", "Width"))
+        self._sensor = Region(0, 0, rows, columns)
+        self.set_binning(self._settings.binning)
+        if self._settings.region is not None:
+            self.set_region(self._settings.region)
+        if self._settings.exposure_s is not None:
+            self.set_exposure(self._settings.exposure_s)
+
+    def properties(self) -> dict[str, Property]:
+        """All settings in force, versions, and every property of the adapter by its name."""
+        details = super().properties()
+        with self._access():
+            details |= {"frame numbers": _NUMBERS_NOTE}
+            details |= {"Micro-Manager": f"{self._line.call('getVersionInfo')}, {self._line.call('getAPIVersionInfo')}"}
+            for name in self._line.property_names():
+                try:
+                    details[name] = self._line.call("getProperty", LABEL, name)
+                except Disconnected:
+                    raise
+                except DeviceError as error:
+                    details[name] = str(error)
+        return details
+
+    def _close(self) -> None:
+        self._is_aborted = True  # ends `read` in another thread
+        with self._lock:
+            with suppress(DeviceError):
+                self._stop()
+            with suppress(RuntimeError):
+                self._line.unload()
+
+    def _read_capabilities(self) -> CameraCapabilities:
+        limits_ms = self._line.limits("Exposure") or (0.0, 1e3 * _LONGEST_S)
+        binning, pitch_m = self._read_binning(), self._settings.pixel_pitch_m
+        return CameraCapabilities(
+            rows=self._line.call("getImageHeight"),
+            columns=self._line.call("getImageWidth"),
+            pixel_pitch_m=None if pitch_m is None else binning * pitch_m,
+            full_scale=self._settings.full_scale or 2 ** self._line.call("getImageBitDepth") - 1,
+            exposure_range_s=Range(max(1e-3 * limits_ms[0], _SHORTEST_S), 1e-3 * limits_ms[1]),
+            em_gain_range=Range(1.0, 1.0),
+            amplifiers=("normal",),
+            binnings=tuple(sorted(self._binnings)),
+            sensor=self._sensor,
+            region_step_px=binning,
+        )
+
+    def _read_exposure(self) -> float:
+        return 1e-3 * float(self._line.call("getExposure", LABEL))
+
+    def _set_exposure(self, exposure_s: float) -> float:
+        before_s = self._read_exposure()
+        self._line.call("setExposure", LABEL, 1e3 * exposure_s)
+        taken_s = self._read_exposure()
+        if self._is_started:
+            self._heard_s = time.monotonic() + before_s
+            newest = self._line.newest()  # the one after it is being exposed
+            self._exposures.append(((self._last if newest is None else newest) + 2, taken_s))
+        return taken_s
+
+    def _find_binnings(self) -> dict[int, str]:
+        """Square binnings and the adapter's texts for them, such as "2" or "2x2"."""
+        if "Binning" not in self._line.property_names():
+            return {1: ""}
+        texts = self._line.call("getAllowedPropertyValues", LABEL, "Binning")
+        factors = {
+            text: set(text.lower().split("x")) for text in texts or [self._line.call("getProperty", LABEL, "Binning")]
+        }
+        return {int(min(sides)): text for text, sides in factors.items() if len(sides) == 1 and min(sides).isdigit()}
+
+    def _read_binning(self) -> int:
+        if not any(self._binnings.values()):
+            return 1
+        text = self._line.call("getProperty", LABEL, "Binning")
+        return next((factor for factor, known in self._binnings.items() if known == text), 1)
+
+    def _set_binning(self, binning: int) -> None:
+        region = self._read_region()
+        self._set_binning_text(binning)
+        sides = (region.top, region.left, region.rows, region.columns)
+        self._write_region(region if region == self._sensor else Region(*(side - side % binning for side in sides)))
+
+    def _set_binning_text(self, binning: int) -> None:
+        if self._binnings[binning]:
+            self._line.set_property("Binning", self._binnings[binning])
+
+    def _read_region(self) -> Region:
+        binning = self._read_binning()
+        left, top, columns, rows = self._line.call("getROI", LABEL)
+        if (rows, columns) == (self._sensor.rows // binning, self._sensor.columns // binning):
+            return self._sensor
+        return Region(binning * top, binning * left, binning * rows, binning * columns)
+
+    def _set_region(self, region: Region) -> Region:
+        self._write_region(region)
+        return self._read_region()
+
+    def _write_region(self, region: Region) -> None:
+        binning = self._read_binning()
+        if region == self._sensor:
+            self._line.call("clearROI")
+            return
+        sides = (region.left, region.top, region.columns, region.rows)
+        self._line.call("setROI", LABEL, *(side // binning for side in sides))
+
+    def _is_running(self) -> bool:
+        return self._is_started
+
+    def _start(self) -> None:
+        allowed = self.capabilities
+        frame_bytes = self._line.call("getBytesPerPixel") * allowed.rows * allowed.columns
+        self._line.call("setCircularBufferMemoryFootprint", 1 + self._settings.ring_frames * frame_bytes // 2**20)
+        self._exposures = deque([(0, self._read_exposure())])
+        self._line.call("startContinuousSequenceAcquisition", 0)
+        self._is_started, self._last = True, -1
+        self._heard_s = time.monotonic()
+
+    def _stop(self) -> None:
+        if self._is_started:
+            self._line.call("stopSequenceAcquisition", LABEL)
+            self._is_started = False
+
+    def _read(self, timeout_s: float) -> Frame:
+        start_s = checked_s = time.monotonic()
+        while (taken := self._line.pop()) is None:
+            now_s = time.monotonic()
+            if self._is_aborted:
+                raise WrongState("the camera is being closed")
+            if now_s - checked_s >= _CHECK_S or now_s - start_s >= timeout_s:
+                checked_s = now_s
+                self._check_alive(now_s)
+            if now_s - start_s >= timeout_s:
+                raise DeviceTimeout(f"no frame came within {timeout_s:g} s")
+            time.sleep(min(_POLL_S, timeout_s))
+        return self._frame(*taken)
+
+    def _check_alive(self, now_s: float) -> None:
+        """Raise if a silent camera is gone or has stopped."""
+        exposure_s = self._read_exposure()
+        if not self._line.call("isSequenceRunning", LABEL):
+            self._is_started = False
+            raise WrongState("the camera has stopped taking frames on its own; start it again")
+        if now_s - self._heard_s > exposure_s + _SILENCE_S:
+            raise Disconnected(
+                f"the camera has sent no frame for {now_s - self._heard_s:.1f} s: check its power and cable,"
+                " then connect again"
+            )
+
+    def _frame(self, pixels: NDArray[np.unsignedinteger], number: int, camera_time_s: float) -> Frame:
+        host_time_s, self._heard_s = time.perf_counter(), time.monotonic()
+        self._last = number
+        if pixels.shape != (self.capabilities.rows, self.capabilities.columns) or pixels.dtype.itemsize > 2:
+            raise FrameLost(f"a frame of {pixels.shape} pixels came, unlike the region")
+        pixels = pixels.astype(np.uint16, copy=False)
+        pixels.setflags(write=False)
+        while len(self._exposures) > 1 and self._exposures[1][0] <= number:
+            self._exposures.popleft()
+        return Frame(
+            pixels=pixels,
+            index=number,
+            camera_time_s=camera_time_s,
+            host_time_s=host_time_s,
+            exposure_s=self._exposures[0][1],
+            em_gain=1.0,
+        )

@@ -1,0 +1,325 @@
+"""Micro-Manager's DemoCamera behind the driver: camera contract, settings, faults, storm."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import run_state_machine_as_test
+from support.camera_contract import CameraContract, CameraFaultContract
+from support.camera_storm import CameraStorm
+from support.micro_manager_core import DemoCamera
+from support.patience import HANG_S
+from support.storm import storm_settings
+from support.timed_faults import repeat
+
+from drivers.interface import (
+    BadValue,
+    DeviceError,
+    DeviceTimeout,
+    Disconnected,
+    FrameLost,
+    Range,
+    Region,
+    Unsupported,
+    WrongState,
+)
+from drivers.micro_manager.camera import MicroManagerCamera
+from drivers.micro_manager.core import discover
+from drivers.micro_manager.settings import MicroManagerSettings
+
+
+@pytest.fixture
+def faults() -> DemoCamera:
+    return DemoCamera()
+
+
+@pytest.fixture
+def camera(faults: DemoCamera) -> Iterator[MicroManagerCamera]:
+    with faults.open() as camera:
+        yield camera
+
+
+class TestMicroManagerCamera(CameraFaultContract):
+    @pytest.fixture
+    def reopen(self, faults: DemoCamera) -> Callable[[], MicroManagerCamera]:
+        return faults.open
+
+
+class TestMicroManagerCameraBinned(CameraContract):
+    """8 bits, binned, a region."""
+
+    @pytest.fixture
+    def reopen(self, faults: DemoCamera) -> Callable[[], MicroManagerCamera]:
+        properties = {"PixelType": "8bit", "BitDepth": "8"}
+        return lambda: faults.open(properties, binning=2, region=Region(16, 32, 128, 256), exposure_s=0.02)
+
+    @pytest.fixture
+    def camera(self, reopen: Callable[[], MicroManagerCamera]) -> Iterator[MicroManagerCamera]:
+        with reopen() as camera:
+            yield camera
+
+
+def test_settings_reach_camera(faults: DemoCamera) -> None:
+    with faults.open(
+        {"Gain": "3", "MaximumExposureMs": "250"},
+        pixel_pitch_m=6.5e-6,
+        full_scale=4095,
+        exposure_s=0.1,
+        binning=4,
+        region=Region(64, 128, 256, 192),
+    ) as camera:
+        core, allowed = faults.faulty.core, camera.capabilities
+        assert float(core.getProperty("camera", "Gain")) == 3
+        assert (core.getExposure(), core.getProperty("camera", "Binning")) == (100.0, "4")
+        assert tuple(core.getROI()) == (32, 16, 48, 64)  # left, top, columns, rows, binned
+        assert (allowed.rows, allowed.columns, allowed.full_scale) == (64, 48, 4095)
+        assert allowed.pixel_pitch_m == pytest.approx(4 * 6.5e-6)
+        assert allowed.exposure_range_s == Range(1e-3, 0.25)  # set before the camera was initialized
+        properties = camera.properties()
+        assert properties["Gain"] == core.getProperty("camera", "Gain")
+        assert "a frame lost before it leaves no gap" in str(properties["frame numbers"])
+        assert "75" in str(properties["Micro-Manager"])
+
+
+@pytest.mark.parametrize(("bits", "full_scale"), [("10", 1023), ("12", 4095), ("16", 65535)])
+def test_full_scale_follows_bits(faults: DemoCamera, bits: str, full_scale: int) -> None:
+    with faults.open({"BitDepth": bits}) as camera:
+        assert camera.capabilities.full_scale == full_scale
+
+
+def test_frames_are_those_of_the_core(faults: DemoCamera) -> None:
+    """The same still pattern, without noise, by a snap of Micro-Manager."""
+    still = {"FastImage": "0", "Mode": "Color Test Pattern", "BitDepth": "12"}
+    region = Region(100, 40, 60, 80)
+    with faults.open(still, region=region) as camera:
+        camera.start()
+        frame = camera.read(5.0)
+        camera.stop()
+        core = faults.faulty.core
+        core.snapImage()
+        np.testing.assert_array_equal(frame.pixels, core.getImage())
+    assert frame.pixels.shape == (60, 80)
+    assert frame.pixels.std() > 0
+
+
+def test_exposure_of_frames_follows_change(faults: DemoCamera) -> None:
+    with faults.open(exposure_s=0.05) as camera:
+        camera.start()
+        camera.read(5.0)
+        camera.set_exposure(0.2)
+        frames = [camera.read(5.0) for _ in range(5)]
+        times_s = [frame.camera_time_s for frame in frames]
+        for frame, took_s in zip(frames[1:], np.diff(times_s), strict=True):
+            if frame.exposure_s == 0.2:
+                assert took_s > 0.15
+        assert frames[0].exposure_s == 0.05
+        assert frames[-1].exposure_s == 0.2
+
+
+def test_unread_frames_are_overwritten_and_show_as_gap(faults: DemoCamera) -> None:
+    with faults.open(ring_frames=4, exposure_s=1e-3) as camera:
+        camera.start()
+        assert camera.read(5.0).index == 0
+        capacity = faults.faulty.core.getBufferTotalCapacity()
+        deadline_s = time.monotonic() + 30.0
+        while (camera._line.newest() or 0) <= 5 * capacity and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        assert camera.read(5.0).index > capacity
+
+
+def test_buffer_emptied_between_two_calls_is_no_error(faults: DemoCamera, camera: MicroManagerCamera) -> None:
+    camera.start()
+    faults.faulty.core.stopSequenceAcquisition("camera")
+    faults.faulty.core.clearCircularBuffer()
+    faults.faulty.getRemainingImageCount = lambda: 1  # type: ignore[method-assign] # as it was just before
+    with pytest.raises(IndexError):
+        faults.faulty.core.popNextImage()
+    assert camera._line.pop() is None
+    assert camera._line.newest() is None
+
+
+def test_silent_camera_is_lost_after_exposure_and_two_seconds(faults: DemoCamera) -> None:
+    with faults.open(exposure_s=0.5) as camera:
+        camera.start()
+        camera.read(5.0)
+        faults.stall()
+        started_s = time.monotonic()
+        with pytest.raises(DeviceTimeout):
+            camera.read(2.0)
+        with pytest.raises(Disconnected, match="no frame for"):
+            camera.read(5.0)
+        assert 2.4 < time.monotonic() - started_s < 4.0
+        assert camera.state == "lost"
+
+
+def test_ending_long_exposure_is_no_silence(faults: DemoCamera) -> None:
+    with faults.open(exposure_s=1.0) as camera:
+        camera.start()
+        faults.stall()
+        camera.set_exposure(1e-3)
+        with pytest.raises(DeviceTimeout):
+            camera.read(2.5)
+        with pytest.raises(Disconnected):
+            camera.read(5.0)
+
+
+def test_region_stays_if_adapter_resets_it_with_binning(faults: DemoCamera, camera: MicroManagerCamera) -> None:
+    faults.faulty.resets_region = True
+    region = camera.set_region(Region(16, 32, 128, 256))
+    camera.set_binning(4)
+    assert camera.region == region
+    assert (camera.capabilities.rows, camera.capabilities.columns) == (32, 64)
+    camera.set_region(Region(0, 0, 512, 512))
+    camera.set_binning(1)
+    assert camera.capabilities.rows == 512
+
+
+def test_close_ends_read_of_another_thread(faults: DemoCamera, camera: MicroManagerCamera) -> None:
+    ended: list[BaseException] = []
+
+    def wait() -> None:
+        try:
+            camera.read(60.0)
+        except DeviceError as error:
+            ended.append(error)
+
+    camera.set_exposure(1.0)
+    camera.start()
+    faults.stall()
+    reader = threading.Thread(target=wait)
+    reader.start()
+    time.sleep(0.05)
+    camera.close()
+    reader.join(HANG_S)
+    (error,) = ended
+    assert isinstance(error, WrongState)
+
+
+def test_camera_that_stopped_itself_restarts(faults: DemoCamera, camera: MicroManagerCamera) -> None:
+    camera.start()
+    camera.read(5.0)
+    faults.faulty.core.stopSequenceAcquisition("camera")
+    with pytest.raises(WrongState, match="on its own"):
+        repeat(lambda: camera.read(1.0))
+    assert camera.state == "stopped"
+    camera.start()
+    assert camera.read(5.0).index == 0
+
+
+def test_frame_of_another_size_is_lost(faults: DemoCamera, camera: MicroManagerCamera) -> None:
+    assert camera.capabilities.rows == 512
+    faults.faulty.core.setROI(0, 0, 64, 32)  # behind the driver's back
+    camera.start()
+    with pytest.raises(FrameLost, match="unlike the region"):
+        camera.read(5.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "sentence"),
+    [
+        ({"device": "DShutter"}, BadValue, "is no camera"),
+        ({"device": "Nothing"}, Unsupported, r"set camera.adapter_folder .* device interface is 75"),
+        ({"adapter": "Andor"}, Unsupported, "install the maker's driver"),
+        ({"properties": {"Colour": "red"}}, BadValue, "camera.properties: there is no Colour; there are .*Binning"),
+        ({"properties": {"BitDepth": "13"}}, BadValue, "BitDepth = 13, allowed are 10, 11, 12"),
+        ({"properties": {"Gain": "99"}}, BadValue, r"Gain = 99, allowed are -5 \.\.\. 8"),
+        ({"properties": {"PixelType": "32bitRGB"}}, Unsupported, "one 8- or 16-bit number per pixel"),
+        ({"exposure_s": 99.0}, BadValue, r"exposure_s = 99 is outside 0.001 \.\.\. 1"),
+        ({"binning": 3}, BadValue, "there is no binning 3; there are 1, 2, 4, 8"),
+        ({"region": Region(0, 0, 1000, 1000)}, BadValue, "does not lie on the sensor of 512 x 512"),
+    ],
+)
+def test_refused_setting_says_what_to_do(
+    faults: DemoCamera, settings: dict[str, Any], error: type[DeviceError], sentence: str
+) -> None:
+    with pytest.raises(error, match=sentence):
+        faults.open(**settings)
+    assert not faults.faulty.core.getLoadedDevices()[:-1]  # all but the core itself
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"adapter": ""}, "adapter and device must be named"),
+        ({"exposure_s": 0.0}, "exposure_s must be positive"),
+        ({"full_scale": 0}, r"full_scale must be 1 \.\.\. 65535"),
+        ({"binning": 0}, r"binning must be 1 \.\.\. 64"),
+        ({"ring_frames": 3}, r"ring_frames must be 4 \.\.\. 10000"),
+    ],
+)
+def test_impossible_setting_names_its_key(settings: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        MicroManagerSettings(**({"adapter": "DemoCamera", "device": "DCam"} | settings))
+
+
+@pytest.mark.parametrize(
+    ("texts", "binnings"),
+    [
+        (("1", "2", "4"), {1: "1", 2: "2", 4: "4"}),
+        (("1x1", "2x2", "1x2", "2x1", "4X4"), {1: "1x1", 2: "2x2", 4: "4X4"}),
+        (("Off",), {}),
+    ],
+)
+def test_binning_texts(camera: MicroManagerCamera, texts: tuple[str, ...], binnings: dict[int, str]) -> None:
+    def answer(name: str, *_: str) -> tuple[str, ...]:
+        return {"getDevicePropertyNames": ("Binning",), "getAllowedPropertyValues": texts}[name]
+
+    camera._line.call = answer  # type: ignore[method-assign]
+    found = camera._find_binnings()
+    del camera._line.call
+    assert found == binnings
+
+
+def test_missing_pymmcore_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pymmcore", None)
+    with pytest.raises(Unsupported, match=r"pip install 'svwfs\[micro_manager\]'"):
+        MicroManagerCamera(MicroManagerSettings(adapter="DemoCamera", device="DCam"))
+
+
+def test_discovery_says_how_to_name_a_camera() -> None:
+    with pytest.raises(Unsupported, match="name adapter and device in a bench"):
+        discover()
+
+
+class Storm(CameraStorm):
+    """On a small sensor, so that a sequence takes little time."""
+
+    device: DemoCamera
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def make(self) -> DemoCamera:
+        return DemoCamera()
+
+    def open(self) -> MicroManagerCamera:
+        small = {"OnCameraCCDXSize": "64", "OnCameraCCDYSize": "48", "MaximumExposureMs": "40"}
+        return self.device.open(small)
+
+    def faults(self) -> st.SearchStrategy[tuple[Any, ...]]:
+        functions = ("setExposure", "setProperty", "setROI", "clearROI", "getExposure", "popNextImageMD")
+        return st.one_of(
+            st.tuples(st.sampled_from(["unplug", "plug_in", "stall"])),
+            st.tuples(st.just("lose_frames"), st.integers(1, 20)),
+            st.tuples(st.just("refuse"), st.sampled_from([*functions, "startContinuousSequenceAcquisition"])),
+        )
+
+    def happen(self, fault: tuple[Any, ...]) -> None:
+        if fault[0] == "refuse":
+            self.device.faulty.refused.append(fault[1])
+        else:
+            getattr(self.device, fault[0])(*fault[1:])
+
+    def recover(self) -> None:
+        self.device.plug_in()
+
+
+def test_storm_raises_only_device_errors() -> None:
+    run_state_machine_as_test(Storm, settings=storm_settings(20))
