@@ -4,29 +4,49 @@ The camera numbers the frames: lost packets and missing buffers show as gaps. Th
 and the EM gain is 1. Not yet tried on a real camera; the tests use Aravis's fake camera, over UDP.
 """
 
-import math
+import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from ctypes import byref, c_size_t
+from contextlib import contextmanager
+from ctypes import byref, c_int, c_size_t
+from dataclasses import replace
+from functools import partial
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.camera import Camera, CameraCapabilities
 from drivers.device import Property
-from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported
 from drivers.frame import Frame, Region
 from drivers.genicam.connection import GenicamConnection
 from drivers.genicam.discovery import choose
-from drivers.genicam.frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
+from drivers.genicam.exposure import ExposureTime
+from drivers.genicam.frames import ExposureLog, FrameCount
+from drivers.genicam.geometry import Geometry
 from drivers.genicam.library import STATUS_SUCCESS, load_aravis
+from drivers.genicam.pixel_formats import (
+    PIXEL_FORMATS,
+    PixelFormat,
+    Saturation,
+    byte_order_of,
+    copied_pixels,
+    preferred_format,
+)
+from drivers.genicam.resets import FRAME_RATE, RESETS, reset
 from drivers.genicam.settings import GenicamSettings
+from drivers.genicam.trigger import INTERNAL, set_trigger, sources, trigger
 from drivers.range import Range
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
-_LARGEST_BINNING: Final = 64
-_INTERNAL: Final = "internal"
+_DIGITISERS: Final = ("AdcBitDepth", "SensorBits")  # features with the depth of the digitiser: "Bit12", "12"
 # properties, if the camera has them
-_PROPERTIES_AS_TEXT: Final = ("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID")
+_PROPERTIES_AS_TEXT: Final = (
+    *("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID", "BinningHorizontalMode", "BinningVerticalMode"),
+    *_DIGITISERS,
+    *RESETS,
+)
 _PROPERTIES_AS_NUMBER: Final = ("DeviceTemperature", "BlackLevel")
 
 
@@ -46,9 +66,11 @@ class GenicamCamera(Camera):
         try:
             details = ("vendor_name", "model_name", "device_serial_number")
             self._name = " ".join(filter(None, (self._line.call(f"arv_camera_get_{detail}") for detail in details)))
-            with suppress(BadValue, Unsupported, WrongState):  # a stopped camera may refuse
-                self._line.call("arv_camera_execute_command", b"AcquisitionStop")
-            self._format = PIXEL_FORMATS[self._choose_pixel_format()]
+            self._line.attempt(lambda: self._line.call("arv_camera_execute_command", b"AcquisitionStop"))
+            reset(self._line, RESETS)
+            self._geometry = Geometry(self._line)
+            self._prepare_pixels()
+            self._exposure = ExposureTime(self._line)
             self._prepare()
         except BaseException:
             self._line.close()
@@ -60,15 +82,18 @@ class GenicamCamera(Camera):
         details = super().properties()
         with self._access():
             details["protocol"] = "GigE Vision" if line.is_gige else "USB3 Vision"
-            details["pixel_format"] = f"Mono{self._format.bits}"
-            if line.call("arv_camera_is_gain_available"):
-                details["gain"] = line.call("arv_camera_get_gain")
-            if line.call("arv_camera_is_frame_rate_available"):
-                details["frame_rate_hz"] = line.call("arv_camera_get_frame_rate")
+            details["pixel_format"] = self._format.name
+            details["byte_order"] = self._byte_order
+            details["full_scale"] = self.capabilities.full_scale
+            readings = {"gain": "arv_camera_get_gain", "frame_rate_hz": "arv_camera_get_frame_rate"}
             if line.is_gige:
-                details["packet_size"] = line.call("arv_camera_gv_get_packet_size")
-            details |= {name: line.text(name) for name in _PROPERTIES_AS_TEXT if line.has(name)}
-            details |= {name: line.number(name) for name in _PROPERTIES_AS_NUMBER if line.has(name)}
+                readings["packet_size"] = "arv_camera_gv_get_packet_size"
+            found: dict[str, Property | None] = {
+                key: line.attempt(partial(line.call, name)) for key, name in readings.items()
+            }
+            found |= {name: line.optional_text(name) for name in _PROPERTIES_AS_TEXT}
+            found |= {name: line.attempt(partial(line.number, name)) for name in _PROPERTIES_AS_NUMBER}
+        details |= {key: value for key, value in found.items() if value is not None}
         return details | {"incomplete_frames": self._incomplete}
 
     def _close(self) -> None:
@@ -78,31 +103,36 @@ class GenicamCamera(Camera):
         finally:
             self._line.close()
 
-    def _choose_pixel_format(self) -> str:
-        """Set and return the format of the settings, or the deepest available."""
-        offered = self._line.choices("PixelFormat")
-        usable = [name for name in PIXEL_FORMATS if name in offered]
-        if not usable:
+    def _prepare_pixels(self) -> None:
+        """Set the format of the settings, or the one that suits the digitiser best."""
+        line, settings = self._line, self._settings
+        offered = line.choices("PixelFormat")
+        texts = (line.optional_text(feature) or "" for feature in _DIGITISERS)
+        digitiser_bits = next((int(found.group()) for text in texts if (found := re.search(r"\d+$", text))), None)
+        best = preferred_format(offered, digitiser_bits)
+        if best is None:
             raise Unsupported(f"{self.name} sends only {', '.join(offered)}: a grey camera is needed")
-        chosen = self._settings.pixel_format or usable[0]
-        if chosen not in usable:
-            raise BadValue(f"pixel_format = {chosen} is not one of {', '.join(usable)}, which {self.name} sends")
-        self._line.set_text("PixelFormat", chosen)
-        return chosen
+        self._format: PixelFormat = PIXEL_FORMATS[settings.pixel_format] if settings.pixel_format else best
+        if self._format.name not in offered:
+            usable = ", ".join(name for name in PIXEL_FORMATS if name in offered)
+            raise BadValue(f"pixel_format = {self._format.name} is not one of {usable}, which {self.name} sends")
+        line.set_text("PixelFormat", self._format.name)
+        self._saturation = Saturation(self._format, digitiser_bits)
+        is_big = line.optional_text("GevSCPSBigEndian") == "true"
+        self._byte_order = settings.byte_order or byte_order_of(self.name, is_reported_big=is_big)
 
     def _prepare(self) -> None:
-        """Reset the camera to a defined mode."""
+        """Set the camera to a defined mode."""
         line, settings = self._line, self._settings
-        for feature, value in (("ExposureAuto", "Off"), ("GainAuto", "Off"), ("AcquisitionMode", "Continuous")):
-            if value in line.choices(feature):
-                line.set_text(feature, value)
-        if line.has("ChunkModeActive"):
-            line.call("arv_camera_set_boolean", b"ChunkModeActive", 0)
         if settings.binning != 1 or self._read_binning() != 1:
             self.set_binning(settings.binning)
         sensor = self.capabilities.sensor
         if sensor is not None:
             self.set_region(settings.region or sensor)
+        elif settings.region is not None:
+            raise Unsupported(f"{self.name} always reads out its whole sensor: omit region")
+        else:  # it may be cropped
+            line.attempt(lambda: self._geometry.set_region(self._geometry.sensor()))
         self.set_trigger(settings.trigger)
         if settings.gain is not None:
             gains = Range(*line.bounds("arv_camera_get_gain_bounds"))
@@ -111,63 +141,38 @@ class GenicamCamera(Camera):
             self.set_exposure(settings.exposure_s)
 
     def _read_capabilities(self) -> CameraCapabilities:
-        line = self._line
+        line, geometry, settings = self._line, self._geometry, self._settings
         _, _, columns, rows = line.region()
-        shortest_us, longest_us = line.bounds("arv_camera_get_exposure_time_bounds")
-        sources = [source for source in line.choices("TriggerSource") if source != "Software"]
+        self._saturation.reported = line.attempt(lambda: line.integer("PixelDynamicRangeMax"))
         return CameraCapabilities(
             rows=rows,
             columns=columns,
             pixel_pitch_m=self._pixel_pitch_m(),
-            full_scale=self._full_scale(),
-            exposure_range_s=Range(shortest_us / 1e6, longest_us / 1e6),
+            full_scale=settings.full_scale or self._saturation.counts,
+            exposure_range_s=self._exposure.range_s(),
             em_gain_range=Range(1.0, 1.0),
             amplifiers=("normal",),
-            binnings=self._binnings(),
-            triggers=(_INTERNAL, *sources),
-            sensor=self._sensor(),
-            region_step_px=self._region_step() * self._read_binning(),
+            binnings=geometry.binnings(),
+            triggers=sources(line),
+            sensor=geometry.sensor() if geometry.has_offsets else None,
+            region_step_px=geometry.region_step_px(),
         )
-
-    def _sensor(self) -> Region:
-        if self._line.has("SensorWidth") and self._line.has("SensorHeight"):
-            return Region(0, 0, self._line.integer("SensorHeight"), self._line.integer("SensorWidth"))
-        binning = self._read_binning()
-        return Region(0, 0, self._line.integer("HeightMax") * binning, self._line.integer("WidthMax") * binning)
 
     def _pixel_pitch_m(self) -> float | None:
         pitch_m = self._settings.pixel_pitch_m
-        if pitch_m is None and self._line.has("SensorPixelWidth"):
-            pitch_m = self._line.number("SensorPixelWidth") * 1e-6
+        if pitch_m is None and (reported_um := self._line.attempt(lambda: self._line.number("SensorPixelWidth"))):
+            pitch_m = reported_um * 1e-6
         return None if pitch_m is None else pitch_m * self._read_binning()
-
-    def _full_scale(self) -> int:
-        """Count at which a pixel saturates; the digitiser may have fewer bits than the format."""
-        if self._line.has("PixelDynamicRangeMax"):
-            return min(self._format.full_scale, self._line.integer("PixelDynamicRangeMax"))
-        return self._format.full_scale
-
-    def _binnings(self) -> tuple[int, ...]:
-        """Binnings available on both axes."""
-        if not self._line.call("arv_camera_is_binning_available"):
-            return (1,)
-        both = (self._line.integer_bounds(f"Binning{axis}") for axis in ("Horizontal", "Vertical"))
-        across, down = (set(range(low, min(high, _LARGEST_BINNING) + 1, step)) for low, high, step in both)
-        return tuple(sorted(across & down))
-
-    def _region_step(self) -> int:
-        """Common step of all sides of a region, in binned pixels."""
-        return math.lcm(*(self._line.integer_bounds(side)[2] for side in ("OffsetX", "OffsetY", "Width", "Height")))
 
     def _is_running(self) -> bool:
         return self._line.is_streaming
 
     def _start(self) -> None:
         allowed = self.capabilities
-        expected = allowed.rows * allowed.columns * self._format.stored.itemsize
+        expected = self._format.size_bytes(allowed.rows * allowed.columns)
         payload = self._line.call("arv_camera_get_payload")
-        if payload != expected:
-            raise Unsupported(f"{self.name} sends {payload} bytes per frame instead of {expected}")
+        if payload < expected:
+            raise Unsupported(f"{self.name} sends {payload} bytes per frame instead of {expected} or more")
         self._count = FrameCount()
         self._exposures = ExposureLog.beginning_with(self._read_exposure())
         self._line.start_stream(payload)
@@ -190,16 +195,21 @@ class GenicamCamera(Camera):
 
     def _frame(self, buffer: int) -> Frame:
         """Copy a frame out of its buffer; raise `FrameLost` if packets are missing."""
-        allowed = self.capabilities
-        size = c_size_t()
+        rows, columns = self.capabilities.rows, self.capabilities.columns
+        size, padding = c_size_t(), c_int()
         address = self._aravis.call("arv_buffer_get_data", buffer, byref(size))
         status = self._aravis.call("arv_buffer_get_status", buffer)
-        if status != STATUS_SUCCESS or size.value < allowed.rows * allowed.columns * self._format.stored.itemsize:
+        if self._aravis.has("arv_buffer_get_image_padding"):
+            self._aravis.call("arv_buffer_get_image_padding", buffer, byref(padding), byref(c_int()))
+        needed = self._format.size_bytes(rows * columns) + (rows - 1) * padding.value
+        if status != STATUS_SUCCESS or size.value < needed:
             self._incomplete += 1
             raise FrameLost(f"a frame arrived incomplete, the {self._incomplete}. so far: packets were lost")
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
+        pixels = copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
+        self._observe_saturation(pixels)
         return Frame(
-            pixels=copied_pixels(address, allowed.rows, allowed.columns, self._format),
+            pixels=pixels,
             index=self._count.advance(self._aravis.call("arv_buffer_get_frame_id", buffer)),
             camera_time_s=self._aravis.call("arv_buffer_get_timestamp", buffer) / 1e9,
             host_time_s=time.perf_counter(),
@@ -207,76 +217,60 @@ class GenicamCamera(Camera):
             em_gain=1.0,
         )
 
+    def _observe_saturation(self, pixels: NDArray[np.uint16]) -> None:
+        """Let the full scale follow the bits that the frames use."""
+        self._saturation.observe(pixels)
+        counts = self._settings.full_scale or self._saturation.counts
+        if counts != self.capabilities.full_scale:
+            self._cached_capabilities = replace(self.capabilities, full_scale=counts)
+
     def _read_exposure(self) -> float:
-        return float(self._line.call("arv_camera_get_exposure_time")) / 1e6
+        return self._exposure.read_s()
 
     def _set_exposure(self, exposure_s: float) -> float:
-        shortest_us, longest_us = self._line.bounds("arv_camera_get_exposure_time_bounds")
-        exposure_us = min(max(round(exposure_s * 1e6, 3), shortest_us), longest_us)
-        self._line.call("arv_camera_set_exposure_time", exposure_us)
+        self._exposure.set_s(exposure_s)
         taken_s = self._read_exposure()
         self._exposures.change(time.time(), taken_s)
         return taken_s
 
     def _read_binning(self) -> int:
-        available = self._line.call("arv_camera_is_binning_available")
-        return self._line.integer("BinningHorizontal") if available else 1
+        return self._geometry.binning()
 
     def _set_binning(self, binning: int) -> None:
         before, before_region = self._read_binning(), self._read_region()
         asked = self._asked_region or before_region
 
         def undo() -> None:
-            self._line.call("arv_camera_set_binning", before, before)
-            self._write_region(before_region)
+            self._geometry.set_binning(before)
+            self._geometry.set_region(before_region)
 
         with _undone_if_refused(undo):
-            self._line.call("arv_camera_set_binning", binning, binning)
-            step = self._region_step() * binning
-            top, left = (offset - offset % step for offset in (asked.top, asked.left))
-            rows, columns = (max(step, length - length % step) for length in (asked.rows, asked.columns))
-            self._write_region(Region(top, left, rows, columns))
+            self._geometry.set_binning(binning)
+            self._geometry.set_region(self._geometry.nearest(asked))
 
     def _read_trigger(self) -> str:
-        if self._line.choices("TriggerMode") and self._line.text("TriggerMode") == "On":
-            return self._line.text("TriggerSource")
-        return _INTERNAL
+        return trigger(self._line)
 
-    def _set_trigger(self, trigger: str) -> None:
+    def _set_trigger(self, source: str) -> None:
         before = self._read_trigger()
         with _undone_if_refused(lambda: self._write_trigger(before)):
-            self._write_trigger(trigger)
+            self._write_trigger(source)
 
-    def _write_trigger(self, trigger: str) -> None:
-        if trigger != _INTERNAL:
-            self._line.call("arv_camera_set_trigger", trigger.encode())
-            return
-        if self._line.choices("TriggerMode"):
-            self._line.call("arv_camera_clear_triggers")
-        if self._line.call("arv_camera_is_frame_rate_available"):
-            self._line.call("arv_camera_set_frame_rate", self._settings.frame_rate_hz or 0.0)
+    def _write_trigger(self, source: str) -> None:
+        reset(self._line, FRAME_RATE)
+        set_trigger(self._line, source)
+        if source == INTERNAL and self._settings.frame_rate_hz is not None:
+            self._line.call("arv_camera_set_frame_rate", self._settings.frame_rate_hz)
 
     def _read_region(self) -> Region:
-        binning = self._read_binning()
-        left, top, columns, rows = (number * binning for number in self._line.region())
-        return Region(top, left, rows, columns)
+        return self._geometry.region()
 
     def _set_region(self, region: Region) -> Region:
         before = self._read_region()
-        with _undone_if_refused(lambda: self._write_region(before)):
-            self._write_region(region)
+        with _undone_if_refused(lambda: self._geometry.set_region(before)):
+            self._geometry.set_region(region)
         self._asked_region = region
         return self._read_region()
-
-    def _write_region(self, region: Region) -> None:
-        binning = self._read_binning()
-        rows, columns = region.rows // binning, region.columns // binning
-        fewest_rows, fewest_columns = (self._line.integer_bounds(side)[0] for side in ("Height", "Width"))
-        if rows < fewest_rows or columns < fewest_columns:
-            raise BadValue(
-                f"{self.name} reads out at least {fewest_rows * binning} rows and {fewest_columns * binning} columns"
-            )
-        self._line.call("arv_camera_set_region", region.left // binning, region.top // binning, columns, rows)
 
 
 @contextmanager

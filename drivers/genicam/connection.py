@@ -8,8 +8,8 @@ from concurrent.futures import Future, wait
 from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
-from drivers.errors import Busy, DeviceError, Disconnected
-from drivers.genicam.library import PACKET_SOCKET_DISABLED, SOCKET_BUFFER_FIXED, Aravis
+from drivers.errors import Busy, DeviceError, Disconnected, Unsupported
+from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis
 from drivers.genicam.settings import GenicamSettings
 
 PATIENCE_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
@@ -91,30 +91,55 @@ class GenicamConnection:
         return self._calls.make(lambda: self._aravis.call(name, self._camera, *arguments), patience_s)
 
     def has(self, feature: str) -> bool:
-        """True if the feature is available now."""
-        return bool(self.call("arv_camera_is_feature_available", feature.encode()))
+        """True if the feature is implemented and available now."""
+        return bool(self.attempt(lambda: self._is_available(feature)))
+
+    def attempt(self, call: Callable[[], T]) -> T | None:
+        """Return the result of an optional call; None if the camera refuses it."""
+        try:
+            return call()
+        except Disconnected:
+            raise
+        except DeviceError:
+            return None
+
+    def is_writable(self, feature: str) -> bool:
+        """True if the feature is available and not locked now."""
+        if not self.has(feature):
+            return False
+        is_locked = self.attempt(lambda: self._call_node("arv_gc_feature_node_is_locked", feature))
+        return is_locked == 0 and self._call_node("arv_gc_feature_node_get_actual_access_mode", feature) == READ_WRITE
 
     def choices(self, feature: str) -> tuple[str, ...]:
         """Return the present values of an enumeration; () if the camera lacks it."""
         if not self.has(feature):
             return ()
+        self._check_control()
         return self._calls.make(lambda: self._aravis.choices(self._camera, feature), PATIENCE_S)
 
     def text(self, feature: str) -> str:
-        """Return the value of a text feature."""
-        return self.call("arv_camera_get_string", feature.encode()) or ""
+        """Return the value of a feature of any type as text."""
+        return self._call_node("arv_gc_feature_node_get_value_as_string", feature) or ""
 
     def set_text(self, feature: str, value: str) -> None:
-        """Change a text feature."""
-        self.call("arv_camera_set_string", feature.encode(), value.encode())
+        """Change a feature of any type to a value given as text."""
+        self._call_node("arv_gc_feature_node_set_value_from_string", feature, value.encode())
+
+    def optional_text(self, feature: str) -> str | None:
+        """Return the value of a feature as text; None if it is missing or cannot be read."""
+        return self.attempt(lambda: self.text(feature)) if self.has(feature) else None
 
     def integer(self, feature: str) -> int:
         """Return the value of an integer feature."""
         return int(self.call("arv_camera_get_integer", feature.encode()))
 
     def number(self, feature: str) -> float:
-        """Return the value of a float feature."""
-        return float(self.call("arv_camera_get_float", feature.encode()))
+        """Return the value of an integer or float feature."""
+        text = self.text(feature)
+        try:
+            return float(text)
+        except ValueError as error:
+            raise Unsupported(f"the camera's feature {feature} is no number but {text!r}") from error
 
     def integer_bounds(self, feature: str) -> tuple[int, int, int]:
         """Return minimum, maximum and step of an integer feature."""
@@ -188,6 +213,17 @@ class GenicamConnection:
         self.is_streaming = False
         wait((self._calls.submit(self._release),), _RELEASE_S)
         self._calls.end()
+
+    def _is_available(self, feature: str) -> bool:
+        is_available = self.call("arv_camera_is_feature_available", feature.encode())
+        return bool(is_available and self._call_node("arv_gc_feature_node_is_implemented", feature))
+
+    def _call_node(self, name: str, feature: str, *arguments: Any) -> Any:
+        """Call an Aravis function with a feature as first argument."""
+        if not (node := self._aravis.call("arv_device_get_feature", self._handle, feature.encode())):
+            raise Unsupported(f"the camera has no feature {feature}")
+        self._check_control()
+        return self._calls.make(lambda: self._aravis.call(name, node, *arguments), PATIENCE_S)
 
     def _open(self, device: str) -> None:
         self._camera = self._aravis.call("arv_camera_new", device.encode())

@@ -1,35 +1,12 @@
-"""Decoding of GenICam frames: pixel formats, frame numbers, exposures, pixels."""
+"""Index and exposure of GenICam frames."""
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 _LAST_SHORT_ID = 65535  # GigE Vision counts frames 1 ... 65535, then 1 again; 0 is never used
-
-
-@dataclass(frozen=True, slots=True)
-class PixelFormat:
-    """Unpacked grey pixels of GenICam's Pixel Format Naming Convention, in the low bits."""
-
-    bits: int
-
-    @property
-    def full_scale(self) -> int:
-        """Largest count."""
-        return (1 << self.bits) - 1
-
-    @property
-    def stored(self) -> np.dtype[Any]:
-        """Data type of a transmitted pixel."""
-        return np.dtype("u1") if self.bits == 8 else np.dtype("<u2")
-
-
-PIXEL_FORMATS = {f"Mono{bits}": PixelFormat(bits) for bits in (16, 14, 12, 10, 8)}  # deepest first
 
 
 @dataclass(slots=True)
@@ -71,12 +48,3 @@ class ExposureLog:
         newest = max(i for i, (since_s, exposure_s) in enumerate(self._changes) if since_s + exposure_s <= sent_s)
         del self._changes[:newest]
         return self._changes[0][1]
-
-
-def copied_pixels(address: int, rows: int, columns: int, pixel_format: PixelFormat) -> NDArray[np.uint16]:
-    """Return a read-only copy of the pixels at the address, (rows, columns) in counts."""
-    size = rows * columns * pixel_format.stored.itemsize
-    stored = np.frombuffer(memoryview((ctypes.c_ubyte * size).from_address(address)), pixel_format.stored)
-    pixels: NDArray[np.uint16] = stored.reshape(rows, columns).astype(np.uint16)
-    pixels.flags.writeable = False
-    return pixels

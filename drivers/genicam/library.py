@@ -17,10 +17,12 @@ HOW_TO_INSTALL: Final = "sudo apt-get install libaravis-0.8-0"
 STATUS_SUCCESS: Final = 0  # ArvBufferStatus
 PACKET_SOCKET_DISABLED: Final = 1  # ArvGvStreamOption
 SOCKET_BUFFER_FIXED: Final = 0  # ArvGvStreamSocketBuffer
+READ_WRITE: Final = 2  # ArvGcAccessMode
 
-_NAMES = {
+_NAMES: Final = {  # Windows: of MSYS2 and of vcpkg, in a folder of PATH
     "linux": ("libaravis-0.8.so.0",),
     "darwin": ("libaravis-0.8.dylib", "/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"),
+    "win32": ("libaravis-0.8-0.dll", "aravis-0.8-0.dll"),
 }
 _G_TYPE_INT: Final = 6 << 2
 
@@ -45,7 +47,15 @@ _STRINGS = POINTER(c_char_p)
 
 # Result and argument types; a final _ERROR is supplied by `Aravis.call`, which raises instead.
 _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
+    "arv_get_major_version": (c_uint, ()),
+    "arv_get_minor_version": (c_uint, ()),
     "arv_device_error_quark": (c_uint32, ()),
+    "arv_device_get_feature": (c_void_p, (c_void_p, c_char_p)),
+    "arv_gc_feature_node_is_implemented": (c_int, (c_void_p, _ERROR)),
+    "arv_gc_feature_node_is_locked": (c_int, (c_void_p, _ERROR)),
+    "arv_gc_feature_node_get_actual_access_mode": (c_int, (c_void_p,)),
+    "arv_gc_feature_node_get_value_as_string": (c_char_p, (c_void_p, _ERROR)),
+    "arv_gc_feature_node_set_value_from_string": (None, (c_void_p, c_char_p, _ERROR)),
     "arv_update_device_list": (None, ()),
     "arv_get_n_devices": (c_uint, ()),
     "arv_get_device_id": (c_char_p, (c_uint,)),
@@ -61,30 +71,20 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_gv_device_is_controller": (c_int, (c_void_p,)),
     "arv_camera_is_feature_available": (c_int, (c_void_p, c_char_p, _ERROR)),
     "arv_camera_execute_command": (None, (c_void_p, c_char_p, _ERROR)),
-    "arv_camera_get_string": (c_char_p, (c_void_p, c_char_p, _ERROR)),
-    "arv_camera_set_string": (None, (c_void_p, c_char_p, c_char_p, _ERROR)),
-    "arv_camera_set_boolean": (None, (c_void_p, c_char_p, c_int, _ERROR)),
     "arv_camera_get_integer": (c_int64, (c_void_p, c_char_p, _ERROR)),
     "arv_camera_get_integer_bounds": (None, (c_void_p, c_char_p, _LONG, _LONG, _ERROR)),
     "arv_camera_get_integer_increment": (c_int64, (c_void_p, c_char_p, _ERROR)),
-    "arv_camera_get_float": (c_double, (c_void_p, c_char_p, _ERROR)),
     "arv_camera_dup_available_enumerations_as_strings": (_STRINGS, (c_void_p, c_char_p, POINTER(c_uint), _ERROR)),
     "arv_camera_get_exposure_time": (c_double, (c_void_p, _ERROR)),
     "arv_camera_set_exposure_time": (None, (c_void_p, c_double, _ERROR)),
     "arv_camera_get_exposure_time_bounds": (None, (c_void_p, _FLOAT, _FLOAT, _ERROR)),
-    "arv_camera_is_gain_available": (c_int, (c_void_p, _ERROR)),
     "arv_camera_get_gain": (c_double, (c_void_p, _ERROR)),
     "arv_camera_set_gain": (None, (c_void_p, c_double, _ERROR)),
     "arv_camera_get_gain_bounds": (None, (c_void_p, _FLOAT, _FLOAT, _ERROR)),
-    "arv_camera_is_frame_rate_available": (c_int, (c_void_p, _ERROR)),
     "arv_camera_get_frame_rate": (c_double, (c_void_p, _ERROR)),
     "arv_camera_set_frame_rate": (None, (c_void_p, c_double, _ERROR)),
-    "arv_camera_set_trigger": (None, (c_void_p, c_char_p, _ERROR)),
-    "arv_camera_clear_triggers": (None, (c_void_p, _ERROR)),
     "arv_camera_get_region": (None, (c_void_p, _INT, _INT, _INT, _INT, _ERROR)),
     "arv_camera_set_region": (None, (c_void_p, c_int, c_int, c_int, c_int, _ERROR)),
-    "arv_camera_is_binning_available": (c_int, (c_void_p, _ERROR)),
-    "arv_camera_set_binning": (None, (c_void_p, c_int, c_int, _ERROR)),
     "arv_camera_get_payload": (c_uint, (c_void_p, _ERROR)),
     "arv_camera_gv_set_stream_options": (None, (c_void_p, c_int)),
     "arv_camera_gv_auto_packet_size": (c_uint, (c_void_p, _ERROR)),
@@ -99,6 +99,7 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
     "arv_buffer_get_system_timestamp": (c_uint64, (c_void_p,)),
     "arv_buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t))),
+    "arv_buffer_get_image_padding": (None, (c_void_p, _INT, _INT)),
     "g_error_free": (None, (c_void_p,)),
     "g_free": (None, (c_void_p,)),
     "g_object_unref": (None, (c_void_p,)),
@@ -107,7 +108,9 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "g_value_set_int": (None, (POINTER(_Value), c_int)),
 }
 
-# ArvDeviceError, by number
+_SINCE_0_8_23: Final = frozenset({"arv_buffer_get_image_padding"})
+
+# ArvDeviceError, by number in 0.8
 _KINDS: Final[dict[int, type[DeviceError]]] = {
     0: Unsupported,  # wrong type of feature
     1: Unsupported,  # no such feature
@@ -130,15 +133,28 @@ _USB: Final[dict[str, type[DeviceError]]] = {
 }
 
 
+def kinds_of_errors(version: tuple[int, int]) -> dict[int, type[DeviceError]]:
+    """Return the kind of device error of each ArvDeviceError; 0.9 inserted number 10, STREAM_ERROR."""
+    if version < (0, 9):
+        return _KINDS
+    return {number + (number >= 10): kind for number, kind in _KINDS.items()}
+
+
 class Aravis:
     """The loaded library."""
 
     def __init__(self) -> None:
         self._library = _load()
         for name, (result, arguments) in _FUNCTIONS.items():
-            function = getattr(self._library, name)
-            function.restype, function.argtypes = result, arguments
+            if self.has(name) or name not in _SINCE_0_8_23:
+                function = getattr(self._library, name)
+                function.restype, function.argtypes = result, arguments
         self._device_errors = self._library.arv_device_error_quark()
+        self._kinds = kinds_of_errors((self.call("arv_get_major_version"), self.call("arv_get_minor_version")))
+
+    def has(self, name: str) -> bool:
+        """True if this version of the library has the function."""
+        return hasattr(self._library, name)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Call a function by name, with text results as str; raise its error as a `DeviceError`."""
@@ -173,7 +189,7 @@ class Aravis:
         self._library.g_error_free(error)
         kind = next((kind for word, kind in _USB.items() if word in message), None)
         if kind is None:
-            kind = _KINDS.get(code, DeviceError) if domain == self._device_errors else DeviceError
+            kind = self._kinds.get(code, DeviceError) if domain == self._device_errors else DeviceError
         failure = "does not answer" if kind is Disconnected else "refuses the request"
         return kind(f"the camera {failure}: {message}")
 

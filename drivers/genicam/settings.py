@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from drivers.frame import Region
-from drivers.genicam.frames import PIXEL_FORMATS
+from drivers.genicam.pixel_formats import PIXEL_FORMATS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,7 +15,9 @@ class GenicamSettings:
     driver: Literal["genicam"] = "genicam"
     device: str = ""  # name in `svwfs devices`, serial number or address; "" takes the only one
     pixel_pitch_m: float | None = None  # of the sensor, if the camera does not report it
-    pixel_format: str = ""  # for example "Mono12"; "" takes the deepest
+    pixel_format: str = ""  # for example "Mono12"; "" takes the deepest without padding
+    full_scale: int | None = None  # count at which a pixel saturates; None: found from the camera and its frames
+    byte_order: Literal["", "little", "big"] = ""  # of 16-bit pixels; "" takes that of the model
     exposure_s: float | None = None
     gain: float | None = None  # analogue gain in the camera's unit, mostly dB; no electron multiplication
     frame_rate_hz: float | None = None  # None: as fast as exposure and readout allow
@@ -33,6 +35,8 @@ class GenicamSettings:
             f"{key} must be positive": (value := getattr(self, key)) is None or 0 < value < math.inf for key in positive
         } | {
             f"pixel_format must be one of {', '.join(PIXEL_FORMATS)}": self.pixel_format in {"", *PIXEL_FORMATS},
+            "full_scale must be 1 ... 65535": self.full_scale is None or 1 <= self.full_scale <= 65535,
+            'byte_order must be "", "little" or "big"': self.byte_order in {"", "little", "big"},
             "gain must be finite": self.gain is None or math.isfinite(self.gain),
             "binning must be 1 ... 64": 1 <= self.binning <= 64,
             "buffers must be 2 ... 10000": 2 <= self.buffers <= 10000,

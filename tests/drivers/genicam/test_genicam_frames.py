@@ -1,4 +1,4 @@
-"""GenICam parts without a camera: frame numbers, pixel formats, hanging calls, settings, missing library."""
+"""GenICam parts without a camera: frame numbers, hanging calls, settings, library."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.patience import HANG_S, wait_until
 
-from drivers.errors import Disconnected, Unsupported
+from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 from drivers.genicam.connection import PatientCalls
 from drivers.genicam.discovery import discover
-from drivers.genicam.frames import PIXEL_FORMATS, ExposureLog, FrameCount, copied_pixels
-from drivers.genicam.library import load_aravis
+from drivers.genicam.frames import ExposureLog, FrameCount
+from drivers.genicam.library import kinds_of_errors, load_aravis
 from drivers.genicam.settings import GenicamSettings
 
 
@@ -40,26 +40,6 @@ def test_loss_across_number_wrap_is_counted() -> None:
 def test_long_frame_numbers_may_begin_with_zero() -> None:
     count = FrameCount()
     assert [count.advance(frame_id) for frame_id in (0, 1, 65535, 65536, 2**40)] == [0, 1, 65535, 65536, 2**40]
-
-
-@pytest.mark.parametrize(
-    ("name", "full_scale"), [("Mono8", 255), ("Mono10", 1023), ("Mono12", 4095), ("Mono16", 65535)]
-)
-def test_pixels_are_copied_row_by_row(name: str, full_scale: int) -> None:
-    pixel_format = PIXEL_FORMATS[name]
-    assert pixel_format.full_scale == full_scale
-    counts = np.linspace(0, full_scale, 12).astype(int)
-    sent = b"".join(int(count).to_bytes(1 if name == "Mono8" else 2, "little") for count in counts)
-    memory = ctypes.create_string_buffer(sent, len(sent))
-    pixels = copied_pixels(ctypes.addressof(memory), 3, 4, pixel_format)
-    memory.raw = bytes(len(sent))
-    assert pixels.dtype == np.uint16
-    assert not pixels.flags.writeable
-    np.testing.assert_array_equal(pixels, counts.reshape(3, 4))
-
-
-def test_deepest_format_comes_first() -> None:
-    assert [pixel_format.bits for pixel_format in PIXEL_FORMATS.values()] == [16, 14, 12, 10, 8]
 
 
 def test_frame_has_exposure_from_its_begin() -> None:
@@ -128,6 +108,34 @@ def test_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
         discover()
 
 
+@pytest.mark.parametrize(("platform", "name"), [("win32", "libaravis-0.8-0.dll"), ("linux", "libaravis-0.8.so.0")])
+def test_library_is_searched_for_on_each_system(platform: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def missing(path: str) -> None:
+        tried.append(path)
+        raise OSError(path)
+
+    monkeypatch.setattr(ctypes, "CDLL", missing)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda _: None)
+    monkeypatch.setattr("drivers.genicam.library.sys.platform", platform)
+    load_aravis.cache_clear()
+    with pytest.raises(Unsupported):
+        load_aravis()
+    assert name in tried
+
+
+@pytest.mark.parametrize("version", [(0, 8), (0, 9), (0, 10)])
+def test_error_numbers_follow_the_version(version: tuple[int, int]) -> None:
+    """Versions 0.9 and later count STREAM_ERROR between NO_STREAM_CHANNEL, 9, and NOT_CONTROLLER."""
+    later = 0 if version == (0, 8) else 1
+    kinds = kinds_of_errors(version)
+    assert kinds[2] is kinds[10 + later] is Disconnected
+    assert kinds[13 + later] is BadValue
+    assert kinds[18 + later] is WrongState
+    assert later == 0 or 10 not in kinds
+
+
 @pytest.mark.parametrize(
     ("make", "key"),
     [
@@ -135,7 +143,10 @@ def test_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
         (lambda: GenicamSettings(exposure_s=float("nan")), "exposure_s"),
         (lambda: GenicamSettings(frame_rate_hz=0.0), "frame_rate_hz"),
         (lambda: GenicamSettings(gain=float("inf")), "gain"),
-        (lambda: GenicamSettings(pixel_format="Mono12Packed"), "pixel_format"),
+        (lambda: GenicamSettings(pixel_format="BayerRG8"), "pixel_format"),
+        (lambda: GenicamSettings(full_scale=0), "full_scale"),
+        (lambda: GenicamSettings(full_scale=65536), "full_scale"),
+        (lambda: GenicamSettings(byte_order="middle"), "byte_order"),  # type: ignore[arg-type]
         (lambda: GenicamSettings(binning=0), "binning"),
         (lambda: GenicamSettings(buffers=1), "buffers"),
         (lambda: GenicamSettings(packet_size=100), "packet_size"),

@@ -1,0 +1,414 @@
+"""GenICam driver with the features of real cameras: descriptions with odd, missing, locked and leftover ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.genicam_descriptions import PFNC, Description
+from support.gige_camera import ADDRESS, GigeCamera, Image
+
+from drivers.contract.camera import (
+    check_exposures,
+    check_frames,
+    check_identity,
+    check_modes,
+    check_region,
+    check_settings_are_allowed,
+)
+from drivers.errors import DeviceError, Unsupported
+from drivers.frame import Region
+from drivers.genicam.camera import GenicamCamera
+from drivers.genicam.library import load_aravis
+from drivers.genicam.pixel_formats import PIXEL_FORMATS
+from drivers.genicam.settings import GenicamSettings
+
+try:
+    load_aravis()
+except Unsupported as error:
+    pytest.skip(f"the extra genicam is not installed: {error}", allow_module_level=True)
+
+SETTINGS: Final = GenicamSettings(device=ADDRESS, packet_size=1400, exposure_s=0.004)
+ROWS, COLUMNS = 48, 96
+_NAMES: Final = {number: name for name, number in PFNC.items()}
+_ON_OFF: Final = {"Off": 0, "On": 1}
+Change = Callable[[GigeCamera, Description], None]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A camera to be imitated."""
+
+    vendor: str
+    name: str
+    description: Description
+    pixels: Callable[[int, int], NDArray[np.uint16]] | None = None  # (rows, columns), as a 16-bit format sends them
+    byte_order: str = "<"
+    row_padding_bytes: int = 0
+    trailing_bytes: int = 0
+    after_write: Change = lambda _camera, _description: None  # what the firmware adapts
+
+
+def ramp(rows: int, columns: int, most: int = 4095) -> NDArray[np.uint16]:
+    """Return different counts that end at the largest one."""
+    return (most - np.arange(rows * columns) * 7 % (most + 1)).reshape(rows, columns).astype(np.uint16)
+
+
+def stored(pixels: NDArray[np.uint16], model: Model, name: str) -> bytes:
+    """Return the pixels in a format of 8 or 16 bits, or packed by its definition."""
+    pixel_format = PIXEL_FORMATS[name]
+    if pixel_format.packing == "none":
+        return b"".join(
+            row.astype("u1" if pixel_format.bits == 8 else f"{model.byte_order}u2").tobytes()
+            + bytes(model.row_padding_bytes)
+            for row in pixels
+        )
+    assert pixel_format.bits == 12
+    first, second = pixels.ravel()[::2].astype(int), pixels.ravel()[1::2].astype(int)
+    if pixel_format.packing == "pfnc":
+        parts = (first & 255, first >> 8 | (second & 15) << 4, second >> 4)
+    else:
+        parts = (first >> 4, first & 15 | (second & 15) << 4, second >> 4)
+    return np.stack(parts, axis=1).astype(np.uint8).tobytes()
+
+
+def switched_on(model: Model) -> GigeCamera:
+    """Return the camera; it adapts its payload size, and sends pixels in the format that is set."""
+    of = model.description
+
+    def value(camera: GigeCamera, feature: str) -> int:
+        return camera.register(of.addresses[feature])
+
+    def adapt(camera: GigeCamera) -> None:
+        model.after_write(camera, of)
+        size = PIXEL_FORMATS[_NAMES[value(camera, "PixelFormat")]].size_bytes(
+            value(camera, "Width") * value(camera, "Height")
+        )
+        padding = model.row_padding_bytes * value(camera, "Height") + model.trailing_bytes
+        camera.set_register(of.addresses["PayloadSize"], size + padding)
+
+    def image(camera: GigeCamera) -> Image:
+        rows, columns, number = (value(camera, feature) for feature in ("Height", "Width", "PixelFormat"))
+        name = _NAMES[number]
+        bits = PIXEL_FORMATS[name].bits
+        pixels = (model.pixels or (lambda rows, columns: ramp(rows, columns, 2**bits - 1)))(rows, columns)
+        content = stored(pixels, model, name) + bytes(model.trailing_bytes)
+        return Image(content, rows, columns, number, model.row_padding_bytes)
+
+    camera = GigeCamera(
+        of.xml(model.vendor, model.name),
+        vendor=model.vendor,
+        model=model.name,
+        image=image,
+        start_address=of.addresses["Running"],
+        after_write=adapt,
+    )
+    for feature, number in of.values.items():
+        camera.set_register(of.addresses[feature], number)
+    adapt(camera)
+    return camera
+
+
+def usual(formats: tuple[str, ...], *, step: int = 2, offsets: bool = True) -> Description:
+    """Return the features that most cameras have, with leftover settings that falsify frames."""
+    of = Description()
+    of.basics(ROWS, COLUMNS, formats, step=step, offsets=offsets)
+    of.enumeration("ExposureMode", "TriggerWidth", {"Timed": 1, "TriggerWidth": 2})
+    of.enumeration("ExposureAuto", "Continuous", {"Off": 0, "Continuous": 2})
+    of.number("Gamma", 2, 0, 4)
+    of.boolean("LUTEnable", 1)
+    of.boolean("ReverseX", 1)
+    of.boolean("ReverseY", 1)
+    of.integer("DecimationHorizontal", 2, 1, 4)
+    of.integer("DecimationVertical", 2, 1, 4)
+    of.enumeration("TriggerMode", "On", _ON_OFF)
+    of.enumeration("TriggerSource", "Line0", {"Software": 0, "Line0": 1})
+    return of
+
+
+def grasshopper3() -> Model:
+    """USB3, 12 bits: left-aligned in Mono16; the horizontal binning is locked and follows the vertical one."""
+    of = usual(("Mono8", "Mono16", "Mono12Packed", "Mono12p"))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.integer("BinningVertical", 1, 1, 2)
+    of.raw('<Integer Name="HorizontalLocked"><Value>1</Value></Integer>')
+    of.integer("BinningHorizontal", 1, 1, 2, more="<pIsLocked>HorizontalLocked</pIsLocked>")
+    of.boolean("GammaEnabled", 1)
+    of.boolean("SharpnessEnabled", 1)
+    of.number("AcquisitionFrameRate", 5, 1, 160)
+    of.boolean("AcquisitionFrameRateEnabled", 1)
+    of.enumeration("AcquisitionFrameRateAuto", "Off", {"Off": 0, "Continuous": 1})
+    of.number("BlackLevel", 3)
+    of.number("DeviceTemperature", 41)
+
+    def follow(camera: GigeCamera, of: Description) -> None:
+        binning = camera.register(of.addresses["BinningVertical"])
+        camera.set_register(of.addresses["BinningHorizontal"], binning)
+        bin_sides(camera, of, binning)
+
+    return Model("Point Grey Research", "Grasshopper3 GS3-U3-51S5M", of, left_aligned, after_write=follow)
+
+
+def left_aligned(rows: int, columns: int) -> NDArray[np.uint16]:
+    return ramp(rows, columns) * 16
+
+
+def bin_sides(camera: GigeCamera, of: Description, binning: int) -> None:
+    """Shrink the region to the binned sensor."""
+    for side, length in (("Width", COLUMNS), ("Height", ROWS)):
+        camera.set_register(of.addresses[f"{side}Max"], length // binning)
+        if camera.register(of.addresses[side]) > length // binning:
+            camera.set_register(of.addresses[side], length // binning)
+
+
+def blackfly() -> Model:
+    """GigE: sends Mono16 big-endian, and its trigger selector is read-only."""
+    of = usual(("Mono8", "Mono16", "Mono12Packed"))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.boolean("pgrPixelBigEndian", 0)
+    selector = '<ImposedAccessMode>RO</ImposedAccessMode><EnumEntry Name="ExposureStart"><Value>0</Value></EnumEntry>'
+    of.raw(f'<Enumeration Name="TriggerSelector">{selector}<pValue>TriggerSelectorInt</pValue></Enumeration>')
+    of.raw(
+        '<IntSwissKnife Name="TriggerSelectorInt"><pVariable Name="M">TriggerModeReg</pVariable>'
+        "<Formula>M * 0</Formula></IntSwissKnife>"
+    )
+    return Model("Point Grey Research", "Blackfly BFLY-PGE-31S4M", of, left_aligned, ">")
+
+
+def manta() -> Model:
+    """GigE, firmware 1.44: the black level is a category, the depth of the digitiser is reported."""
+    of = usual(("Mono8", "Mono12Packed", "Mono10", "Mono12", "Mono14"))
+    of.number("ExposureTimeAbs", 9000, 10, 1e6)
+    of.integer("SensorBits", 12)
+    of.raw('<Category Name="BlackLevel"><pFeature>Gamma</pFeature></Category>')
+    of.number("AcquisitionFrameRateAbs", 20, 1, 160)
+    return Model("Allied Vision Technologies", "Manta_G-125B (E0020008)", of, ramp)
+
+
+def dhyana() -> Model:
+    """The black level is an integer, gamma is missing in this firmware, and frames end with padding."""
+    of = usual(("Mono12", "Mono16"))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.integer("BlackLevel", 100)
+    of.number("DeviceTemperature", 41)
+    of.boolean("GammaEnable", 1, more="<pIsAvailable>Missing</pIsAvailable>")
+    of.raw('<Integer Name="Missing"><Value>0</Value></Integer>')
+    return Model("Tucsen", "Dhyana 6060", of, trailing_bytes=40)
+
+
+def scientific_cmos() -> Model:
+    """No offsets: it always reads out its whole sensor. Its rows are padded."""
+    of = usual(("Mono12",), offsets=False)
+    of.values["Width"] = COLUMNS // 2  # cropped by another program
+    of.number("ExposureTime", 9000, 10, 1e6)
+    return Model("PSL", "SCMOS", of, row_padding_bytes=8)
+
+
+def viewworks() -> Model:
+    """Binnings are choices, and only the vertical one can be set."""
+    of = usual(("Mono8", "Mono10", "Mono12"))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    choices = {"X1": 1, "X2": 2, "X4": 4}
+    of.enumeration("BinningVertical", "X2", choices)
+    of.enumeration("BinningHorizontal", "X2", choices, more="<ImposedAccessMode>RO</ImposedAccessMode>")
+
+    def follow(camera: GigeCamera, of: Description) -> None:
+        binning = camera.register(of.addresses["BinningVertical"])
+        camera.set_register(of.addresses["BinningHorizontal"], binning)
+        bin_sides(camera, of, binning)
+
+    return Model("Vieworks", "VNP-604MX", of, after_write=follow)
+
+
+def pco1600() -> Model:
+    """The exposure time is an integer."""
+    of = usual(("Mono8", "Mono10", "Mono12", "Mono12Packed", "Mono16"))
+    of.integer("ExposureTimeAbs", 9000, 5, 10**6)
+    return Model("PCO", "XXX", of)
+
+
+MODELS: Final = (grasshopper3, blackfly, manta, dhyana, scientific_cmos, viewworks, pco1600)
+
+
+@pytest.fixture
+def peer() -> Iterator[Callable[[Model], GigeCamera]]:
+    """Switch on a camera."""
+    running: list[GigeCamera] = []
+
+    def switch_on(model: Model) -> GigeCamera:
+        running.append(switched_on(model).__enter__())
+        return running[-1]
+
+    yield switch_on
+    for camera in running:
+        camera.__exit__()
+
+
+@pytest.mark.parametrize("make", MODELS)
+def test_model_keeps_the_contract(make: Callable[[], Model], peer: Callable[[Model], GigeCamera]) -> None:
+    model = make()
+    peer(model)
+    with GenicamCamera(SETTINGS) as camera:
+        for check in (check_identity, check_frames, check_region, check_modes, check_exposures):
+            check(camera)
+        properties = camera.properties()
+        for feature, value in {"ExposureMode": "Timed", "ExposureAuto": "Off", "Gamma": "1"}.items():
+            assert properties[feature] == value
+        for feature in ("LUTEnable", "ReverseX", "ReverseY"):
+            assert properties[feature] == "false"
+        for feature in ("DecimationHorizontal", "DecimationVertical"):
+            assert properties[feature] == "1"
+        check_settings_are_allowed(camera)
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "full_scale"),
+    [
+        (grasshopper3, "Mono16", 65520),
+        (blackfly, "Mono16", 65520),
+        (manta, "Mono12", 4095),
+        (manta, "Mono12Packed", 4095),
+        (dhyana, "Mono12", 4095),
+        (scientific_cmos, "Mono12", 4095),
+        (pco1600, "Mono12", 4095),
+    ],
+)
+def test_saturated_pixels_arrive_at_full_scale(
+    make: Callable[[], Model], name: str, full_scale: int, peer: Callable[[Model], GigeCamera]
+) -> None:
+    model = make()
+    peer(model)
+    with GenicamCamera(replace(SETTINGS, pixel_format=name)) as camera:
+        camera.start()
+        pixels = camera.read(5.0).pixels
+        expected = (model.pixels or ramp)(ROWS, COLUMNS)
+        np.testing.assert_array_equal(pixels, expected)
+        assert camera.capabilities.full_scale == pixels.max() == full_scale
+        assert camera.properties()["full_scale"] == full_scale
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [(grasshopper3, "Mono12p"), (blackfly, "Mono12Packed"), (manta, "Mono12"), (dhyana, "Mono12"), (pco1600, "Mono12")],
+)
+def test_unpadded_format_is_chosen(make: Callable[[], Model], name: str, peer: Callable[[Model], GigeCamera]) -> None:
+    peer(make())
+    with GenicamCamera(SETTINGS) as camera:
+        assert camera.properties()["pixel_format"] == name
+        assert camera.capabilities.full_scale == 4095
+
+
+def test_full_scale_and_byte_order_can_be_given(peer: Callable[[Model], GigeCamera]) -> None:
+    peer(blackfly())
+    with GenicamCamera(replace(SETTINGS, pixel_format="Mono16", full_scale=4095, byte_order="little")) as camera:
+        camera.start()
+        np.testing.assert_array_equal(camera.read(5.0).pixels, left_aligned(ROWS, COLUMNS).byteswap())
+        assert camera.capabilities.full_scale == 4095
+
+
+def test_locked_binning_follows_the_other_axis(peer: Callable[[Model], GigeCamera]) -> None:
+    model = grasshopper3()
+    camera_peer = peer(model)
+    camera_peer.locked = frozenset({model.description.addresses["BinningHorizontal"]})
+    with GenicamCamera(SETTINGS) as camera:
+        assert camera.capabilities.binnings == (1, 2)
+        camera.set_binning(2)
+        assert camera.binning == 2
+        assert (camera.capabilities.rows, camera.capabilities.columns) == (ROWS // 2, COLUMNS // 2)
+    assert camera_peer.refused == []
+
+
+def test_leftover_frame_rate_is_released(peer: Callable[[Model], GigeCamera]) -> None:
+    peer(grasshopper3())
+    with GenicamCamera(SETTINGS) as camera:
+        properties = camera.properties()
+        assert properties["AcquisitionFrameRateEnabled"] == "false"
+        assert (properties["GammaEnabled"], properties["SharpnessEnabled"]) == ("false", "false")
+    with GenicamCamera(replace(SETTINGS, frame_rate_hz=20.0)) as camera:
+        assert camera.properties()["AcquisitionFrameRateEnabled"] == "true"
+        assert camera.properties()["frame_rate_hz"] == 20
+        camera.set_trigger("Line0")
+        assert camera.properties()["AcquisitionFrameRateEnabled"] == "false"
+
+
+def test_odd_nodes_do_not_spoil_the_properties(peer: Callable[[Model], GigeCamera]) -> None:
+    model = dhyana()
+    of = model.description.addresses
+    camera_peer = peer(model)
+    camera_peer.unreadable = frozenset({of["DeviceTemperature"], of["ReverseY"]})
+    with GenicamCamera(SETTINGS) as camera:
+        properties = camera.properties()
+        assert properties["BlackLevel"] == 100
+        assert "DeviceTemperature" not in properties
+        assert "ReverseY" not in properties
+        assert "GammaEnable" not in properties
+
+
+def test_black_level_category_is_left_out(peer: Callable[[Model], GigeCamera]) -> None:
+    peer(manta())
+    with GenicamCamera(SETTINGS) as camera:
+        assert "BlackLevel" not in camera.properties()
+        assert camera.properties()["SensorBits"] == "12"
+
+
+def test_camera_without_offsets_reads_out_its_whole_sensor(peer: Callable[[Model], GigeCamera]) -> None:
+    peer(scientific_cmos())
+    with GenicamCamera(SETTINGS) as camera:
+        assert camera.capabilities.sensor is None
+        assert camera.region == Region(0, 0, ROWS, COLUMNS)
+        with pytest.raises(Unsupported):
+            camera.set_region(Region(0, 0, 16, 16))
+    with pytest.raises(Unsupported, match="whole sensor"):
+        GenicamCamera(replace(SETTINGS, region=Region(0, 0, 16, 16)))
+
+
+def test_whole_region_keeps_to_the_steps_with_binning(peer: Callable[[Model], GigeCamera]) -> None:
+    """With a binning of 2 a side of 2064 pixels would be 1032, no multiple of 16."""
+    of = usual(("Mono8",), step=16)
+    of.number("ExposureTime", 9000, 10, 1e6)
+    for side in ("SensorWidth", "WidthMax", "Width"):
+        of.values[side] = 2064
+    of.integer("BinningVertical", 1, 1, 4)
+    of.integer("BinningHorizontal", 1, 1, 4)
+
+    def shrink(camera: GigeCamera, of: Description) -> None:
+        binning = camera.register(of.addresses["BinningHorizontal"])
+        camera.set_register(of.addresses["WidthMax"], 2064 // binning)
+
+    camera_peer = peer(Model("Basler", "acA2040-35gm", of, after_write=shrink))
+    with GenicamCamera(SETTINGS) as camera:
+        assert camera.capabilities.sensor == Region(0, 0, ROWS, 2064)
+        camera.set_binning(2)
+        sensor = camera.capabilities.sensor
+        assert sensor == Region(0, 0, 32, 2048)
+        assert camera.set_region(sensor) == sensor
+        assert camera_peer.register(of.addresses["Width"]) == 1024
+
+
+def test_unequal_binning_is_refused(peer: Callable[[Model], GigeCamera]) -> None:
+    of = usual(("Mono8",))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.integer("BinningVertical", 1, 1, 4)
+    of.integer("BinningHorizontal", 2, 1, 4, more="<ImposedAccessMode>RO</ImposedAccessMode>")
+    peer(Model("Maker", "Model", of))
+    with pytest.raises(Unsupported, match="bins 1 rows and 2 columns: square pixels are needed"):
+        GenicamCamera(SETTINGS)
+
+
+def test_camera_without_exposure_time_is_refused(peer: Callable[[Model], GigeCamera]) -> None:
+    peer(Model("FLIR", "SC6700", usual(("Mono16",))))
+    with pytest.raises(Unsupported, match="offers no exposure time"):
+        GenicamCamera(SETTINGS)
+
+
+def test_too_small_payload_is_refused(peer: Callable[[Model], GigeCamera]) -> None:
+    camera_peer = peer(pco1600())
+    with GenicamCamera(SETTINGS) as camera:
+        camera_peer.after_write = lambda _camera: None
+        camera_peer.set_register(pco1600().description.addresses["PayloadSize"], 100)
+        with pytest.raises(DeviceError, match="sends 100 bytes per frame instead of 9216 or more"):
+            camera.start()
