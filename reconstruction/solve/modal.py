@@ -82,12 +82,13 @@ class ModalSolver:
             scale = modes.degree[1:, None] ** -_PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
         self._unknowns = basis.shape[1]
-        self._singular, vectors = self._decompose(basis)
+        rows = [self._rows(basis, some) for some in self._chunks()]
+        self._singular, vectors = _decompose(rows)
         self._scaled = basis @ vectors
         self._left_singular = self._scaled / self._singular  # to left singular vectors, see `_rows`
-        self._across = np.concatenate(
-            [self._rows(self._left_singular, some).astype(np.float32) for some in self._chunks()]
-        ).T.copy()  # left singular vectors, (n, lenslet * K)
+        to_left = vectors / self._singular
+        across = np.concatenate([(some @ to_left).astype(np.float32) for some in rows])
+        self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
         self._equations = lru_cache(maxsize=16)(self._down_dated)
         if not self._is_smooth:
             self._equations(self._is_usable.astype(np.float64).tobytes())  # fails early
@@ -152,16 +153,6 @@ class ModalSolver:
         rows = np.matmul(whitened, sensitivity.reshape(*sensitivity.shape[:2], -1))
         return np.asarray(rows.reshape(-1, rows.shape[2]) @ basis)
 
-    def _decompose(self, basis: Floats) -> tuple[Floats, Floats]:
-        """Singular values of the design matrix, and its right singular vectors, (column of the basis, n)."""
-        normal = np.zeros((basis.shape[1],) * 2)
-        for some in self._chunks():
-            rows = self._rows(basis, some)
-            normal += rows.T @ rows
-        square, vectors = np.linalg.eigh(normal)
-        seen = square > _UNSEEN * square[-1]
-        return np.sqrt(square[seen]), vectors[:, seen]
-
     def _down_dated(self, share_bytes: bytes) -> Equations:
         """The equations of lenslets with that share of their certainty, (lenslet,)."""
         share = np.frombuffer(share_bytes)
@@ -199,6 +190,13 @@ class ModalSolver:
                 f"{values.shape[1]} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
                 " lower pupil_modes, or leave it out"
             )
+
+
+def _decompose(rows: list[Floats]) -> tuple[Floats, Floats]:
+    """Singular values of the design matrix, given in parts, and its right singular vectors, (column, n)."""
+    square, vectors = np.linalg.eigh(sum(some.T @ some for some in rows))
+    seen = square > _UNSEEN * square[-1]
+    return np.sqrt(square[seen]), vectors[:, seen]
 
 
 def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask, float]:
