@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -13,9 +13,8 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes
-from reconstruction.modes.layered_modes import layered_basis
-from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.modes.layered_modes import layered_wavefronts
+from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.response import LensletModel, linear_response
@@ -26,13 +25,11 @@ from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.sensitivity import Sensitivity, geometric_sensitivity, response_sensitivity
 from reconstruction.solve.weights import relative_weights
 from reconstruction.solve.zonal import ZonalSolution
+from reconstruction.warp_choice import CHOSEN_WARPS, expected_error_rad2
 from reconstruction.wavefront import Solution, Wavefront
 
 _SATURATED_FRACTION = 0.01  # of the frame's pixels; with more, the frame is rejected
 _BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
-_WARP_CHOICE_MODES = 45  # pupil modes for the predicted noise; a smooth wavefront needs about as many
-# Systematic error of each warp, rad: mean over the square's ensembles of docs/estimator.md (4.2 rad RMS).
-_WARP_ERROR_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
 
 
 class Reconstructor:
@@ -194,10 +191,11 @@ class Reconstructor:
 
         def error_rad2(warp: Warp) -> float:
             _, method, at_rest = prepare(warp)
-            return self._noise_rad2(_parameters(method, at_rest), at_rest) + _WARP_ERROR_RAD[warp] ** 2
+            parameters = _parameters(method, at_rest)
+            return expected_error_rad2(warp, parameters, at_rest, sensor=self.sensor, field=self.field)
 
         # Warps that rotate and bend more than quadratic ones amplify noise.
-        return prepare(min(list(_WARP_ERROR_RAD)[: 2 if registration.rotation else None], key=error_rad2))
+        return prepare(min(CHOSEN_WARPS[: 2 if registration.rotation else None], key=error_rad2))
 
     def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
         """Response of the registration; mean gradients where there is none, or none is wanted."""
@@ -220,42 +218,9 @@ class Reconstructor:
             self._sensitivity,
             parameters,
             at_rest.covariance,
-            layered=self._layered(modes, parameters, at_rest.modes),
+            layered=layered_wavefronts(self.sensor, modes, at_rest.modes, parameters),
             field_degree=at_rest.modes.degree if count is None else None,
         )
-
-    def _layered(
-        self, modes: PupilModes, parameters: Floats, field_modes: FieldModes
-    ) -> Callable[[Floats], Floats] | None:
-        """Basis of layered wavefronts, if the registration finds no rotation."""
-        if len(parameters) == 2 * field_modes.count or not isinstance(field_modes, LegendreModes | ZernikeModes):
-            return None
-        half_width_m = np.array(self.sensor.pupil_half_width_m)
-
-        def basis(scale: Floats) -> Floats:
-            arrays = modes.products[1:], field_modes.products, scale, half_width_m
-            return _layered_basis(tuple((array.shape, array.tobytes()) for array in arrays))
-
-        return basis
-
-    def _noise_rad2(self, parameters: Floats, at_rest: Displacement) -> float:
-        """Mean noise variance of the views, rad^2, if every lenslet were as certain as the mean valid one."""
-        valid = at_rest.valid
-        if not valid.any():
-            return np.inf
-        everywhere = replace(
-            at_rest,
-            coefficients=np.zeros_like(at_rest.coefficients),
-            # A few lit lenslets could not carry the modes.
-            covariance=np.broadcast_to(np.mean(at_rest.covariance[valid], axis=0), at_rest.covariance.shape),
-            outcome=np.full_like(at_rest.outcome, Outcome.CONVERGED),
-        )
-        lattice_count = len(pupil_modes(self.sensor, "legendre", None).degree)
-        modes = pupil_modes(self.sensor, "legendre", min(_WARP_CHOICE_MODES, lattice_count))
-        layered = self._layered(modes, parameters, at_rest.modes)
-        sensitivity = geometric_sensitivity(self.sensor, parameters)
-        solver = ModalSolver(modes, sensitivity, parameters, everywhere.covariance, layered=layered)
-        return float(np.nanmean(Wavefront.of(self.sensor, self.field, everywhere, solver(everywhere)).sigma() ** 2))
 
     def _cut(self, light: Image) -> ReferenceSubimages:
         return ReferenceSubimages(
@@ -291,12 +256,6 @@ class Reconstructor:
         if np.issubdtype(image.dtype, np.integer):
             return np.asarray(image >= math.ceil(self._full_scale))  # 7x faster than comparing with a float
         return np.asarray(image >= self._full_scale)
-
-
-@lru_cache(maxsize=16)
-def _layered_basis(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> Floats:
-    """`layered_basis` of arrays given by shape and content: the same for every reference of a bench."""
-    return layered_basis(*(np.frombuffer(content).reshape(shape) for shape, content in arrays))
 
 
 def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:

@@ -4,12 +4,18 @@ Straight rays through layers make phi(u, x) = sum_i Phi_i(a_i u + b_i x), so tha
 (d_u d_y - d_v d_x) phi = 0: subimages do not rotate (docs/layers_and_rotation.md).
 """
 
+from collections.abc import Callable
+from functools import lru_cache
+
 import numpy as np
 from numpy.polynomial import legendre as series
 from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components
 
 from reconstruction.arrays import Floats
+from reconstruction.geometry import Sensor
+from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes
+from reconstruction.modes.pupil_modes import PupilModes
 
 _DEPENDENT = 1e-9  # of a row's largest element; independent rows leave 0.3
 _ROUNDING = 1e-10  # of a mode's largest coefficient; its derivatives have true ones far above
@@ -48,6 +54,30 @@ def layered_basis(pupil_products: Floats, field_products: Floats, scale: Floats,
         basis[place, first : first + block.shape[1]] = block
         first += block.shape[1]
     return basis
+
+
+def layered_wavefronts(
+    sensor: Sensor, modes: PupilModes, field_modes: FieldModes, parameters: Floats
+) -> Callable[[Floats], Floats] | None:
+    """`layered_basis` as a function of the scale (pupil_mode - 1, field_mode), without the piston.
+
+    None if the parameters of the warp (K, 2Q) contain rotation.
+    """
+    if len(parameters) == 2 * field_modes.count or not isinstance(field_modes, LegendreModes | ZernikeModes):
+        return None
+    half_width_m = np.array(sensor.pupil_half_width_m)
+
+    def basis(scale: Floats) -> Floats:
+        arrays = modes.products[1:], field_modes.products, scale, half_width_m
+        return _cached_basis(tuple((array.shape, array.tobytes()) for array in arrays))
+
+    return basis
+
+
+@lru_cache(maxsize=16)
+def _cached_basis(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> Floats:
+    """`layered_basis` of arrays given by shape and content: the same for every reference of a bench."""
+    return layered_basis(*(np.frombuffer(content).reshape(shape) for shape, content in arrays))
 
 
 def _null_space(rows: Floats) -> Floats:
