@@ -20,10 +20,12 @@ class RenderingAhead:
 
     def __init__(self, scene: Scene, mask: str, cache_folder: Path) -> None:
         package_parent = str(Path(__file__).resolve().parents[1])
-        search_path = os.pathsep.join(filter(None, [package_parent, os.environ.get("PYTHONPATH", "")]))
+        given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        search_path = os.pathsep.join([package_parent, *filter(None, given)])  # an empty part is the working directory
         below_normal = getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)  # exists on Windows only
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "simulated_devices.rendering_ahead"],
+            # -P: nothing from the working directory is imported
+            [sys.executable, "-P", "-m", "simulated_devices.rendering_ahead"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"},

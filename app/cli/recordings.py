@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from app.cli.options import FramesOption, OverwriteOption, SetOption
+from app.errors import RunError
 
 RecordingArgument = Annotated[Path, typer.Argument(help="Folder of a recording.")]
 
@@ -23,6 +24,8 @@ def recover(recording: RecordingArgument) -> None:
     with progress_bar() as progress:
         recovered = run(recording, lambda fraction: progress("checking the frames", fraction))
     print_recovered(recovered, recording)
+    if not recovered.whole:
+        raise RunError(f"{recording}: no frame is whole")
 
 
 def replay(

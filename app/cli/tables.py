@@ -61,7 +61,7 @@ def print_recovered(recovered: Recovered, folder: Path) -> None:
     state = "was complete" if recovered.was_complete else "is complete now"
     damaged = ", but damaged" if recovered.damage else ""
     typer.echo(f"{folder}: {state}{damaged}: {recovered.summary}")
-    for sentence in (*recovered.damage, recovered.readable, recovered.put_aside):
+    for sentence in (*recovered.rebuilt, *recovered.damage, recovered.readable, recovered.put_aside):
         if sentence:
             typer.echo(f"{folder}: {sentence}")
 

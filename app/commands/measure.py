@@ -74,7 +74,7 @@ def measure(
     if fault:
         raise RunError(fault)
     if not measured.reconstructed:
-        raise RunError(f"no frame could be reconstructed: {measured.problem}")
+        raise RunError(f"no frame could be reconstructed: {measured.problem or 'none was recorded'}")
     return measured
 
 

@@ -3,16 +3,21 @@
 import json
 from dataclasses import fields, replace
 from pathlib import Path
-from zipfile import BadZipFile
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
 
 from app.bench.config import load_bench, write_bench
 from app.errors import InputError
-from app.files import atomic_write
+from app.files import atomic_write, check_readable, in_words, sync
 from app.measurement.calibration import Calibration
-from app.measurement.routines.averages import Average
+from app.measurement.routines.averages import AVERAGED_FRAMES, Average
+from app.run_facts import write_record
 from reconstruction.arrays import Floats
+from reconstruction.geometry import require
+
+# RuntimeError: the archive is encrypted
+_DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, MemoryError, RuntimeError, BadZipFile)
 
 
 def write_calibration(folder: Path, calibration: Calibration) -> None:
@@ -20,12 +25,15 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     temporary = folder.with_name(f".{folder.name}.partial")
     temporary.mkdir(parents=True)
     bench = replace(calibration.bench, lattice=calibration.lattice)
-    (temporary / "bench.toml").write_text(write_bench(bench), "utf-8")
-    (temporary / "camera.json").write_text(json.dumps({"full_scale": calibration.full_scale}) + "\n")
+    with atomic_write(temporary / "bench.toml") as path:
+        path.write_text(write_bench(bench), "utf-8")
+    write_record(temporary / "camera.json", {"full_scale": calibration.full_scale})
     _write_average(temporary / "reference.npz", calibration.reference)
     if calibration.dark is not None:
         _write_average(temporary / "dark.npz", calibration.dark)
     temporary.rename(folder)
+    sync(folder.parent)
+    sync(folder.parent.parent)
 
 
 def read_calibration(folder: Path) -> Calibration:
@@ -33,8 +41,10 @@ def read_calibration(folder: Path) -> Calibration:
     bench = load_bench(folder / "bench.toml", is_recorded=True)
     try:
         full_scale = float(json.loads((folder / "camera.json").read_text())["full_scale"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{folder / 'camera.json'}: cannot be read: {error}") from error
+        if not full_scale > 0:
+            raise ValueError(f"full_scale = {full_scale}")  # noqa: TRY301 - one way out
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{folder / 'camera.json'}: cannot be read: {in_words(error)}") from error
     if bench.lattice is None:
         raise InputError(f"{folder / 'bench.toml'}: lattice is missing")
     dark = folder / "dark.npz"
@@ -55,21 +65,48 @@ def write_array(path: Path, values: Floats) -> None:
 
 def read_array(path: Path) -> Floats:
     """Read an array; `InputError` if it is missing or damaged."""
+    check_readable(path)
     try:
         values: Floats = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+        if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
+            raise ValueError("it holds no array of numbers")  # noqa: TRY301 - one way out
+    except (OSError, ValueError, EOFError, MemoryError, BadZipFile) as error:
+        raise InputError(f"{path}: cannot be read: {in_words(error)}") from error
     return values
 
 
 def _write_average(path: Path, average: Average) -> None:
-    np.savez(path, allow_pickle=False, **{field.name: getattr(average, field.name) for field in fields(Average)})
+    values = {field.name: getattr(average, field.name) for field in fields(Average)}
+    with atomic_write(path) as temporary:
+        np.savez(temporary, allow_pickle=False, **values)
 
 
 def _read_average(path: Path) -> Average:
+    check_readable(path)
     try:
+        with ZipFile(path) as archive:
+            if any(member.compress_type != ZIP_STORED for member in archive.infolist()):
+                raise ValueError("it is compressed, which no program of svwfs writes")
         with np.load(path, allow_pickle=False) as stored:
             arrays = {field.name: stored[field.name] for field in fields(Average)}
-        return Average(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+        average = Average(**{name: array if array.ndim else array.item() for name, array in arrays.items()})
+        _check(average)
+    except _DAMAGED as error:
+        raise InputError(f"{path}: cannot be read: {in_words(error)}") from error
+    return average
+
+
+def _check(average: Average) -> None:
+    """Raise `ValueError` unless the numbers can be those of averaged frames."""
+    mean, variance = average.mean, average.variance
+    require(
+        {
+            "mean is no image": isinstance(mean, np.ndarray) and mean.ndim == 2 and mean.dtype.kind == "f",
+            "mean is not finite": bool(np.isfinite(mean).all()),
+            "variance has another size than mean": np.shape(variance) == np.shape(mean),
+            "variance is negative or not finite": bool(np.isfinite(variance).all() and np.min(variance) >= 0),
+            f"frames = {average.frames!r}": average.frames in AVERAGED_FRAMES,
+            f"exposure_s = {average.exposure_s!r}": average.exposure_s > 0,
+            f"em_gain = {average.em_gain!r}": average.em_gain > 0,
+        }
+    )

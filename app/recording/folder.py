@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from app.errors import InputError
-from app.files import check_writable
+from app.files import check_readable, check_writable, in_words
 
 FORMAT = "svwfs recording 1"
 
@@ -28,12 +28,13 @@ def read_run(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise InputError(f"{folder}: not a folder" if folder.exists() else f"{folder}: no such folder")
     path = folder / RUN
+    if not path.exists():
+        raise InputError(f"{folder}: holds no recording: there is no {RUN} in it")
+    check_readable(path)
     try:
         run = json.loads(path.read_text("utf-8"))
-    except FileNotFoundError as error:
-        raise InputError(f"{folder}: holds no recording: there is no {RUN} in it") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read: {in_words(error)}") from error
     if not isinstance(run, dict) or run.get("format") != FORMAT or "complete" not in run or "bench" not in run:
         raise InputError(f"{path}: not the file of a recording ({FORMAT})")
     return run
@@ -47,8 +48,9 @@ def parts_of(folder: Path) -> list[Path]:
 def check_free(folder: Path) -> None:
     """Raise `InputError` if no recording can begin in the folder."""
     try:
-        for name in (RUN, FRAME_LINES, STORE):
-            if (folder / name).exists():
+        for name in (RUN, STORE, FRAME_LINES):
+            # an empty list of frames was left by a program that died before its first one
+            if (folder / name).exists() and (name != FRAME_LINES or (folder / name).stat().st_size):
                 raise InputError(f"{folder}: holds a recording already: {name}")
         check_writable(folder)
     except OSError as error:
@@ -87,4 +89,4 @@ def lock(file: IO[bytes]) -> None:
     try:
         fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise InputError(f"{file.name}: is still being recorded") from error
+        raise InputError(f"{file.name}: is still being recorded, or recovered by another program") from error

@@ -17,11 +17,11 @@ import zarr
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
-from app.files import atomic_write
+from app.files import atomic_write, in_words, sync
 
 Separator: TypeAlias = Literal["/", "."]  # between the parts of a chunk's name
 
-_METADATA = "zarr.json"
+METADATA = "zarr.json"  # in the folder of an array or group
 _STEP = 4096  # frames by which an array grows
 _WRITE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
 _CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}]
@@ -29,7 +29,7 @@ _CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}]
 
 def is_array(path: Path) -> bool:
     """True if there is an array."""
-    return (path / _METADATA).exists()
+    return (path / METADATA).is_file()
 
 
 class FrameArray:
@@ -38,14 +38,14 @@ class FrameArray:
     def __init__(self, path: Path) -> None:
         """Open an array; `InputError` if it is not one of a recording."""
         try:
-            self._metadata = json.loads((path / _METADATA).read_text())
+            self._metadata = json.loads((path / METADATA).read_text())
             self.length, *shape = (int(count) for count in self._metadata["shape"])
             self._type = np.dtype(self._metadata["data_type"]).newbyteorder("<")
             self._separator = str(self._metadata["chunk_key_encoding"]["configuration"]["separator"])
             is_ours = self._metadata["codecs"] == _CODECS
             is_ours &= self._metadata["chunk_grid"]["configuration"]["chunk_shape"] == [1, *shape]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: not an array of a recording: {error}") from error
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise InputError(f"{path}: not an array of a recording: {in_words(error)}") from error
         if not is_ours:
             raise InputError(f"{path}: not an array of a recording, which has one plain chunk for each frame")
         self.shape = tuple(shape)
@@ -74,7 +74,12 @@ class FrameArray:
         )
         made = cls(store / name)
         if separator == "/":
-            (store / name / "c").mkdir()
+            (store / name / "c").mkdir(exist_ok=True)
+        for folder in (store / name, *(store / name).parents):
+            if not (folder / METADATA).exists():
+                break
+            sync(folder / METADATA)
+            sync(folder)
         return made
 
     def write(self, index: int, values: NDArray[Any]) -> int:
@@ -101,14 +106,14 @@ class FrameArray:
         """The values of one frame, None if they are missing; `InputError` if they are damaged."""
         chunk = self._chunk(index)
         try:
-            values = np.fromfile(chunk, self._type)
             size = chunk.stat().st_size
+            if size != self._bytes:  # also a pipe, which would have to be waited for
+                raise InputError(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}")
+            values = np.fromfile(chunk, self._type)
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise InputError(f"{chunk}: cannot be read: {error.strerror or error}") from error
-        if size != self._bytes:
-            raise InputError(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}")
+            raise InputError(f"{chunk}: cannot be read: {in_words(error)}") from error
         return values.reshape(self.shape).astype(self._type.newbyteorder("="), copy=False)
 
     def is_whole(self, index: int) -> bool:
@@ -121,7 +126,7 @@ class FrameArray:
     def set_length(self, length: int) -> None:
         """Change the length in the metadata; chunks stay."""
         self._metadata["shape"][0] = length
-        with atomic_write(self._path / _METADATA) as temporary:
+        with atomic_write(self._path / METADATA) as temporary:
             temporary.write_text(json.dumps(self._metadata, indent=2))
         self.length = length
 

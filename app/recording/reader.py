@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench, parse_bench
 from app.errors import InputError
+from app.files import check_readable
 from app.measurement.calibration import Calibration
 from app.recording.calibration_files import read_array, read_calibration
 from app.recording.folder import BEFORE, BIAS, CALIBRATION, FRAME_LINES, PIXELS, RESULTS, RUN, START, STORE, read_run
@@ -60,6 +61,8 @@ class Recording:
 
     def refresh(self) -> int:
         """Look for new frames and for the end of the recording; return the number of frames."""
+        if (path := self.folder / FRAME_LINES).exists():
+            check_readable(path)
         try:
             with (self.folder / FRAME_LINES).open("rb") as file:
                 file.seek(self._ends[-1])
@@ -136,6 +139,12 @@ class Recording:
         if pixels is None:
             raise InputError(f"{self.folder}: the pixels of all frames are missing")
         return pixels.shape
+
+    @property
+    def stored_frames(self) -> int:
+        """Number of frames of which some pixels are stored."""
+        folder = self.folder / STORE / PIXELS / "c"
+        return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
 
     def is_whole(self, index: int) -> bool:
         """True if all pixels of a frame exist; after a power failure some may not."""

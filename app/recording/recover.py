@@ -13,10 +13,12 @@ from app.recording.folder import FRAME_LINES, PIXELS, RESULTS, RUN, STORE, lock
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
+from app.recording.rebuild import rebuild_arrays, rebuild_run
 from app.run_facts import now, write_record
 
 _WHY = "recovered: the program ended before it could finish the recording"
 _LISTED_RANGES = 20
+_BEYOND = 100  # numbers of frames this many times what is there are damage, and would take hours to check
 
 
 @dataclass(slots=True)
@@ -30,6 +32,7 @@ class Recovered:
     gaps: int = 0
     damage: tuple[str, ...] = ()  # a sentence for each kind
     whole: list[int] = field(default_factory=list)  # frames whose line and pixels are readable
+    rebuilt: tuple[str, ...] = ()  # a sentence for each file of metadata
     put_aside: str = ""  # what was removed from `frames.jsonl`, and where it is
 
     @property
@@ -56,19 +59,24 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
     Damaged frames in the middle stay, so that all others keep their index; lines of damaged frames at the end of an
     unfinished recording are moved to `frames.damaged.jsonl`. `InputError` if it is still being recorded.
     """
-    recording = Recording(folder)
     path = folder / FRAME_LINES
     try:
+        rebuilt = [rebuild_run(folder)]
+        recording = Recording(folder)
         if not path.exists():
             path.touch()
         mode = "rb" if recording.is_complete else "rb+"  # a complete recording may be read-only
         with path.open(mode) as file:
             lock(file)
+            rebuilt += rebuild_arrays(folder)
             recording.refresh()
             lines = find_lines(path)
             found = Recovered(recording.is_complete, _length(recording, lines))
             _examine(recording, lines, found, progress)
+            found.rebuilt = tuple(filter(None, rebuilt))
             found.put_aside = _put_in_place(lines, found.frames, is_complete=found.was_complete)
+            if found.rebuilt or not found.was_complete:
+                _set_length(recording, found.frames)
             if not found.was_complete:
                 _finish(recording, found)
     except OSError as error:
@@ -78,11 +86,13 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
 
 def _length(recording: Recording, lines: FoundLines) -> int:
     """Number of frames, up to the last whole one: after a power failure a line may exist without its frame."""
+    most = _BEYOND * (1 + max(len(recording), recording.stored_frames))
     if recording.is_complete:
         counts = recording.run.get("frames")
         recorded = counts.get("recorded") if isinstance(counts, dict) else None
-        return recorded if type(recorded) is int and recorded >= 0 else len(recording)  # True is not a number
-    return max((index + 1 for index in lines.spans if recording.is_whole(index)), default=0)
+        # True is not a number
+        return recorded if type(recorded) is int and 0 <= recorded <= most else len(recording)
+    return max((index + 1 for index in lines.spans if index < most and recording.is_whole(index)), default=0)
 
 
 def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress: Callable[[float], None]) -> None:
@@ -175,12 +185,15 @@ def _free_name(path: Path) -> Path:
     return next(each for name in names if not (each := path.with_suffix(f".{name}{path.suffix}")).exists())
 
 
-def _finish(recording: Recording, found: Recovered) -> None:
-    """Set the length of the arrays and mark the recording complete."""
+def _set_length(recording: Recording, frames: int) -> None:
     store = recording.folder / STORE
     for path in (store / PIXELS, *sorted(store.glob(RESULTS.format("*") + "/*"))):
         if is_array(path):
-            FrameArray(path).set_length(found.frames)
+            FrameArray(path).set_length(frames)
+
+
+def _finish(recording: Recording, found: Recovered) -> None:
+    """Mark the recording complete."""
     counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
     ended = {"complete": True, "ended": now(), "ended_early": _WHY, "frames": counts}
     write_record(recording.folder / RUN, {**recording.run, **ended})

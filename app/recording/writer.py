@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import zarr
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
-from app.files import make_folder
+from app.files import make_folder, sync
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import LightState, Measurement
 from app.recording.calibration_files import write_array, write_calibration
@@ -32,7 +33,7 @@ from app.recording.folder import (
     check_free,
     lock,
 )
-from app.recording.frame_array import FrameArray, Separator
+from app.recording.frame_array import FrameArray
 from app.recording.frame_lines import FrameLine
 from app.run_facts import now, software_facts, write_record
 from drivers.interface import Frame
@@ -42,7 +43,11 @@ from reconstruction.wavefront import rms
 
 T = TypeVar("T")
 
-_LENSLET = ("lenslet_row", "lenslet_column")
+_DIMENSIONS = {
+    PIXELS: ("y", "x"),
+    "displacement": ("lenslet_row", "lenslet_column", "field_mode", "xy"),
+    "coefficients": ("pupil_mode", "field_mode"),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +110,7 @@ class RecordingWriter:
     def __init__(self, folder: Path, facts: Mapping[str, Any]) -> None:
         check_free(folder)
         make_folder(folder)
+        sync(folder.parent)
         self._folder = folder
         self._run: dict[str, Any] = {
             "format": FORMAT,
@@ -138,15 +144,13 @@ class RecordingWriter:
             write_array(self._folder / START, record.start)
             self._registered = BEFORE, record.start
         start = self._registered[0] if record.start is not None and self._registered is not None else None
-        written = self._put(PIXELS, index, record.frame.pixels, ("y", "x"))
+        written = self._put(PIXELS, index, record.frame.pixels)
         if calibration is not None:
             results = RESULTS.format(calibration)
             if record.displacement is not None:
-                vectors = (*_LENSLET, "field_mode", "xy")
-                written += self._put(f"{results}/displacement", index, record.displacement, vectors)
+                written += self._put(f"{results}/displacement", index, record.displacement)
             if record.coefficients is not None:
-                modes = ("pupil_mode", "field_mode")
-                written += self._put(f"{results}/coefficients", index, record.coefficients, modes)
+                written += self._put(f"{results}/coefficients", index, record.coefficients)
         self._write_line(_line(record, index, calibration, bias, start))
         if record.displacement is not None:
             self._registered = index, record.displacement
@@ -162,8 +166,9 @@ class RecordingWriter:
     def finish(self, ended_early: str, *, acquired: int, facts: Mapping[str, Any]) -> None:
         """Set the length of the arrays and mark the recording complete, with more `facts` for `run.json`.
 
-        Of the `acquired` frames, those beyond the recorded ones could not be written.
+        Of the `acquired` frames, those beyond the recorded ones could not be written. `RunError` if the folder is gone.
         """
+        self._check_in_place()
         if ended_early:
             self._remove_unfinished()
         for array in self._arrays.values():
@@ -176,6 +181,12 @@ class RecordingWriter:
     def close(self) -> None:
         """Close the files."""
         self._lines.close()
+
+    def _check_in_place(self) -> None:
+        """Raise `RunError` if the list of frames is not where it was, so that no empty recording takes its place."""
+        lines = self._folder / FRAME_LINES
+        if not lines.exists() or not os.path.samestat(os.fstat(self._lines.fileno()), lines.stat()):
+            raise RunError(f"{lines}: was removed or renamed during the recording; svwfs recover finishes it")
 
     def _remove_unfinished(self) -> None:
         """Remove the parts of a frame without a line; on a full disk this makes room for the rest."""
@@ -190,12 +201,11 @@ class RecordingWriter:
             left = left[self._lines.write(left) :]
         self._lines_bytes += length
 
-    def _put(self, name: str, index: int, values: NDArray[Any], dimensions: tuple[str, ...]) -> int:
+    def _put(self, name: str, index: int, values: NDArray[Any]) -> int:
         if name not in self._arrays:
             if not self._arrays:
-                _make_store(self._folder / STORE)
-            separator: Separator = "/" if name == PIXELS else "."
-            self._arrays[name] = FrameArray.create(self._folder / STORE, name, values, dimensions, separator)
+                make_store(self._folder / STORE)
+            self._arrays[name] = make_array(self._folder / STORE, name, values)
         try:
             return self._arrays[name].write(index, values)
         except RunError as error:
@@ -222,10 +232,15 @@ class _Numbered(Generic[T]):
 def _create_lines(folder: Path) -> IO[bytes]:
     """Create and lock `frames.jsonl`; refused to the second of two programs that begin at the same moment."""
     try:
-        lines = (folder / FRAME_LINES).open("xb", buffering=0)
+        lines = (folder / FRAME_LINES).open("xb" if sys.platform == "win32" else "ab", buffering=0)
     except FileExistsError as error:
         raise InputError(f"{folder}: holds a recording already: {FRAME_LINES}") from error
-    lock(lines)
+    try:
+        lock(lines)
+        check_free(folder)
+    except InputError:
+        lines.close()
+        raise
     return lines
 
 
@@ -251,7 +266,13 @@ def _line(record: Record, index: int, calibration: int | None, bias: int | None,
     )
 
 
-def _make_store(path: Path) -> None:
+def make_array(store: Path, name: str, values: NDArray[Any]) -> FrameArray:
+    """Make an array of a recording, for values like these of one frame."""
+    dimensions = _DIMENSIONS[name.rpartition("/")[2]]
+    return FrameArray.create(store, name, values, dimensions, "/" if name == PIXELS else ".")
+
+
+def make_store(path: Path) -> None:
     """Make the Zarr group, which is an OME-NGFF 0.5 image with one scale."""
     axes = [{"name": "t", "type": "time"}, {"name": "y", "type": "space"}, {"name": "x", "type": "space"}]
     scale = {"path": PIXELS, "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -77,6 +78,19 @@ def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, cap
     assert capfd.readouterr().err == ""
     cache = ImageCache(tmp_path, scene)
     assert all(cache.load("square", state) is not None for state in range(4))
+
+
+@pytest.mark.parametrize("search_path", ["", os.pathsep])
+def test_rendering_ahead_imports_nothing_from_working_directory(
+    bench: SimulatedBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, search_path: str
+) -> None:
+    (tmp_path / "numpy.py").write_text("open('executed', 'w').close(); raise SystemExit(7)")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", search_path)
+    process = RenderingAhead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
+    assert process._process.wait(HANG_S) == 0
+    process.close()
+    assert not (tmp_path / "executed").exists()
 
 
 def test_bench_works_without_writable_cache(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -1,12 +1,16 @@
 """ZeroMQ publisher of live results, which never waits for a subscriber."""
 
+import ipaddress
+import socket
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 
 import zmq
 
+from app.acquisition.streams.guard import ConnectionGuard, limit
 from app.acquisition.streams.messages import TOPICS, message
 from app.bench.config import Bench
 from app.errors import RunError
@@ -15,6 +19,8 @@ from app.measurement.measurement import Measurement
 _WAITING = 4  # measurements queued for the publisher; beyond, the oldest is dropped
 _QUEUED = 30  # messages queued per subscriber, ten measurements; beyond, new ones are dropped for it
 _BUFFER_BYTES = 1 << 18  # system buffer per subscriber; a larger one would only delay messages
+_CHANGES_AT_ONCE = 100  # between measurements
+_NOTIFICATIONS = 4096  # read at once
 _LINGER_MS = 300  # time to send the last messages
 
 
@@ -25,22 +31,27 @@ class Publisher:
         """Open the port of `bench.streams`; `RunError` if that fails."""
         self._bench = bench
         self._waiting: deque[tuple[int, Measurement]] = deque(maxlen=_WAITING)
-        self._something_new, self._closing = threading.Event(), threading.Event()
+        self._closing = threading.Event()
+        self._wake, self._woken = socket.socketpair()  # an event that can be polled together with ZeroMQ's sockets
+        self._wake.setblocking(False)
         self._sequence = 0
         self._subscriptions: set[bytes] = set()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)  # a PUB socket that receives the subscriptions
         for option, value in ((zmq.SNDHWM, _QUEUED), (zmq.SNDBUF, _BUFFER_BYTES), (zmq.LINGER, _LINGER_MS)):
             self._socket.setsockopt(option, value)
+        limit(self._socket)
         endpoint = f"tcp://{bench.streams.address}:{bench.streams.port}"
         try:
             self._socket.bind(endpoint)
         except zmq.ZMQError as error:
             self._context.destroy(linger=0)
+            self._close_wake()
             raise RunError(
                 f"nothing can be published at {endpoint}: {zmq.strerror(error.errno or 0)};"
                 " change streams.port or streams.address"
             ) from error
+        self._guard = ConnectionGuard(self._socket, bench.streams.port or 0)
         self._thread = threading.Thread(target=self._work, name="publisher", daemon=True)
         self._thread.start()
 
@@ -48,19 +59,34 @@ class Publisher:
         """Queue a measurement; returns at once."""
         self._sequence += 1
         self._waiting.append((self._sequence, measurement))
-        self._something_new.set()
+        self._notify()
 
     def close(self) -> None:
         """Send the queued measurements and close the port."""
         self._closing.set()
-        self._something_new.set()
+        self._notify()
         self._thread.join()
+        self._socket.disable_monitor()
         self._context.destroy()
+        self._close_wake()
+
+    def _notify(self) -> None:
+        with suppress(BlockingIOError):  # notified often enough
+            self._wake.send(b"\0")
+
+    def _close_wake(self) -> None:
+        self._wake.close()
+        self._woken.close()
 
     def _work(self) -> None:
+        poller = zmq.Poller()
+        for each in (self._guard.monitor, self._socket, self._woken):
+            poller.register(each, zmq.POLLIN)
         while not self._closing.is_set():
-            self._something_new.wait()
-            self._something_new.clear()
+            if (self._woken.fileno(), zmq.POLLIN) in poller.poll():
+                self._woken.recv(_NOTIFICATIONS)
+            self._guard.watch()
+            self._read_subscriptions()
             while self._waiting:
                 sequence, measurement = self._waiting.popleft()
                 self._read_subscriptions()
@@ -73,9 +99,13 @@ class Publisher:
             self._socket.send_multipart(parts, zmq.NOBLOCK)  # dropped for subscribers that have not kept up
 
     def _read_subscriptions(self) -> None:
-        """Read subscriptions: a byte, 1 to begin or 0 to end, and a topic prefix."""
-        while self._socket.poll(0):
-            change = self._socket.recv()
+        """Read subscriptions, some at a time: a byte, 1 to begin or 0 to end, and a topic prefix."""
+        for _ in range(_CHANGES_AT_ONCE):
+            if not self._socket.poll(0):
+                break
+            received = self._socket.recv(copy=False)
+            self._guard.count_change(received)
+            change = received.bytes
             if change[:1] == b"\x01":
                 self._subscriptions.add(change[1:])
             elif change[:1] == b"\x00":
@@ -88,5 +118,10 @@ def stream_sinks(bench: Bench) -> Iterator[tuple[Callable[[Measurement], None], 
     if bench.streams.port is None:
         yield ()
         return
+    if not ipaddress.IPv4Address(bench.streams.address).is_loopback:
+        sys.stderr.write(
+            f"warning: every computer that reaches {bench.streams.address} can read the results at port"
+            f" {bench.streams.port}\n"
+        )
     with closing(Publisher(bench)) as publisher:
         yield (publisher.take,)

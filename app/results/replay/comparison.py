@@ -50,7 +50,8 @@ class Verification:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
         if not self.different:
             return f"{self.frames} frames, each bit-identical to what was recorded"
-        then, now = self._recording.run.get("versions", {}).get("svwfs", "an unknown version"), version("svwfs")
+        versions, now = self._recording.run.get("versions"), version("svwfs")
+        then = versions.get("svwfs") if isinstance(versions, dict) else "an unknown version"
         software = f"recorded by svwfs {then}, replayed by {now}" if then != now else f"both by svwfs {now}"
         return f"{self.different} of {self.frames} frames differ from what was recorded; {self._first} ({software})"
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from datetime import datetime
 from typing import Any
 
@@ -17,27 +18,38 @@ Fact = tuple[str, str]  # label and text
 def facts(summary: Summary) -> list[Fact]:
     """Return the facts of a recording, without those that it does not contain."""
     run, lines, bench = summary.recording.run, summary.lines, summary.bench
-    devices: dict[str, Any] = run.get("devices", {})
+    camera, light, stage = (_section(run, "devices", name) for name in ("camera", "light", "stage"))
     said = [
         ("recorded", _when(summary)),
         ("frames", _counts(summary)),
         *[("", f"{count} of them: {problem}") for problem, count in summary.problems.most_common(2)],
-        ("camera", _camera(summary, devices.get("camera", {}), bench)),
-        ("exposure", _exposure(lines, devices.get("camera", {}))),
-        ("light", _light(lines, devices.get("light", {}))),
-        ("mask", str(devices.get("stage", {}).get("mask", bench.simulation.source.mask))),
+        ("camera", _camera(summary, camera, bench)),
+        ("exposure", _exposure(lines, camera)),
+        ("light", _light(lines, light)),
+        ("mask", str(stage.get("mask", bench.simulation.source.mask))),
         *_of_calibration(summary),
         ("method", _method(bench, summary)),
-        ("speed", _speed(run.get("timings", {}))),
+        ("speed", _speed(_section(run, "timings"))),
         ("software", _software(run)),
     ]
     return [(name, text) for name, text in said if text]
 
 
+def _section(tree: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Return a section of `run.json`, empty if it is missing or damaged."""
+    for name in names:
+        tree = tree.get(name, {})
+        if not isinstance(tree, dict):
+            return {}
+    return tree
+
+
 def _when(summary: Summary) -> str:
     recording = summary.recording
-    began = datetime.fromisoformat(str(recording.run["began"])) if "began" in recording.run else None
-    parts = [] if began is None else [f"{began:%Y-%m-%d %H:%M:%S} {began.tzname() or ''}".strip()]
+    parts = []
+    with suppress(KeyError, ValueError):  # missing, or damaged
+        began = datetime.fromisoformat(str(recording.run["began"]))
+        parts.append(f"{began:%Y-%m-%d %H:%M:%S} {began.tzname() or ''}".strip())
     parts.append(f"{summary.lines[-1].host_time_s - summary.lines[0].host_time_s:.1f} s from first to last frame")
     if command := recording.run.get("command"):
         parts.append(f"by svwfs {command}")
@@ -50,7 +62,7 @@ def _when(summary: Summary) -> str:
 
 def _counts(summary: Summary) -> str:
     lines, whole = summary.lines, len(summary.recording)
-    acquired = summary.recording.run.get("frames", {}).get("acquired")
+    acquired = _section(summary.recording.run, "frames").get("acquired")
     some = "" if len(lines) == whole else f"{lines[0].index} ... {lines[-1].index} of "
     with_wavefront = 0 if summary.statistics is None else len(summary.statistics.frames)
     return (
@@ -130,18 +142,18 @@ def _method(bench: Bench, summary: Summary) -> str:
     return ", ".join(parts)
 
 
-def _speed(timings: dict[str, dict[str, float | None]]) -> str:
+def _speed(timings: dict[str, Any]) -> str:
     wanted = {"register": "registration", "reconstruct": "reconstruction", "to_result": "exposure to result"}
     said = []
     for stage, name in wanted.items():
-        p50_s, p99_s = (timings.get(stage, {}).get(which) for which in ("p50_s", "p99_s"))
-        if p50_s is not None and p99_s is not None:
+        p50_s, p99_s = (_section(timings, stage).get(which) for which in ("p50_s", "p99_s"))
+        if isinstance(p50_s, float) and isinstance(p99_s, float):
             said.append(f"{name} {p50_s * 1e3:.1f} ({p99_s * 1e3:.1f}) ms")
     return ", ".join(said) + ": median (99 %)" * bool(said)
 
 
 def _software(run: dict[str, Any]) -> str:
-    versions, machine = run.get("versions", {}), run.get("machine", {})
+    versions, machine = _section(run, "versions"), _section(run, "machine")
     parts = [f"{name} {versions[name]}" for name in ("svwfs", "python", "numpy") if name in versions]
     if "system" in machine:
         parts.append(f"{machine['system']}, {machine.get('cores', '?')} cores")

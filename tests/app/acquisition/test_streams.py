@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from support.command_line import run
 from support.optics import FIELD, SmallBench
 from support.paths import DOCS
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 
+from app.acquisition.streams.guard import CHANGES, CONNECTIONS
 from app.acquisition.streams.publisher import Publisher, stream_sinks
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.bench.settings import StreamSettings
@@ -382,3 +383,52 @@ def _can_be_read(descriptor: int) -> bool:
     poller = zmq.Poller()
     poller.register(descriptor, zmq.POLLIN)
     return bool(poller.poll(50))
+
+
+def descriptors() -> int:
+    """Number of open files and sockets of this process."""
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+def test_connections_are_limited(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    before, most, ours = descriptors(), 0, []
+    for count in range(1, 401):
+        ours.append(socket.create_connection(("127.0.0.1", port)))
+        most = max(most, descriptors() - before - count)
+    assert most < CONNECTIONS + 100  # those about to be closed; without a limit all 400
+    wait_until(lambda: descriptors() - before - len(ours) <= CONNECTIONS)
+    for connection in ours:
+        connection.close()
+    with closing(Subscriber(port, "views")) as subscriber:  # there is room again
+        _until_heard(publisher, subscriber, measurement)
+
+
+def test_long_topic_closes_its_connection(publisher: Publisher, port: int, measurement: Measurement) -> None:
+    with closing(Subscriber(port, "views")) as subscriber, closing(Subscriber(port, "v" * 10_000)) as other:
+        _until_heard(publisher, subscriber, measurement)
+        assert max(map(len, publisher._subscriptions)) < 10_000
+        assert other.is_waiting()
+
+
+def test_flood_of_subscriptions_closes_its_connection(
+    publisher: Publisher, port: int, measurement: Measurement
+) -> None:
+    with closing(Subscriber(port, "views")) as subscriber:
+        _until_heard(publisher, subscriber, measurement)
+        with closing(Subscriber(port)) as flooding:
+            for number in range(20 * CHANGES):
+                flooding._socket.subscribe(str(number))
+            wait_until(lambda: publisher._guard._open_from_s > 0)  # the flood was noticed
+            wait_until(lambda: publisher._subscriptions == {b"views"})  # and its connection closed
+            _until_heard(publisher, subscriber, measurement)  # the other one stays connected
+
+
+@pytest.mark.parametrize(("address", "is_warned"), [("127.0.0.1", False), ("127.8.9.1", False), ("0.0.0.0", True)])  # noqa: S104 - it is warned of
+def test_open_address_is_warned_of(
+    bench: Bench, port: int, capsys: pytest.CaptureFixture[str], address: str, is_warned: bool
+) -> None:
+    with stream_sinks(replace(bench, streams=StreamSettings(port=port, address=address))):
+        pass
+    errors = capsys.readouterr().err
+    assert errors.startswith("warning: every computer that reaches 0.0.0.0 can read the results") == is_warned
+    assert bool(errors) == is_warned

@@ -151,7 +151,7 @@ def test_second_of_two_concurrent_writers_is_refused(tmp_path: Path, monkeypatch
     monkeypatch.setattr(writer, "check_free", lambda _: None)  # both check before either begins
     first = RecordingWriter(tmp_path / "r", FACTS)
     before = (tmp_path / "r" / "run.json").read_bytes()
-    with pytest.raises(InputError, match="r: holds a recording already"):
+    with pytest.raises(InputError, match="is still being recorded"):
         RecordingWriter(tmp_path / "r", {**FACTS, "command": "measure"})
     assert (tmp_path / "r" / "run.json").read_bytes() == before
     first.write(make_record(0))
