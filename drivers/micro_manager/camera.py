@@ -86,8 +86,7 @@ class MicroManagerCamera(Camera):
         with self._lock:
             with suppress(DeviceError):
                 self._stop()
-            with suppress(RuntimeError):
-                self._line.unload()
+            self._line.unload()
 
     def _read_capabilities(self) -> CameraCapabilities:
         limits_ms = self._line.limits("Exposure") or (0.0, 1e3 * _LONGEST_S)
@@ -137,8 +136,11 @@ class MicroManagerCamera(Camera):
     def _set_binning(self, binning: int) -> None:
         region = self._read_region()
         self._set_binning_text(binning)
-        sides = (region.top, region.left, region.rows, region.columns)
-        self._write_region(region if region == self._sensor else Region(*(side - side % binning for side in sides)))
+        if region != self._sensor:
+            top, left = (offset - offset % binning for offset in (region.top, region.left))
+            rows, columns = (max(binning, length - length % binning) for length in (region.rows, region.columns))
+            region = Region(top, left, rows, columns)
+        self._write_region(region)
 
     def _set_binning_text(self, binning: int) -> None:
         if self._binnings[binning]:

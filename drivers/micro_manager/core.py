@@ -13,6 +13,7 @@ from drivers.discovery import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported
 
 LABEL: Final = "camera"
+_unreleased: list[Any] = []  # cores whose camera did not stop: destroying one can hang or abort the process
 _CAMERA: Final = 2  # Micro-Manager's number of this type of device
 
 
@@ -75,6 +76,8 @@ class LoadedCamera:
         """
         try:
             return getattr(self._core, name)(*arguments)
+        except MemoryError as error:
+            raise DeviceError("the computer lacks memory for the frames: lower camera.ring_frames") from error
         except RuntimeError as error:
             try:
                 self._core.getExposure(LABEL)
@@ -133,8 +136,12 @@ class LoadedCamera:
         return int(_tag(metadata, "ImageNumber"))
 
     def unload(self) -> None:
-        """Release the camera."""
-        self._core.reset()
+        """Release the camera, in any state."""
+        for release in (lambda: self._core.stopSequenceAcquisition(LABEL), self._core.reset):
+            try:
+                release()
+            except RuntimeError:
+                _unreleased.append(self._core)
 
 
 def _tag(metadata: Any, name: str) -> str:

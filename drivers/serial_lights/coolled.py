@@ -1,4 +1,4 @@
-"""CoolLED pE-300 and pE-4000 illuminators on a serial port over USB: one channel.
+"""CoolLED pE-300, pE-340fura and pE-4000 illuminators on a serial port over USB: one channel.
 
 Commands follow CoolLED's manual DOC-038 and Micro-Manager's adapters. Brightness is in percent: `full_current_a` is the
 nominal current at 100 %. The devices also send lines unasked, and their answers to commands are undocumented. So after
@@ -20,9 +20,9 @@ from drivers.serial_lights.line import Dialect, SerialLine, Wire
 from drivers.serial_lights.ports import find_port
 from drivers.serial_lights.settings import CoolLEDSettings
 
-_DIALECT = Dialect("CoolLED", end=b"\r", timeout_s=0.5)
-_MODEL = r"XMODEL[:=\s]*(.*pE-(300|4000).*)"
-_STATE = r"CSS((?:[A-D][SX][NF][0-9]{3}){1,4})"
+_DIALECT = Dialect("CoolLED", end=b"\r", baudrate=57600, timeout_s=0.5)
+_MODEL = r"XMODEL[:=\s]*(.*pE-(300|340|4000).*)"
+_STATE = r"CSS((?:[A-H][SX][NF][0-9]{3}){1,8})"  # E to H are those of an expansion box
 _LAMP = r"LAM:([A-D]):([0-9]{3,4})"
 _ATTEMPTS, _LOAD_POLLS, _PAUSE_S = 5, 20, 0.05
 
@@ -42,7 +42,7 @@ class Channel:
 
 
 class CoolLED(LightSource):
-    """One channel of a pE-300 or pE-4000; the others are deselected and stay off."""
+    """One channel; the others are deselected and stay off."""
 
     def __init__(
         self, settings: CoolLEDSettings, *, wire: Wire | None = None, sleep: Callable[[float], None] = time.sleep
@@ -67,7 +67,7 @@ class CoolLED(LightSource):
         if model == "pE-4000":
             self._load()
         elif self._wanted_nm is not None:
-            raise Unsupported("only a pE-4000 can load a wavelength; leave wavelength_nm out for a pE-300")
+            raise Unsupported(f"only a pE-4000 can load a wavelength; leave wavelength_nm out for a {model}")
 
     def properties(self) -> dict[str, Property]:
         """Properties of every light, and of this channel."""

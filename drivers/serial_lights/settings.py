@@ -6,12 +6,12 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoolLEDSettings:
-    """Selection and settings of a CoolLED pE-300 or pE-4000."""
+    """Selection and settings of a CoolLED pE-300, pE-340fura or pE-4000."""
 
     driver: Literal["coolled"] = "coolled"
     port: str = ""  # such as /dev/ttyACM0 or COM3
     serial_number: str = ""  # of its USB adapter, instead of the port
-    channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000
+    channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000, E ... H of its expansion box
     full_current_a: float = 1.0  # nominal current at 100 %
     wavelength_nm: int | None = None  # to load into the channel; pE-4000 only
     current_a: float | None = None  # None keeps its value
@@ -19,8 +19,8 @@ class CoolLEDSettings:
 
     def __post_init__(self) -> None:
         check_address(self.port, self.serial_number)
-        if self.channel not in {"A", "B", "C", "D"}:
-            raise ValueError("channel must be A, B, C or D")
+        if self.channel not in set("ABCDEFGH"):
+            raise ValueError("channel must be a letter from A to H")
         if not 0 < self.full_current_a <= 100:
             raise ValueError("full_current_a must be positive, and at most 100")
         if self.wavelength_nm is not None and not 300 <= self.wavelength_nm <= 1000:

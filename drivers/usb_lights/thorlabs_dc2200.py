@@ -1,6 +1,7 @@
 """Thorlabs DC2200, LED driver on USB: one of its two terminals, at constant current or gated by a TTL signal.
 
-Commands follow the manual, section 4.3, in the short forms of Thorlabs' driver (`SOUR:CCUR`, with one R). After each,
+Commands follow the manual, section 4.3, in the short forms of Thorlabs' driver (`SOUR:CCUR`, with one R). Where manual,
+Thorlabs' example and public code differ, the first query that the device knows is used. After each command,
 `SYST:ERR?` reports whether it was executed. Opening and closing switch the output off. With `gate = "ttl"` the light
 follows the modulation input while on: connected to the camera's exposure output, it shines only during exposures.
 """
@@ -13,7 +14,7 @@ from usb.backend import IBackend
 
 from drivers.device import Property
 from drivers.discovery import DiscoveredDevice
-from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
+from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported, WrongState
 from drivers.light_source import LightSource
 from drivers.range import Range
 from drivers.usb_lights import usbtmc
@@ -24,6 +25,11 @@ _VENDOR_ID, _PRODUCT_IDS = 0x1313, (0x80C8, 0x80C0)  # the second one if firmwar
 _STEP_A = 1e-4  # resolution of the commands
 _ERROR = re.compile(r'([+-]?\d+),\s*"?([^"]*)"?')
 _MOST_ERRORS = 32  # more than the queue holds
+_UNDEFINED = re.compile(r"\(error -1\d\d\)$")  # SCPI's command errors, such as -113, undefined header
+_CURRENT = {"CC": ("SOUR:CCUR:CURR?", "SOUR:CCUR?"), "TTL": ("SOUR:TTL:CURR?", "SOUR:TTL?")}  # by mode
+_LIMIT = ("SOUR:CURR:LIM:AMPL?", "SOUR:CURR:LIM?")
+_MAXIMUM = ("SOUR:CURR:LIM:AMPL? MAX", "SOUR:CURR:LIM? MAX")
+_MEASURED = ("SENS3:CURR:DATA?", "MEAS:CURR?")
 _TRIPS = {
     "OUTP:PROT:TEMP:DRIV:TRIP?": "its driver is too hot",
     "OUTP:PROT:TEMP:HEAD:TRIP?": "the LED's head is too hot",
@@ -57,7 +63,7 @@ class ThorlabsDC2200(LightSource):
     ) -> None:
         super().__init__(limit_a=settings.limit_a, sleep=sleep)
         self._terminal, self._gate = settings.terminal, settings.gate
-        self._mode, self._source = ("CC", "SOUR:CCUR") if settings.gate == "internal" else ("TTL", "SOUR:TTL")
+        self._mode = "CC" if settings.gate == "internal" else "TTL"
         self._is_wanted_lit = False
         instrument = _choose(usbtmc.instruments(_VENDOR_ID, _PRODUCT_IDS, backend), settings.serial_number)
         self._what = f"the DC2200 {instrument.serial_number}"
@@ -68,12 +74,38 @@ class ThorlabsDC2200(LightSource):
         maker, model, self._serial_number, self._firmware = self._identity()
         self._name = f"{maker} {model} {self._serial_number} terminal {self._terminal}"
         self._usb.write("OUTP 0")
+        self._usb.write("*CLS")
         if self._number("OUTP:TERM?") != self._terminal:
             self._set(f"OUTP:TERM {self._terminal}")
-        self._head = self._usb.query(f"SYST:TERM{self._terminal}:HTYP?")
+        head = self._known(f"SYST:TERM{self._terminal}:HTYP?")
+        self._head = self._usb.query(head) if head else "unknown"
         if "no head" in self._head:
             raise WrongState(f"there is no LED at terminal {self._terminal} of {self._what}; plug its head in")
         self._set(f"SOUR:MODE {self._mode}")
+        self._current, self._limit = self._known(*_CURRENT[self._mode]), self._known(*_LIMIT)
+        if not self._current or not self._limit:
+            raise Unsupported(
+                f"{self._what} reports no current or no limit of it, as the firmware {self._firmware} should"
+            )
+        self._maximum, self._measured = self._known(*_MAXIMUM), self._known(*_MEASURED)
+        self._trips = {question: words for question, words in _TRIPS.items() if self._known(question)}
+        optional = {"head": head, "head's maximum": self._maximum, "measured current": self._measured}
+        optional |= {words: question if question in self._trips else "" for question, words in _TRIPS.items()}
+        self._unknown = ", ".join(what for what, question in optional.items() if not question)
+
+    def _known(self, *questions: str) -> str:
+        """Return the first query that the device knows, or an empty text; it does not answer an unknown one."""
+        for question in questions:
+            try:
+                self._usb.query(question)
+            except Disconnected:
+                raise
+            except DeviceError:
+                if not _UNDEFINED.search(self._error()):
+                    raise
+            else:
+                return question
+        return ""
 
     def _identity(self) -> tuple[str, str, str, str]:
         answer = self._usb.query("*IDN?")
@@ -86,27 +118,31 @@ class ThorlabsDC2200(LightSource):
         """Properties of every light, and of driver and head."""
         common = super().properties()
         with self._guarded():
-            return common | {
+            own: dict[str, Property] = {
                 "firmware": self._firmware,
                 "terminal": self._terminal,
                 "gate": self._gate,
                 "head": self._head,
-                "user_limit_a": self._number("SOUR:CURR:LIM:AMPL?"),
-                "head_maximum_a": self._number("SOUR:CURR:LIM:AMPL? MAX"),
-                "measured_current_a": self._number("MEAS:CURR?"),
+                "user_limit_a": self._number(self._limit),
                 "fault": self._trip(),
+                "commands": ", ".join(filter(None, (self._current, self._limit, self._maximum, self._measured))),
+                "not known to it": self._unknown,
             }
+            if self._maximum:
+                own["head_maximum_a"] = self._number(self._maximum)
+            if self._measured:
+                own["measured_current_a"] = self._number(self._measured, is_signed=True)
+            return common | own
 
     def _read_range(self) -> Range:
-        limit_a, maximum_a = self._number("SOUR:CURR:LIM:AMPL?"), self._number("SOUR:CURR:LIM:AMPL? MAX")
-        return Range(0.0, min(limit_a, maximum_a))
+        return Range(0.0, min(self._number(limit) for limit in (self._limit, self._maximum) if limit))
 
     def _read_current(self) -> float:
-        return self._number(f"{self._source}?")
+        return self._number(self._current)
 
     def _set_current(self, current_a: float) -> float:
         asked_a = int(current_a / _STEP_A + 1e-6) * _STEP_A  # never above the request, except for rounding
-        self._set(f"{self._source} {asked_a:.4f}")
+        self._set(f"{self._current.rstrip('?')} {asked_a:.4f}")
         taken_a = self._read_current()
         if abs(taken_a - asked_a) > 0.01 * asked_a + 0.001:  # more than its own resolution
             raise DeviceError(f"{self._what} set {taken_a:g} A instead of {asked_a:g} A")
@@ -143,18 +179,18 @@ class ThorlabsDC2200(LightSource):
 
     def _trip(self) -> str:
         """Return why it has switched off on its own, or an empty text."""
-        return "; ".join(words for question, words in _TRIPS.items() if self._number(question))
+        return "; ".join(words for question, words in self._trips.items() if self._number(question))
 
     def _is_output_on(self) -> bool:
         return self._number("OUTP?") == 1
 
-    def _number(self, question: str) -> float:
-        """Query a finite number, not negative."""
+    def _number(self, question: str, *, is_signed: bool = False) -> float:
+        """Query a finite number, not negative unless it is signed, as a measurement of nothing can be."""
         answer = self._usb.query(question)
         words = {"ON": 1.0, "OFF": 0.0}
         if answer in words:
             return words[answer]
-        if not re.fullmatch(r"\+?\d+(\.\d*)?([eE][+-]?\d{1,2})?", answer):
+        if not re.fullmatch(r"[+-]?\d+(\.\d*)?([eE][+-]?\d{1,2})?", answer) or (answer[0] == "-" and not is_signed):
             raise DeviceError(f"{self._what} answered “{question}” with {answer[:60]!r}")
         return float(answer)
 

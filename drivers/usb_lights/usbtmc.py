@@ -1,8 +1,7 @@
 """USB Test and Measurement Class (USBTMC 1.0, USB-IF 2003): text messages to and from an instrument, over pyusb.
 
 Each transfer has a header of 12 bytes: type, a tag that the answer repeats, length, end of message. After a timeout the
-transfer is aborted and the instrument's buffers are cleared, as the class requires. Otherwise a late answer would be
-taken for that of the next query.
+transfer is aborted and the buffers are cleared: otherwise a late answer would be taken for that of the next query.
 """
 
 import errno
@@ -23,7 +22,8 @@ _OUT, _REQUEST_IN, _IN = 1, 2, 2  # transfer types: message, request for one, an
 _END_OF_MESSAGE = 1
 _HEADER = struct.Struct("<BBBxLB3x")
 _ABORT_OUT, _CHECK_ABORT_OUT, _ABORT_IN, _CHECK_ABORT_IN = 1, 2, 3, 4
-_CLEAR, _CHECK_CLEAR, _CAPABILITIES = 5, 6, 7
+_CLEAR, _CHECK_CLEAR, _CAPABILITIES, _REMOTE = 5, 6, 7, 160  # the last is of the subclass USB488
+_OPENINGS = 3  # some instruments miss the first
 _INTERFACE, _ENDPOINT = 0xA1, 0xA2  # recipients of class requests
 _SUCCESS, _PENDING = 0x01, 0x02
 _GONE = {errno.ENODEV, errno.ENXIO, errno.ENOENT, errno.EIO, errno.EPROTO, errno.ESHUTDOWN}
@@ -81,14 +81,23 @@ class Usbtmc:
         self._device, self._what, self._timeout_ms = instrument.device, what, round(1000 * timeout_s)
         self._sleep = sleep
         self._tag = 0
-        try:
-            with _faults(what):
-                self._claim()
-            self._require(_CAPABILITIES, 24, "report its capabilities")
-            self.clear()
-        except DeviceError:
-            self.close()
-            raise
+        self._detached: int | None = None  # interface that a kernel driver had
+        for attempt in range(1, _OPENINGS + 1):
+            try:
+                self._open()
+                break
+            except DeviceError as error:
+                self.close()
+                if attempt == _OPENINGS or not isinstance(error, DeviceTimeout):
+                    raise
+
+    def _open(self) -> None:
+        """Claim the instrument, put it under remote control, and empty its buffers."""
+        with _faults(self._what):
+            self._claim()
+        if self._require(_CAPABILITIES, 24, "report its capabilities")[14] & 2:  # it takes this request
+            self._control(_REMOTE, 1, 1)
+        self.clear()
 
     def write(self, message: str) -> None:
         """Send one message."""
@@ -136,9 +145,13 @@ class Usbtmc:
         raise DeviceTimeout(f"{self._what} does not finish clearing its buffers; switch it off and on")
 
     def close(self) -> None:
-        """Release it, in any state."""
+        """Release it, in any state, and give it back to the kernel driver that it was taken from."""
+        detached, self._detached = self._detached, None
         with suppress(OSError, ValueError, NotImplementedError):
             usb.util.dispose_resources(self._device)
+            if detached is not None:
+                self._device.attach_kernel_driver(detached)
+                usb.util.dispose_resources(self._device)  # which attaching has opened again
 
     def _claim(self) -> None:
         """Claim the USBTMC interface, from a kernel driver if need be, and find its endpoints."""
@@ -156,6 +169,7 @@ class Usbtmc:
         with suppress(NotImplementedError):  # only Linux has kernel drivers to detach
             if self._device.is_kernel_driver_active(self._interface):
                 self._device.detach_kernel_driver(self._interface)
+                self._detached = self._interface
         usb.util.claim_interface(self._device, self._interface)
         bulk = [end for end in interface if usb.util.endpoint_type(end.bmAttributes) == usb.util.ENDPOINT_TYPE_BULK]
         ways = {usb.util.endpoint_direction(end.bEndpointAddress): end for end in bulk}
@@ -242,9 +256,11 @@ class Usbtmc:
             while len(self._packet(_CONTROL_MS)) == self._packet_size:
                 pass
 
-    def _require(self, request: int, length: int, what: str) -> None:
-        if self._control(request, 0, length)[0] != _SUCCESS:
+    def _require(self, request: int, length: int, what: str) -> bytes:
+        answer = self._control(request, 0, length)
+        if answer[0] != _SUCCESS:
             raise DeviceError(f"{self._what} does not {what}; switch it off and on")
+        return answer
 
     def _control(self, request: int, value: int, length: int, endpoint: int | None = None) -> bytes:
         kind, index = (_INTERFACE, self._interface) if endpoint is None else (_ENDPOINT, endpoint)

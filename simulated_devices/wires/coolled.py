@@ -1,4 +1,4 @@
-"""Stand-in for CoolLED's pE-300 and pE-4000, with unasked lines and faults.
+"""Stand-in for CoolLED's pE-300, pE-340fura and pE-4000, with unasked lines and faults.
 
 Commands follow micro-manager/mmCoreAndDevices DeviceAdapters/CoolLEDpE300 and CoolLEDpE4000. Answers to commands are
 undocumented; `echo` chooses among plausible ones.
@@ -25,15 +25,19 @@ class Lamp:
 
 
 class CoolLEDWire(LineDevice):
-    """A pE-4000 with four channels, or a pE-300 with three; all selected, the second one on."""
+    """A pE-4000 with four channels or, with an expansion box, eight, or a pE-300 with three; the second one is on."""
 
     def __init__(
-        self, model: str = "pE-4000", *, echo: Literal["nothing", "command", "channel", "state"] = "channel"
+        self,
+        model: str = "pE-4000",
+        *,
+        echo: Literal["nothing", "command", "channel", "state"] = "channel",
+        has_expansion_box: bool = False,
     ) -> None:
         super().__init__(command_end=b"\r", answer_end=b"\r\n")
         self.name, self._echo = model, echo
-        letters = "ABCD" if model == "pE-4000" else "ABC"
-        self.lamps = {letter: Lamp(wavelength_nm=_LAMPS_NM[letter][0]) for letter in letters}
+        letters = ("ABCDEFGH" if has_expansion_box else "ABCD") if model == "pE-4000" else "ABC"
+        self.lamps = {letter: Lamp(wavelength_nm=_LAMPS_NM.get(letter, (0,))[0]) for letter in letters}
         self.lamps["B"].is_on = True
         self.refuses_next = self.is_stuck_on = False
         self._refused = ""  # until another command comes
@@ -64,8 +68,10 @@ class CoolLEDWire(LineDevice):
         elif command == "CSS?":
             yield self._state()
         elif command == "LAMS" and self.name == "pE-4000":
-            yield from (f"LAM:{letter}:{lamp.wavelength_nm}" for letter, lamp in self.lamps.items())
-        elif (match := re.fullmatch(r"C([A-D])\?", command)) and match[1] in self.lamps:
+            yield from (
+                f"LAM:{letter}:{lamp.wavelength_nm}" for letter, lamp in self.lamps.items() if lamp.wavelength_nm
+            )
+        elif (match := re.fullmatch(r"C([A-H])\?", command)) and match[1] in self.lamps:
             yield self._channel(match[1])
         elif letter := self._set(command):
             answers = {"command": command, "channel": self._channel(letter), "state": self._state()}
@@ -90,7 +96,7 @@ class CoolLEDWire(LineDevice):
             for letter in letters:
                 self.lamps[letter].wavelength_nm = wavelength_nm
             return "".join(letters)
-        if (match := re.fullmatch(r"C([A-D])(S|X|I([0-9]{1,3}))", command)) and match[1] in self.lamps:
+        if (match := re.fullmatch(r"C([A-H])(S|X|I([0-9]{1,3}))", command)) and match[1] in self.lamps:
             return match[1] if self._change(self.lamps[match[1]], match[2], match[3]) else ""
         return ""
 

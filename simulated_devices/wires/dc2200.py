@@ -58,6 +58,8 @@ class DC2200Wire(UsbtmcWire):
         self.is_gate_high = False
         self.is_driver_hot = self.is_hot = False
         self.refuses_next = self.is_stuck_on = False
+        self.undefined: set[str] = set()  # commands and queries that this firmware lacks
+        self.noise_a = 0.0  # of the measured current
         self.received: list[str] = []
         self._errors: deque[tuple[int, str]] = deque()
         self._commands: list[tuple[re.Pattern[str], Callable[[str], None] | None, Callable[[str], str] | None]] = [
@@ -72,7 +74,8 @@ class DC2200Wire(UsbtmcWire):
             (header("SOURce1:CCURent[:CURRent]"), self._set_current, lambda _: f"{self.current_a:.6E}"),
             (header("SOURce1:TTL[:CURRent]"), self._set_ttl, lambda _: f"{self.ttl_a:.6E}"),
             (header("SOURce1:CURRent:LIMit[:AMPLitude]"), self._set_limit, self._query_limit),
-            (header("MEASure:CURRent"), None, lambda _: f"{self._flowing_a():.6E}"),
+            (header("MEASure:CURRent"), None, lambda _: f"{self._flowing_a() + self.noise_a:.6E}"),
+            (header("SENSe3:CURRent:DATA"), None, lambda _: f"{self._flowing_a() + self.noise_a:.6E}"),
             (header("SYSTem:TERMinal1:HTYPe"), None, lambda _: self.terminals[1].head),
             (header("SYSTem:TERMinal2:HTYPe"), None, lambda _: self.terminals[2].head),
         ]
@@ -103,6 +106,8 @@ class DC2200Wire(UsbtmcWire):
         self._note(-410, "Query INTERRUPTED")
 
     def _execute(self, word: str, argument: str) -> str | None:
+        if word in self.undefined or f"{word} {argument}" in self.undefined:
+            raise _Refused(*_UNDEFINED)
         for pattern, setter, getter in self._commands:
             if match := pattern.fullmatch(word):
                 if match[1] and getter:

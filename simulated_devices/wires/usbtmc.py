@@ -59,7 +59,9 @@ class UsbtmcWire(ABC):
         self._is_out_halted = False
         self._out_tag = 0
         self.faults: deque[UsbFault] = deque()
-        self.is_unplugged = False
+        self.is_unplugged = self.is_remote = False
+        self.can_remote = True  # by a request of the subclass USB488
+        self.missed_openings = 0  # until it answers
         self.transfers: list[bytes] = []  # all bulk-OUT transfers
         self.requests: list[tuple[int, int, int]] = []  # (request, value, index) on the control pipe
 
@@ -120,6 +122,7 @@ class UsbtmcWire(ABC):
             (0xA1, 7): self._capabilities,
             (0xA1, 5): self._clear,
             (0xA1, 6): self._check_clear,
+            (0xA1, 160): self._set_remote,
             (0xA2, 3): self._abort_in,
             (0xA2, 4): self._check_abort_in,
             (0xA2, 1): self._abort_out,
@@ -142,7 +145,14 @@ class UsbtmcWire(ABC):
         self._is_out_halted = False
 
     def _capabilities(self, _value: int) -> bytes:
-        return bytes([_SUCCESS, 0, 0x00, 0x01, 0x04, 0x01])
+        if self.missed_openings:
+            self.missed_openings -= 1
+            raise NoAnswerError
+        return bytes([_SUCCESS, 0, 0x00, 0x01, 0x04, 0x01, *[0] * 8, 0x02 if self.can_remote else 0x00])
+
+    def _set_remote(self, value: int) -> bytes:
+        self.is_remote = bool(value)
+        return bytes([_SUCCESS])
 
     def _clear(self, _value: int) -> bytes:
         self._reset_in()

@@ -26,6 +26,7 @@ class Plug:
         self.is_allowed = self.has_driver = True
         self.is_taken = False  # by another program
         self.has_kernel_driver = True
+        self.is_claimed = False
         self.is_configured = True
 
 
@@ -131,15 +132,21 @@ class Bus(IBackend):  # type: ignore[misc] # pyusb has no types
     def claim_interface(self, dev_handle: Plug, _intf: int) -> None:
         if dev_handle.is_taken or dev_handle.has_kernel_driver:
             raise usb.core.USBError("Resource busy", -6, errno.EBUSY)
+        dev_handle.is_claimed = True
 
     def release_interface(self, dev_handle: Plug, _intf: int) -> None:
-        pass
+        dev_handle.is_claimed = False
 
     def is_kernel_driver_active(self, dev_handle: Plug, _intf: int) -> bool:
         return dev_handle.has_kernel_driver
 
     def detach_kernel_driver(self, dev_handle: Plug, _intf: int) -> None:
         dev_handle.has_kernel_driver = False
+
+    def attach_kernel_driver(self, dev_handle: Plug, _intf: int) -> None:
+        if dev_handle.is_claimed:
+            raise usb.core.USBError("Resource busy", -6, errno.EBUSY)
+        dev_handle.has_kernel_driver = True
 
     def clear_halt(self, dev_handle: Plug, _ep: int) -> None:
         with _translated():

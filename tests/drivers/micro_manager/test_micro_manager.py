@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -179,6 +181,38 @@ def test_region_stays_if_adapter_resets_it_with_binning(faults: DemoCamera, came
     camera.set_region(Region(0, 0, 512, 512))
     camera.set_binning(1)
     assert camera.capabilities.rows == 512
+
+
+def test_region_keeps_a_pixel_when_binned(camera: MicroManagerCamera) -> None:
+    camera.set_region(Region(7, 9, 3, 17))
+    camera.set_binning(8)
+    assert camera.region == Region(0, 8, 8, 16)
+    camera.start()
+    assert camera.read(5.0).pixels.shape == (1, 2)
+
+
+def test_lack_of_memory_is_reported(faults: DemoCamera, camera: MicroManagerCamera) -> None:
+    def lack(_: int) -> None:
+        raise MemoryError
+
+    faults.faulty.setCircularBufferMemoryFootprint = lack  # type: ignore[attr-defined]
+    with pytest.raises(DeviceError, match=r"lower camera\.ring_frames"):
+        camera.start()
+    assert camera.state == "stopped"
+
+
+@pytest.mark.parametrize("is_stopping", [False, True])
+def test_core_of_camera_that_does_not_stop_is_kept(faults: DemoCamera, *, is_stopping: bool) -> None:
+    """Destroying a core whose camera runs hung or aborted the process about once in 300 times."""
+    camera = faults.open()
+    core = weakref.ref(faults.faulty)
+    camera.start()
+    if not is_stopping:
+        faults.unplug()
+    camera.close()
+    del camera, faults.faulty
+    gc.collect()
+    assert (core() is None) == is_stopping
 
 
 def test_close_ends_read_of_another_thread(faults: DemoCamera, camera: MicroManagerCamera) -> None:

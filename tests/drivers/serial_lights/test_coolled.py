@@ -93,9 +93,10 @@ CLOSING = [(b"CSF\r", b""), (b"CSS?\r", b"CSSAXF020BSF020CXF020DXF100\r\n")]
 
 
 def test_bytes_from_opening_to_closing_match_protocol(clock: ManualClock) -> None:
-    port = ScriptedPort(OPENING + SWITCHING_ON + CLOSING, clock)
+    port, seen = ScriptedPort(OPENING + SWITCHING_ON + CLOSING, clock), dict[str, Any]()
     settings = CoolLEDSettings(port="COM7", channel="B", full_current_a=0.5, wavelength_nm=460)
-    light = CoolLED(settings, wire=Wire(open_port=port.opener({}), clock=clock.now), sleep=clock.sleep)
+    light = CoolLED(settings, wire=Wire(open_port=port.opener(seen), clock=clock.now), sleep=clock.sleep)
+    assert seen["baudrate"] == 57600
     assert light.name == "CoolLED pE-4000 channel B"
     light.set_on(True)
     light.close()
@@ -133,6 +134,26 @@ def test_configured_wavelength_is_loaded_into_channel(device: CoolLEDWire, clock
         assert light.properties()["wavelength_nm"] == 490
     with pytest.raises(BadValue, match="does not load 385 nm into channel B: A has 385 nm, B has 490 nm"):
         open_light(device, clock, channel="B", wavelength_nm=385)
+
+
+@pytest.mark.parametrize("channel", ["D", "E", "H"])
+def test_channels_of_expansion_box_are_used(clock: ManualClock, channel: str) -> None:
+    device = CoolLEDWire(has_expansion_box=True)
+    with open_light(device, clock, channel=channel) as light:
+        light.set_current(0.25)
+        light.set_on(True)
+        assert {letter for letter, lamp in device.lamps.items() if lamp.is_on} == {channel}
+        assert device.lamps[channel].percent == 50
+        assert ("wavelength_nm" in light.properties()) == (channel == "D")
+    assert not device.is_lit
+
+
+def test_pe_340_opens(clock: ManualClock) -> None:
+    device = CoolLEDWire("pE-340fura")
+    with open_light(device, clock) as light:
+        assert light.name == "CoolLED pE-340 channel A"
+    with pytest.raises(Unsupported, match="leave wavelength_nm out for a pE-340"):
+        open_light(device, clock, wavelength_nm=380)
 
 
 def test_pe_300_opens_channels_without_wavelengths(clock: ManualClock) -> None:
@@ -225,7 +246,7 @@ def test_unplugged_during_command_raises(device: CoolLEDWire, light: CoolLED, cl
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"channel": "E"}, {"full_current_a": 0.0}, {"wavelength_nm": 5}, {"limit_a": float("nan")}, {"port": ""}]
+    "wrong", [{"channel": "I"}, {"full_current_a": 0.0}, {"wavelength_nm": 5}, {"limit_a": float("nan")}, {"port": ""}]
 )
 def test_invalid_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):

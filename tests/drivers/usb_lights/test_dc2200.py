@@ -12,7 +12,7 @@ from support.light_storm import HeatStorm
 from support.storm import storm_settings
 from support.usb_stand_in import Bus, Plug
 
-from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, WrongState
+from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState
 from drivers.usb_lights.settings import DC2200Settings
 from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, discover
 from simulated_devices.clock import ManualClock
@@ -72,25 +72,33 @@ def test_commands_from_opening_to_closing_match_protocol(device: DC2200Wire, lig
     assert device.received == [
         "*IDN?",
         "OUTP 0",
+        "*CLS",
         "OUTP:TERM?",
         "*CLS",
         "OUTP:TERM 1",
         "SYST:ERR?",
+        "SYST:TERM1:HTYP?",  # does it know this query?
         "SYST:TERM1:HTYP?",
         "*CLS",
         "SOUR:MODE CC",
         "SYST:ERR?",
+        "SOUR:CCUR:CURR?",  # and these?
+        "SOUR:CURR:LIM:AMPL?",
+        "SOUR:CURR:LIM:AMPL? MAX",
+        "SENS3:CURR:DATA?",
+        "OUTP:PROT:TEMP:DRIV:TRIP?",
+        "OUTP:PROT:TEMP:HEAD:TRIP?",
         "OUTP 0",
         "SYST:ERR?",
         "OUTP?",
         "SOUR:CURR:LIM:AMPL?",
         "SOUR:CURR:LIM:AMPL? MAX",
-        "SOUR:CCUR?",
+        "SOUR:CCUR:CURR?",
     ]
     assert device.transfers[2] == b"\x01\x03\xfc\x00\x06\x00\x00\x00\x01\x00\x00\x00OUTP 0\x00\x00"
     del device.received[:]
     assert light.set_current(0.12345678) == 0.1234  # tenths of a milliampere, never above the request
-    assert device.received[-4:] == ["*CLS", "SOUR:CCUR 0.1234", "SYST:ERR?", "SOUR:CCUR?"]
+    assert device.received[-4:] == ["*CLS", "SOUR:CCUR:CURR 0.1234", "SYST:ERR?", "SOUR:CCUR:CURR?"]
     del device.received[:]
     light.close()
     assert device.received == ["OUTP 0", "SYST:ERR?", "OUTP?"]
@@ -129,7 +137,7 @@ def test_ttl_gate_sets_mode_and_current(device: DC2200Wire, clock: ManualClock) 
         assert device.ttl_a == 0.25
         light.set_on(True)
         assert light.is_on
-        assert "SOUR:TTL 0.2500" in device.received
+        assert "SOUR:TTL:CURR 0.2500" in device.received
         assert not any(command.startswith("SOUR:CCUR") for command in device.received)
         assert light.properties()["gate"] == "ttl"
     assert not device.is_output_on
@@ -139,7 +147,7 @@ def test_errors_are_queried_after_each_command(device: DC2200Wire, light: Thorla
     light.set_current(0.3)
     light.set_on(True)
     light.set_on(False)
-    for command, after in zip(device.received[3:], [*device.received[4:], ""], strict=True):
+    for command, after in zip(device.received[4:], [*device.received[5:], ""], strict=True):
         if "?" not in command and command != "*CLS":
             assert after == "SYST:ERR?"
 
@@ -163,6 +171,8 @@ def test_properties_describe_terminal_and_head(light: ThorlabsDC2200) -> None:
         "head_maximum_a": 1.0,
         "measured_current_a": 0.2,
         "fault": "",
+        "commands": "SOUR:CCUR:CURR?, SOUR:CURR:LIM:AMPL?, SOUR:CURR:LIM:AMPL? MAX, SENS3:CURR:DATA?",
+        "not known to it": "",
     }
 
 
@@ -185,7 +195,7 @@ def test_lost_answer_switches_off_and_next_query_works(
 
 def test_refused_value_is_reported(device: DC2200Wire, light: ThorlabsDC2200) -> None:
     device.refuses_next = True
-    with pytest.raises(BadValue, match=r"M00331234 refuses “SOUR:CCUR 0.1000”: Data out of range \(error -222\)"):
+    with pytest.raises(BadValue, match=r"M00331234 refuses “SOUR:CCUR:CURR 0.1000”: Data out of range \(error -222\)"):
         light.set_current(0.1)
 
 
@@ -196,7 +206,7 @@ def test_other_value_than_requested_raises(device: DC2200Wire, light: ThorlabsDC
         device.current_a = float(argument) * 1000
 
     device._commands = [
-        (pattern, set_milliamperes if pattern.fullmatch("SOUR:CCUR") else setter, getter)
+        (pattern, set_milliamperes if pattern.fullmatch("SOUR:CCUR:CURR") else setter, getter)
         for pattern, setter, getter in device._commands
     ]
     with pytest.raises(DeviceError, match=r"set 200 A instead of 0.2 A"):
@@ -235,6 +245,56 @@ def test_light_that_stays_on_raises(device: DC2200Wire, light: ThorlabsDC2200) -
     device.is_stuck_on = True
     with pytest.raises(DeviceError, match="still on"):
         light.set_on(False)
+
+
+@pytest.mark.parametrize("gate", ["internal", "ttl"])
+def test_undefined_commands_have_fallbacks(device: DC2200Wire, clock: ManualClock, gate: str) -> None:
+    lacking = {"SOUR:CCUR:CURR", "SOUR:TTL:CURR", "SOUR:CURR:LIM:AMPL", "SENS3:CURR:DATA"}
+    device.undefined = lacking | {f"{command}?" for command in lacking}
+    with open_light(device, clock, gate=gate, terminal=2) as light:
+        assert light.current_range_a.maximum == 0.5
+        assert light.set_current(0.25) == 0.25
+        light.set_on(True)
+        properties = light.properties()
+        assert properties["measured_current_a"] == 0.25
+        source = {"internal": "SOUR:CCUR?", "ttl": "SOUR:TTL?"}[gate]
+        assert properties["commands"] == f"{source}, SOUR:CURR:LIM?, SOUR:CURR:LIM? MAX, MEAS:CURR?"
+        assert light.is_on
+
+
+def test_light_works_without_undefined_queries(device: DC2200Wire, clock: ManualClock) -> None:
+    device.undefined = {
+        *("SYST:TERM1:HTYP?", "SENS3:CURR:DATA?", "MEAS:CURR?", "OUTP:PROT:TEMP:DRIV:TRIP?"),
+        *("OUTP:PROT:TEMP:HEAD:TRIP?", "SOUR:CURR:LIM:AMPL? MAX", "SOUR:CURR:LIM? MAX"),
+    }
+    with open_light(device, clock) as light:
+        light.set_current(0.2)
+        light.set_on(True)
+        opened_s = clock.now()
+        properties = light.properties()
+        assert clock.now() == opened_s  # without a timeout
+        assert device.is_lit
+        assert not {"measured_current_a", "head_maximum_a"} & properties.keys()
+        assert properties["head"] == "unknown"
+        assert properties["not known to it"] == (
+            "head, head's maximum, measured current, its driver is too hot, the LED's head is too hot"
+        )
+        assert light.current_range_a.maximum == 1.0
+
+
+def test_device_without_current_or_limit_is_refused(device: DC2200Wire, clock: ManualClock) -> None:
+    device.undefined = {"SOUR:CURR:LIM:AMPL?", "SOUR:CURR:LIM?"}
+    with pytest.raises(Unsupported, match=r"M00331234 reports no current or no limit of it, as the firmware 1\.2\.0"):
+        open_light(device, clock)
+    assert not device.is_lit
+
+
+def test_measured_noise_may_be_negative(device: DC2200Wire, light: ThorlabsDC2200) -> None:
+    device.noise_a = -2e-6
+    assert light.properties()["measured_current_a"] == -2e-6
+    device.current_a = -0.1
+    with pytest.raises(DeviceError, match=r"answered “SOUR:CCUR:CURR\?” with '-1"):
+        _ = light.current_a
 
 
 def test_missing_head_is_reported(device: DC2200Wire, clock: ManualClock) -> None:

@@ -45,7 +45,8 @@ def connect(wire: UsbtmcWire, clock: ManualClock) -> Usbtmc:
 
 def test_query_bytes_match_specification(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
-    assert wire.requests == [(7, 0, 0), (5, 0, 0), (6, 0, 0), (6, 0, 0)]  # capabilities, clear, pending, cleared
+    # capabilities, remote control, clear, pending, cleared
+    assert wire.requests == [(7, 0, 0), (160, 1, 0), (5, 0, 0), (6, 0, 0), (6, 0, 0)]
     assert not wire.transfers
     assert echo.query("*IDN?") == "*IDN?"
     assert wire.transfers == [
@@ -54,6 +55,37 @@ def test_query_bytes_match_specification(wire: Echo, clock: ManualClock) -> None
     ]
     echo.write("OUTP 0 ")
     assert wire.transfers[2] == b"\x01\x03\xfc\x00\x07\x00\x00\x00\x01\x00\x00\x00OUTP 0 \x00"
+
+
+def test_instrument_without_remote_control_is_not_asked_for_it(wire: Echo, clock: ManualClock) -> None:
+    wire.can_remote = False
+    assert connect(wire, clock).query("*IDN?") == "*IDN?"
+    assert not wire.is_remote
+    wire.can_remote = True
+    connect(wire, clock)
+    assert wire.is_remote
+
+
+@pytest.mark.parametrize("missed", [1, 2, 3])
+def test_missed_opening_is_repeated_twice(wire: Echo, clock: ManualClock, missed: int) -> None:
+    wire.missed_openings = missed
+    if missed < 3:
+        assert connect(wire, clock).query("*IDN?") == "*IDN?"
+    else:
+        with pytest.raises(DeviceTimeout):
+            connect(wire, clock)
+
+
+def test_kernel_driver_is_given_back(wire: Echo, clock: ManualClock) -> None:
+    plug = Plug(wire, "M1")
+    for had_driver in (True, False, True):
+        plug.has_kernel_driver = had_driver
+        (instrument,) = usbtmc.instruments(0x1313, {0x80C8}, Bus(plug, clock=clock))
+        echo = Usbtmc(instrument, what="the echo", sleep=clock.sleep)
+        assert not plug.has_kernel_driver
+        echo.close()
+        assert plug.has_kernel_driver == had_driver
+        echo.close()
 
 
 def test_tags_wrap_around_and_skip_zero(wire: Echo, clock: ManualClock) -> None:
