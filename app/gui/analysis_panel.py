@@ -10,15 +10,15 @@ from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
+from app.gui.plot import Plot
 from app.gui.presentation import number, place
-from app.gui.widgets import ElidedLabel, column, label, row, unfocused
+from app.gui.widgets import ElidedLabel, column, row
 from app.results.view_analysis import Analysis
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import Mtf
 from reconstruction.quality.isoplanatism import Isoplanatism
 
 _NO_VALUES = np.zeros(0)
-_SIDES = ("left", "bottom")
 
 
 class AnalysisPanel(QWidget):
@@ -53,53 +53,7 @@ class AnalysisPanel(QWidget):
         self.sentence.setText("")
 
 
-class _Plot(QWidget):
-    """A titled plot without zoom or pan."""
-
-    def __init__(self, title: str, bottom: str, keys: tuple[tuple[str, QColor], ...], parent: QWidget | None) -> None:
-        super().__init__(parent)
-        self.title = ElidedLabel("title")
-        self.title.setText(title)
-        self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
-        self._graphics.setMinimumSize(150, 5 * self.fontMetrics().height())
-        unfocused(self._graphics)
-        self._view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
-        self._axes = axes = {
-            side: pg.AxisItem(side, linkView=self._view, pen=theme.LINE, textPen=theme.DIM) for side in _SIDES
-        }
-        for axis in axes.values():
-            axis.enableAutoSIPrefix(enable=False)
-            axis.setStyle(tickLength=4, tickTextOffset=3)
-        font = self.fontMetrics()
-        axes["left"].setWidth(font.horizontalAdvance("0.0") + 12)
-        axes["bottom"].setHeight(2 * font.height() + 6)
-        axes["bottom"].setLabel(bottom, color=theme.DIM.name())
-        grid = pg.GraphicsLayout()
-        grid.setContentsMargins(0, 5, 12, 4)  # pyqtgraph draws the label a little below its axis
-        grid.setSpacing(0)
-        grid.addItem(axes["left"], 0, 0)
-        grid.addItem(self._view, 0, 1)
-        grid.addItem(axes["bottom"], 1, 1)
-        self._graphics.setCentralItem(grid)
-        header = row((self.title, 1), spacing=8)
-        for text, colour in keys:
-            key = label(text)
-            key.setStyleSheet(f"color: {colour.name()};")
-            header.addWidget(key)
-        column(header, (self._graphics, 1), spacing=2, parent=self)
-
-    def _add_curve(
-        self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine
-    ) -> pg.PlotCurveItem:
-        curve = pg.PlotCurveItem(pen=pg.mkPen(colour, width=width, style=style), antialias=True)
-        self._view.addItem(curve)
-        return curve
-
-    def _set_ranges(self, x: float, y: float) -> None:
-        self._view.setRange(xRange=(0, x), yRange=(0, y), padding=0)
-
-
-class MtfPlot(_Plot):
+class MtfPlot(Plot):
     """MTF along x and y, up to the cut-off frequency of the pupil."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -110,10 +64,10 @@ class MtfPlot(_Plot):
             "Modulation transfer function of the selected view along x and y, and its diffraction limit.\n"
             "The pupil is the area of the valid lenslets. Click a view or use the arrow keys to select it."
         )
-        self._limits = [self._add_curve(theme.DIM, 1, Qt.PenStyle.DashLine) for _ in "xy"]
-        self._curves = [self._add_curve(colour) for colour in (theme.ACCENT, theme.AMBER)]
-        self._axes["left"].setTicks([[(0, "0"), (0.5, "0.5"), (1, "1")]])
-        self._set_ranges(1, 1)
+        self._limits = [self.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine) for _ in "xy"]
+        self._curves = [self.add_curve(colour) for colour in (theme.ACCENT, theme.AMBER)]
+        self.axes["left"].setTicks([[(0, "0"), (0.5, "0.5"), (1, "1")]])
+        self.set_ranges((0, 1), (0, 1))
 
     def show_transfer(self, transfer: Mtf | None, where: str) -> None:
         """Show the MTF of the view at `where`, or none."""
@@ -123,7 +77,7 @@ class MtfPlot(_Plot):
                 curve.setData(_NO_VALUES, _NO_VALUES)
             return
         frequencies = [one / 1e3 for one in (transfer.frequency_x_per_rad, transfer.frequency_y_per_rad)]
-        self._set_ranges(max(float(one[-1]) for one in frequencies), 1)
+        self.set_ranges((0, max(float(one[-1]) for one in frequencies)), (0, 1))
         for curve, frequency, values in zip(
             (*self._limits, *self._curves),
             (*frequencies, *frequencies),
@@ -133,7 +87,7 @@ class MtfPlot(_Plot):
             curve.setData(*_finite(frequency, values))
 
 
-class StructurePlot(_Plot):
+class StructurePlot(Plot):
     """RMS difference of two wavefronts over their separation in the field."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -150,8 +104,8 @@ class StructurePlot(_Plot):
             ends = [pg.PlotCurveItem(pen=None) for _ in range(2)]
             brush = QColor(colour)
             brush.setAlpha(40)
-            self._view.addItem(pg.FillBetweenItem(*ends, brush=brush))
-            self._curves.append((self._add_curve(colour), *ends))
+            self.view.addItem(pg.FillBetweenItem(*ends, brush=brush))
+            self._curves.append((self.add_curve(colour), *ends))
         limit = pg.InfiniteLine(
             1.0,
             angle=0,
@@ -159,8 +113,8 @@ class StructurePlot(_Plot):
             label="1 rad",
             labelOpts={"position": 0.04, "color": theme.AMBER, "anchors": [(0, 0.95), (0, 0.95)]},
         )
-        self._view.addItem(limit)
-        self._set_ranges(1, 1.5)
+        self.view.addItem(limit)
+        self.set_ranges((0, 1), (0, 1.5))
 
     def show_structure(self, found: Isoplanatism | None) -> None:
         """Show the curves with and without tilt, or none."""
@@ -173,7 +127,8 @@ class StructurePlot(_Plot):
             for item, values in zip(items, (curve.rms_rad, curve.least_rad, curve.most_rad), strict=True):
                 item.setData(*_finite(np.append(0, curve.separation_m * 1e3), np.append(0, values)))
         most_rad = float(np.nanmax(found.curve.most_rad, initial=1.2))  # keeps the line at 1 rad visible
-        self._set_ranges(float(np.max(found.curve.separation_m, initial=1e-6)) * 1e3, self._scale.follow(most_rad))
+        farthest_mm = float(np.max(found.curve.separation_m, initial=1e-6)) * 1e3
+        self.set_ranges((0, farthest_mm), (0, self._scale.follow(most_rad)))
 
 
 def verdict(found: Isoplanatism) -> str:
@@ -181,14 +136,14 @@ def verdict(found: Isoplanatism) -> str:
     if math.isnan(found.error_rad):
         return "No lenslet is valid over the whole field"
     patch = _patch(found.curve.patch_m)
-    return f"A single correction leaves {number(found.error_rad)} rad RMS; isoplanatic patch {patch}"
+    return f"A single correction leaves {number(found.error_rad, 2)} rad RMS; isoplanatic patch {patch}"
 
 
 def _explanation(found: Isoplanatism) -> str:
     return (
         "The correction is the mean wavefront of the field. The isoplanatic patch ends where two wavefronts differ by\n"
         "1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
-        f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad)} rad RMS;"
+        f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad, 2)} rad RMS;"
         f" patch {_patch(found.curve_without_tilt.patch_m)}."
     )
 

@@ -70,7 +70,6 @@ class BackgroundAnalysis(QObject):
         self._wavefront_panel, self._analysis_panel = wavefront_panel, analysis_panel
         self._thread = AnalysisThread()
         self._settings: ReconstructionSettings | None = None
-        self._wavefront: Wavefront | None = None
         self._view: tuple[int, int] | None = None  # None: the middle one
         wavefront_panel.grid.selected.connect(self._select)
         self._timer = QTimer(self)
@@ -82,11 +81,10 @@ class BackgroundAnalysis(QObject):
         """Set how the wavefronts are reconstructed."""
         self._settings = settings
 
-    def use_wavefront(self, wavefront: Wavefront | None) -> None:
-        """Set the newest wavefront, if any."""
-        if wavefront is None and self._wavefront is not None:
-            self._analysis_panel.show_nothing()
-        self._wavefront = wavefront
+    @property
+    def _wavefront(self) -> Wavefront | None:
+        """The shown wavefront."""
+        return self._wavefront_panel.shown
 
     def poll(self) -> None:
         """Show a finished analysis and request the next."""
@@ -98,6 +96,8 @@ class BackgroundAnalysis(QObject):
         if analysis is not None and self._wavefront is not None:
             self._wavefront_panel.show_analysis(analysis)
             self._analysis_panel.show_analysis(analysis)
+        if self._wavefront is None:
+            self._analysis_panel.show_nothing()
         view = self._selected_view() if self._analysis_panel.isVisible() else None
         self._wavefront_panel.grid.select(view)
         quantity = self._wavefront_panel.quantity

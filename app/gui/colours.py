@@ -50,17 +50,17 @@ class ColourScale:
         return text.replace("-", "\N{MINUS SIGN}") if value else "0"
 
 
-def diverging(limit_rad: float) -> ColourScale:
+def diverging(limit: float, unit: str = "rad") -> ColourScale:
     """Return the scale of phases from -limit to +limit: blue, white, red."""
-    return ColourScale("CET-D1", -limit_rad, limit_rad, "rad", _HALVES, is_signed=True)
+    return ColourScale("CET-D1", -limit, limit, unit, _HALVES, is_signed=True)
 
 
-def uncertain(limit_rad: float) -> ColourScale:
+def uncertain(limit: float, unit: str = "rad") -> ColourScale:
     """Return the scale of standard deviations from 0 to the limit."""
-    return ColourScale("viridis", 0.0, limit_rad, "rad", _FIFTHS)
+    return ColourScale("viridis", 0.0, limit, unit, _FIFTHS)
 
 
-def bright(limit: float) -> ColourScale:
+def bright(limit: float, _: str = "") -> ColourScale:
     """Return the scale of intensities from 0 to the limit; its square root shows faint light."""
     return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT}", _ROOTS, power=0.5)
 

@@ -74,6 +74,7 @@ class MainWindow(QMainWindow):
         self.messages.reconnect_requested.connect(self._reconnect)
         self._analysis = BackgroundAnalysis(self.wavefront_panel, self.analysis_panel, self)
         self._analysis.failed.connect(self.messages.warn)
+        self.wavefront_panel.refused.connect(self.messages.warn)
         self._lay_out()
         self._fill_menus()
         self._timer = QTimer(self)
@@ -120,7 +121,6 @@ class MainWindow(QMainWindow):
         wavefront = measurement.wavefront
         self.camera_panel.show_frame(measurement.frame, None if wavefront is None else wavefront.displacement)
         self.wavefront_panel.show_wavefront(wavefront)
-        self._analysis.use_wavefront(wavefront)
         self.status_line.count(measurement)
         if is_first:
             self.update_text()
@@ -242,6 +242,7 @@ class MainWindow(QMainWindow):
                     ("Lattice", "G", camera.lattice_toggle.toggle),
                     ("Arrows", "A", camera.arrows_toggle.toggle),
                     ("Freeze the colour scale", "H", wavefront.freeze_scale.toggle),
+                    ("Enlarge the selected view", "V", wavefront.enlarge),
                     ("MTF and isoplanatism", "I", self._toggle_analysis),
                     ("Processing times", "T", self.status_line.timing_row.toggle),
                     *(

@@ -1,8 +1,8 @@
 """Presentation of each quantity: its colour scale, captions and number formats."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -12,15 +12,15 @@ from reconstruction.arrays import Floats
 from reconstruction.wavefront import peak_to_valley, rms
 
 NOTHING = "\N{EN DASH}"
+_MOST_DECIMALS = 6
 
 
-def _phase_caption(phase: Floats, decimals: int = 2) -> tuple[str, ...]:
-    pv = number(float(peak_to_valley(phase)), decimals)
-    return _wordings("RMS", number(float(rms(phase)), decimals), f"PV {pv}")
+def _phase_caption(phase: Floats) -> tuple[str, ...]:
+    return _wordings("RMS", number(float(rms(phase))), f"PV {number(float(peak_to_valley(phase)))}")
 
 
-def _phase_summary(maps: Floats, decimals: int = 2) -> str:
-    return f"mean RMS {number(_mean(rms(maps)), decimals)} rad"
+def _phase_summary(maps: Floats, unit: str) -> str:
+    return f"mean RMS {number(_mean(rms(maps)))} {unit}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,13 +28,18 @@ class Presentation:
     """Display format of one quantity; the defaults are those of a phase."""
 
     about: str  # tool tip
-    scale: Callable[[float], ColourScale] = diverging  # of a limit
+    scale: Callable[[float, str], ColourScale] = diverging  # of a limit and the unit
     family: str = "phase"  # quantities of one family share the limit and can be compared
     finest: float = 0.01  # lowest limit: a lower one would show noise in full colours
     shown_percent: float = 99.5  # of the values that lie within the limit
     caption: Callable[[Floats], tuple[str, ...]] = _phase_caption  # of one map: wordings, longest first
-    summary: Callable[[Floats], str] = _phase_summary  # of all maps (view_row, view_column, row, column)
-    value: str = "{:+.2f} rad"  # the format of one value
+    summary: Callable[[Floats, str], str] = _phase_summary  # of all maps (view_row, view_column, row, column)
+    value: Callable[[float, str], str] = lambda value, unit: f"{signed(value)} {unit}"  # of one value
+
+    @property
+    def has_unit(self) -> bool:
+        """True for a phase, False for a ratio."""
+        return self.family != "intensity"
 
     def limit(self, maps: Floats) -> float:
         """Return the limit that the scale needs; NaN if all maps are NaN."""
@@ -42,9 +47,22 @@ class Presentation:
         return float(np.percentile(known, self.shown_percent)) if known.size else float("nan")
 
 
-def number(value: float, decimals: int = 2) -> str:
-    """Format a number; NaN is a dash."""
-    return f"{value:.{decimals}f}" if np.isfinite(value) else NOTHING
+def number(value: float, digits: int = 3) -> str:
+    """Format a number with significant digits, so that small ones do not become zero; NaN is a dash."""
+    if not np.isfinite(value):
+        return NOTHING
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    decimals = digits - 1 - math.floor(math.log10(abs(rounded)))
+    return (f"{rounded:.{max(decimals, 0)}f}" if decimals <= _MOST_DECIMALS else f"{rounded:.1e}").replace(
+        "-", "\N{MINUS SIGN}"
+    )
+
+
+def signed(value: float) -> str:
+    """Format a number with its sign."""
+    return f"+{number(value)}" if value > 0 else number(value)
 
 
 def millimetres(position_m: float) -> str:
@@ -64,11 +82,11 @@ def _wordings(name: str, value: str, more: str) -> tuple[str, ...]:
 
 def _intensity_caption(intensity: Floats) -> tuple[str, ...]:
     middle = intensity[intensity.shape[0] // 2, intensity.shape[1] // 2]
-    return _wordings("Strehl", number(float(middle), 3), f"peak {number(float(intensity.max()), 3)}")
+    return _wordings("Strehl", number(float(middle)), f"peak {number(float(intensity.max()))}")
 
 
 def _sigma_caption(sigma: Floats) -> tuple[str, ...]:
-    return _wordings("mean", number(_mean(sigma), 3), f"max {number(_most(sigma), 3)}")
+    return _wordings("mean", number(_mean(sigma)), f"max {number(_most(sigma))}")
 
 
 def _mean(values: Floats) -> float:
@@ -90,17 +108,13 @@ PRESENTATIONS = {
         finest=1e-4,
         shown_percent=100.0,
         caption=_intensity_caption,
-        summary=lambda _: "1 = peak without aberration",
-        value="{:.4f} of the peak without aberration",
+        summary=lambda _maps, _unit: "1 = peak without aberration",
+        value=lambda value, _: f"{number(value)} of the peak without aberration",
     ),
     Quantity.MEASURED: Presentation("Fitted wavefront plus the slope residuals, integrated from lenslet to lenslet"),
     Quantity.FITTED: Presentation("Pupil modes fitted to each view"),
     Quantity.DIFFERENCE: Presentation(
-        about="Measured minus fitted: noise and finer detail than the pupil modes resolve",
-        family="difference",
-        caption=partial(_phase_caption, decimals=3),
-        summary=partial(_phase_summary, decimals=3),
-        value="{:+.3f} rad",
+        about="Measured minus fitted: noise and finer detail than the pupil modes resolve", family="difference"
     ),
     Quantity.UNCERTAINTY: Presentation(
         about="Standard deviation of each view's wavefront, from the camera noise",
@@ -108,7 +122,7 @@ PRESENTATIONS = {
         family="uncertainty",
         finest=0.001,
         caption=_sigma_caption,
-        summary=lambda maps: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(_mean(maps), 3)} rad",
-        value="{:.3f} rad",
+        summary=lambda maps, unit: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(_mean(maps))} {unit}",
+        value=lambda value, unit: f"{number(value)} {unit}",
     ),
 }

@@ -29,12 +29,15 @@ class Maps:
     scale: ColourScale
     describe: Callable[[int, int, float], str]  # text for row, column and value of a pixel
     is_smooth: bool = False  # whether to interpolate: samples of a function, not lenslets
+    reach: tuple[float, float] = (1.0, 1.0)  # x and y of the last column's and row's middle, about the map's middle
+    reach_unit: str = ""
 
 
 class ViewGrid(QWidget):
     """Paints the maps as the views lie in the field and frames the selected view."""
 
     selected = pyqtSignal(int, int)  # view row and column
+    opened = pyqtSignal()  # the selected view, by a double click
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -42,7 +45,7 @@ class ViewGrid(QWidget):
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._number_width = 0  # px
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
-        self._selection: tuple[int, int] | None = None
+        self.selection: tuple[int, int] | None = None  # the framed view
         self.setMinimumSize(260, 220)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
@@ -56,7 +59,7 @@ class ViewGrid(QWidget):
 
     def select(self, view: tuple[int, int] | None) -> None:
         """Frame the view (view_row, view_column), or none."""
-        self._selection = view
+        self.selection = view
         self.update()
 
     def set_captions(self, captions: Mapping[tuple[int, int], Caption]) -> None:
@@ -104,15 +107,20 @@ class ViewGrid(QWidget):
         if event is not None and (view := self._view_at(event.pos())) is not None:
             self.selected.emit(*view)
 
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Request to enlarge the view under the pointer."""
+        if event is not None and self._view_at(event.pos()) is not None:
+            self.opened.emit()
+
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
         """Request to select a neighbour of the selected view."""
         if event is None:
             return
         step = _STEPS.get(Qt.Key(event.key()))
-        if step is None or self._selection is None or self.maps is None:
+        if step is None or self.selection is None or self.maps is None:
             super().keyPressEvent(event)
             return
-        row, column = self._selection[0] + step[0], self._selection[1] + step[1]
+        row, column = self.selection[0] + step[0], self.selection[1] + step[1]
         if 0 <= row < self.maps.values.shape[0] and 0 <= column < self.maps.values.shape[1]:
             self.selected.emit(row, column)
 
@@ -173,11 +181,11 @@ class ViewGrid(QWidget):
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 
     def _paint_selection(self, painter: QPainter) -> None:
-        if self._selection is None:
+        if self.selection is None:
             return
         painter.setPen(QPen(theme.ACCENT, 2))
         painter.setBrush(Qt.BrushStyle.NoBrush)
-        painter.drawRect(self.tile(*self._selection).adjusted(-1, -1, 1, 1))
+        painter.drawRect(self.tile(*self.selection).adjusted(-1, -1, 1, 1))
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         view_rows, view_columns = maps.values.shape[:2]

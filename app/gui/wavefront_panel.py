@@ -1,16 +1,22 @@
 """The wavefront panel: the chosen quantity at every view of the field."""
 
 from collections.abc import Callable
+from datetime import datetime
 from functools import partial
+from pathlib import Path
 
 import numpy as np
-from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QComboBox, QWidget
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import QComboBox, QFileDialog, QWidget
 
+from app.errors import InputError
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
+from app.gui.display_menu import DisplayMenu
+from app.gui.enlarged_view import EnlargedView
 from app.gui.presentation import PRESENTATIONS, Presentation, place
 from app.gui.view_grid import Maps, ViewGrid
-from app.gui.widgets import ElidedLabel, column, label, row, toggle
+from app.gui.widgets import ElidedLabel, button, column, label, row, toggle
+from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront
@@ -19,12 +25,18 @@ from reconstruction.wavefront import Wavefront
 class WavefrontPanel(QWidget):
     """Shows the chosen quantity, or that there is no wavefront."""
 
+    refused = pyqtSignal(str)  # why a wavefront cannot be subtracted
+
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._wavefront: Wavefront | None = None
-        self._shown: tuple[Quantity, Floats] | None = None  # the maps in the grid
-        self._limits = {one.family: AdaptiveScale(RANGES) for one in PRESENTATIONS.values()}
+        self._newest: Wavefront | None = None  # as measured
+        self.shown: Wavefront | None = None  # with the display options applied to its views
+        self._display = WavefrontDisplay()
+        self._maps: tuple[Quantity, Floats] | None = None  # the maps in the grid, in the shown unit
+        units = {(one.family, unit): AdaptiveScale(RANGES) for one in PRESENTATIONS.values() for unit in Unit}
+        self._limits = units
         self._reach_mrad = AdaptiveScale(RANGES)  # half width of PSF maps
+        self._enlarged: EnlargedView | None = None
         self._choice = QComboBox()
         self._choice.addItems(list(Quantity))
         for index, quantity in enumerate(Quantity):
@@ -32,12 +44,22 @@ class WavefrontPanel(QWidget):
             self._choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
         self._choice.setToolTip("Quantity shown for every view (keys 1 to 6)")
         self._choice.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self._choice.currentIndexChanged.connect(self._change_quantity)
+        self._choice.currentIndexChanged.connect(self._redraw)
         self._summary = ElidedLabel("dim")
         self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.freeze_scale = toggle("Freeze scale", "Freeze the colour scale (H)")
+        self.menu = DisplayMenu(self)
+        self.menu.changed.connect(self._apply_options)
+        self.menu.store_requested.connect(self._store)
+        self.menu.file_requested.connect(self._choose_file)
+        self.menu.enlarge_requested.connect(self.enlarge)
+        self.display_button = button("Display", "Tilt, defocus, mean, unit, views", lambda: None)
+        self.display_button.setMenu(self.menu)
         self.grid = ViewGrid()
-        header = row(self._choice, label("over the field", "title"), (self._summary, 1), self.freeze_scale)
+        self.grid.opened.connect(self.enlarge)
+        header = row(
+            self._choice, label("over the field", "title"), (self._summary, 1), self.display_button, self.freeze_scale
+        )
         column(header, (self.grid, 1), parent=self)
 
     @property
@@ -56,24 +78,25 @@ class WavefrontPanel(QWidget):
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
         """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""
-        if wavefront is None and self._wavefront is None:
+        if wavefront is None and self._newest is None:
             return
-        self._wavefront = wavefront
-        if wavefront is None:
+        self._newest = wavefront
+        self.shown = None if wavefront is None else self._display(wavefront)
+        if self.shown is None:
             self._show_nothing()
         elif self.quantity is Quantity.WAVEFRONT:
-            self._show(wavefront.views, _describe_lenslet)
+            self._show(self.shown.views, _describe_lenslet)
 
     def show_analysis(self, analysis: Analysis) -> None:
-        """Show the maps of an analysis unless another quantity was chosen meanwhile."""
+        """Show the maps of an analysis unless another quantity or other views were chosen meanwhile."""
         is_current = analysis.request.quantity is self.quantity is not Quantity.WAVEFRONT
-        if self._wavefront is None or not is_current:
+        if self.shown is None or not is_current or analysis.request.wavefront.field != self.shown.field:
             return
         if analysis.maps is None:
             self._show_nothing()
         elif self.quantity is Quantity.PSF:
             self._follow(self._reach_mrad, analysis.light_reach_rad * 1e3)
-            self._show(analysis.maps, partial(_describe_angle, analysis), is_smooth=True)
+            self._show(analysis.maps, partial(_describe_angle, analysis), analysis.reach_rad * 1e3)
             self.update_text()
         else:
             self._show(analysis.maps, _describe_lenslet)
@@ -81,55 +104,112 @@ class WavefrontPanel(QWidget):
 
     def update_text(self) -> None:
         """Update the numbers under the views and in the header."""
-        if self._shown is None or self._wavefront is None:
+        if self._maps is None or self.shown is None:
             self._summary.setText("")
             self.grid.set_captions({})
             return
-        quantity, maps = self._shown
-        presentation, field = PRESENTATIONS[quantity], self._wavefront.field
-        self.grid.set_captions(
-            {
-                (i, j): (presentation.caption(maps[i, j]), place(float(field.view_x_m[j]), float(field.view_y_m[i])))
-                for i, j in np.ndindex(maps.shape[:2])
+        quantity, maps = self._maps
+        presentation, field = PRESENTATIONS[quantity], self.shown.field
+        if maps.shape[:2] == (field.view_rows, field.view_columns):
+            places = {
+                (i, j): place(float(field.view_x_m[j]), float(field.view_y_m[i])) for i, j in np.ndindex(maps.shape[:2])
             }
-        )
-        reach = f"half width {self._reach_mrad.value:g} mrad; " if quantity is Quantity.PSF else ""
-        self._summary.setText(reach + presentation.summary(maps))
+            self.grid.set_captions({at: (presentation.caption(maps[at]), words) for at, words in places.items()})
+        reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
+        parts = (self.menu.options.in_words, reach, presentation.summary(maps, self.menu.unit))
+        self._summary.setText("; ".join(filter(None, parts)))
         self._summary.setToolTip(self._summary.text())
+        if self._enlarged is not None:
+            self._enlarged.update_text()
 
-    def _change_quantity(self) -> None:
-        if self._wavefront is None:
-            self._show_nothing()
+    def enlarge(self) -> None:
+        """Show the selected view in a window of its own."""
+        if self._enlarged is None:
+            self._enlarged = EnlargedView(self.grid, self)
+            self._enlarged.destroyed.connect(self._forget_enlarged)
+        self._enlarged.show()
+        self._enlarged.raise_()
+
+    def subtract_file(self, path: Path) -> None:
+        """Subtract the wavefront of a file of results from now on."""
+        try:
+            lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
+            stored = StoredWavefront.from_results(path, lenslets)
+        except InputError as error:
+            self.refused.emit(str(error))
         else:
-            self.show_wavefront(self._wavefront)
-            self.update_text()
+            self.menu.change(stored=stored)
+
+    def _store(self) -> None:
+        if self._newest is not None:
+            name = f"that of {datetime.now().astimezone():%H:%M:%S}"
+            self.menu.change(stored=self._display.store(self._newest, name))
+
+    def _choose_file(self) -> None:
+        name, _ = QFileDialog.getOpenFileName(self, "Subtract a wavefront", "", "Results (*.nc)")
+        if name:
+            self.subtract_file(Path(name))
+
+    def _apply_options(self) -> None:
+        self._display.options = self.menu.options
+        self._redraw()
+
+    def _forget_enlarged(self) -> None:
+        self._enlarged = None
+
+    def _redraw(self) -> None:
+        if self._newest is None or self.quantity is not Quantity.WAVEFRONT:
+            self._show_nothing()  # until the analysis has it
+        self.show_wavefront(self._newest)
+        self.update_text()
 
     def _show(
-        self, maps: Floats, describe: Callable[[Presentation, int, int, float], str], *, is_smooth: bool = False
+        self,
+        maps: Floats,
+        describe: Callable[[Presentation, str, int, int, float], str],
+        reach_mrad: float | None = None,
     ) -> None:
-        presentation = PRESENTATIONS[self.quantity]
-        limit = self._limits[presentation.family]
-        self._follow(limit, max(presentation.limit(maps), presentation.finest))
-        self._shown = (self.quantity, maps)
-        self.grid.show_maps(Maps(maps, presentation.scale(limit.value), partial(describe, presentation), is_smooth))
+        """Show maps over the lenslets, or over angles up to a reach."""
+        presentation, unit = PRESENTATIONS[self.quantity], self.menu.unit
+        if self.shown is None:
+            return
+        per_rad = unit.per_rad(self.shown.sensor.wavelength_m) if presentation.has_unit else 1.0
+        shown = maps * per_rad
+        limit = self._limits[presentation.family, unit]
+        self._follow(limit, max(presentation.limit(shown), presentation.finest * per_rad))
+        self._maps = (self.quantity, shown)
+        sensor = self.shown.sensor
+        reach = (float(sensor.pupil_x_m[-1]) * 1e3, float(sensor.pupil_y_m[-1]) * 1e3)
+        scale, text = presentation.scale(limit.value, unit), partial(describe, presentation, unit)
+        if reach_mrad is None:
+            self.grid.show_maps(Maps(shown, scale, text, reach=reach, reach_unit="mm"))
+        else:
+            both = (reach_mrad, reach_mrad)
+            self.grid.show_maps(Maps(shown, scale, text, is_smooth=True, reach=both, reach_unit="mrad"))
+        if self._enlarged is not None:
+            self._enlarged.refresh()
 
     def _follow(self, scale: AdaptiveScale, needed: float) -> None:
         if not (self.freeze_scale.isChecked() and scale.is_set):
             scale.follow(needed)
 
     def _show_nothing(self) -> None:
-        self._shown = None
+        self._maps = None
         self.grid.show_maps(None)
         self.update_text()
+        if self._enlarged is not None:
+            self._enlarged.refresh()
 
 
-def _describe_lenslet(presentation: Presentation, row: int, column: int, value: float) -> str:
-    text = presentation.value.format(value) if np.isfinite(value) else "lost, no value"
+def _describe_lenslet(presentation: Presentation, unit: str, row: int, column: int, value: float) -> str:
+    text = presentation.value(value, unit) if np.isfinite(value) else "lost, no value"
     return f"Lenslet row {row}, column {column}: {text}"
 
 
-def _describe_angle(analysis: Analysis, presentation: Presentation, row: int, column: int, value: float) -> str:
+def _describe_angle(
+    analysis: Analysis, presentation: Presentation, unit: str, row: int, column: int, value: float
+) -> str:
     if analysis.maps is None or not np.isfinite(value):
         return "no value"
     angle_mrad = np.linspace(-analysis.reach_rad, analysis.reach_rad, analysis.maps.shape[-1]) * 1e3
-    return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {presentation.value.format(value)}"
+    return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {presentation.value(value, unit)}"

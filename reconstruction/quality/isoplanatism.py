@@ -11,6 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, centered_steps
+from reconstruction.quality.low_orders import without_tilt
 from reconstruction.wavefront import Wavefront, rms, without_piston
 
 _LIMIT_RAD = 1.0  # RMS difference that ends the isoplanatic patch
@@ -108,18 +109,6 @@ def global_error_rad(phase: Floats) -> float:
     """
     error_rad = rms(phase - np.mean(phase, axis=0))
     return _root_mean_square(error_rad)
-
-
-def without_tilt(phase: Floats) -> Floats:
-    """Subtract the best-fitting plane from wavefronts (..., lenslet_row, lenslet_column), ignoring NaN."""
-    rows, columns = phase.shape[-2:]
-    v, u = np.meshgrid(centered_steps(rows), centered_steps(columns), indexing="ij")
-    planes = np.stack([np.ones_like(u), u, v])
-    known = np.isfinite(phase)
-    normal = np.einsum("prc,...rc,qrc->...pq", planes, known.astype(np.float64), planes)
-    moments = np.einsum("prc,...rc->...p", planes, np.where(known, phase, 0))
-    plane = (np.linalg.pinv(normal, hermitian=True) @ moments[..., None])[..., 0]
-    return np.asarray(phase - np.tensordot(plane, planes, axes=1))
 
 
 def _root_mean_square(values: Floats) -> float:

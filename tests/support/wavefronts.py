@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from reconstruction.arrays import Floats
 from reconstruction.displacement import diagonal_covariance
 from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.settings import PupilBasis
+from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.sensitivity import geometric_sensitivity
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront
 from support.gui_bench import FIELD, SENSOR
@@ -24,3 +29,14 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
     displacement = converged(LegendreModes(3), slopes / SENSOR.slope_per_px, variance / SENSOR.slope_per_px**2)
     solution = ZonalSolution(slopes, valid, SENSOR.lenslet_pitch_m, slope_covariance=diagonal_covariance(variance))
     return Wavefront.of(SENSOR, FIELD, displacement, solution)
+
+
+def modal(coefficients: Floats, *, sigma_px: float = 0.01, basis: PupilBasis = "legendre") -> Wavefront:
+    """A wavefront with coefficients e_pq (pupil_mode, field_mode), rad, from displacements with a known error."""
+    modes, count = pupil_modes(SENSOR, basis, len(coefficients)), coefficients.shape[1]
+    slopes = np.einsum("pq,prcd->rcqd", coefficients, modes.gradients)
+    pixels = slopes / SENSOR.slope_per_px
+    displacement = converged(LegendreModes(count), pixels, np.full(pixels.shape, sigma_px**2))
+    parameters = np.eye(2 * count)
+    solver = ModalSolver(modes, geometric_sensitivity(SENSOR, parameters), parameters, displacement.covariance)
+    return Wavefront.of(SENSOR, FIELD, displacement, solver(displacement))

@@ -33,14 +33,13 @@ def shown(window: MainWindow) -> Floats:
 
 
 def is_shown(window: MainWindow, quantity: Quantity) -> bool:
-    now = window.wavefront_panel._shown
+    now = window.wavefront_panel._maps
     return now is not None and now[0] is quantity
 
 
 def show(window: MainWindow, wavefront: Wavefront | None) -> None:
     """Show a wavefront as the window does, without a camera."""
     window._analysis.use_settings(BENCH.reconstruction)
-    window._analysis.use_wavefront(wavefront)
     window.wavefront_panel.show_wavefront(wavefront)
 
 
@@ -80,7 +79,7 @@ def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWind
     middle = maps.shape[2] // 2
     assert maps[1, 1, middle, middle] == maps[1, 1].max() == pytest.approx(1)
     captions = window.wavefront_panel.grid.captions
-    assert captions[1, 1][0] == ("Strehl 1.000   peak 1.000", "Strehl 1.000", "1.000")
+    assert captions[1, 1][0] == ("Strehl 1.00   peak 1.00", "Strehl 1.00", "1.00")
     assert captions[2, 0][0][1] == "Strehl \N{EN DASH}"
     grid = window.wavefront_panel.grid
     seen = picture(grid).astype(int)
@@ -119,7 +118,7 @@ def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot
     show(window, bowl())
     qtbot.wait(200)
     assert window._analysis._thread._request is None
-    assert window.wavefront_panel.grid._selection is None
+    assert window.wavefront_panel.grid.selection is None
     press(qtbot, window, Qt.Key.Key_I)
     qtbot.waitUntil(lambda: bool(window.analysis_panel.sentence.text()))
 
@@ -129,7 +128,7 @@ def test_lost_wavefront_clears_maps_and_plots(make_window: MakeWindow, qtbot: Qt
     show(window, bowl())
     window.wavefront_panel.choose(Quantity.PSF)
     panel = window.analysis_panel
-    qtbot.waitUntil(lambda: window.wavefront_panel._shown is not None and bool(panel.sentence.text()))
+    qtbot.waitUntil(lambda: window.wavefront_panel._maps is not None and bool(panel.sentence.text()))
     show(window, None)
     qtbot.wait(100)
     assert window.wavefront_panel.grid.maps is None
@@ -167,7 +166,7 @@ def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
 ) -> None:
     window, _ = live
     window.wavefront_panel.choose(Quantity.PSF)
-    qtbot.waitUntil(lambda: window.wavefront_panel._shown is not None and bool(window.analysis_panel.sentence.text()))
+    qtbot.waitUntil(lambda: window.wavefront_panel._maps is not None and bool(window.analysis_panel.sentence.text()))
     hangs, may_go_on = threading.Event(), threading.Event()
 
     def hang(request: AnalysisRequest) -> Analysis:
@@ -224,7 +223,7 @@ def test_verdict_states_error_and_patch() -> None:
     found = Isoplanatism(curve(0.5, 1.5), curve(0.1, 0.2), 0.42, 0.1, np.zeros((3, 3)))
     assert verdict(found) == "A single correction leaves 0.42 rad RMS; isoplanatic patch 0.15 mm"
     wide = Isoplanatism(curve(0.1, 0.2), curve(0.1, 0.2), 0.04, 0.01, np.zeros((3, 3)))
-    assert verdict(wide).endswith("leaves 0.04 rad RMS; isoplanatic patch wider than the field")
+    assert verdict(wide).endswith("leaves 0.040 rad RMS; isoplanatic patch wider than the field")
 
 
 def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:

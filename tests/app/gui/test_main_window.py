@@ -32,7 +32,7 @@ def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow
     for (row, column), (numbers, place) in captions.items():
         view = shown[row, column]
         rms = np.sqrt(np.nanmean((view - np.nanmean(view)) ** 2))
-        assert numbers[0] == f"RMS {rms:.2f}   PV {np.nanmax(view) - np.nanmin(view):.2f}"
+        assert numbers[0] == f"RMS {rms:#.3g}   PV {np.nanmax(view) - np.nanmin(view):#.3g}"
         x, y = ("\N{MINUS SIGN}0.50", "0", "+0.50")[column], ("\N{MINUS SIGN}0.50", "0", "+0.50")[row]
         assert place[0] == f"x {x}  y {y} mm"
 

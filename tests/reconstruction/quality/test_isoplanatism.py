@@ -9,13 +9,8 @@ from support.optics import FIELD, converged, sensor_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.quality.isoplanatism import (
-    field_positions_m,
-    global_error_rad,
-    isoplanatism,
-    structure_curve,
-    without_tilt,
-)
+from reconstruction.quality.isoplanatism import field_positions_m, global_error_rad, isoplanatism, structure_curve
+from reconstruction.quality.low_orders import without_tilt
 from reconstruction.wavefront import Wavefront
 
 ROWS, COLUMNS = 9, 13

@@ -12,7 +12,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.quality.isoplanatism import without_tilt
+from reconstruction.quality.low_orders import without_tilt
 from reconstruction.quality.slope_fit import slope_fit
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront, without_piston

@@ -1,0 +1,64 @@
+"""A titled plot in the colours of the window."""
+
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QColor
+from PyQt6.QtWidgets import QWidget
+
+from app.gui import theme
+from app.gui.widgets import ElidedLabel, column, label, row, unfocused
+
+
+class Plot(QWidget):
+    """A titled plot without zoom or pan."""
+
+    def __init__(
+        self,
+        title: str,
+        bottom: str,
+        keys: tuple[tuple[str, QColor], ...] = (),
+        parent: QWidget | None = None,
+        widest: str = "0.0",
+    ) -> None:
+        """Make an empty plot with a legend of `keys`, and room for the `widest` number on its left axis."""
+        super().__init__(parent)
+        self.title = ElidedLabel("title")
+        self.title.setText(title)
+        self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
+        self._graphics.setMinimumSize(150, 5 * self.fontMetrics().height())
+        unfocused(self._graphics)
+        self.view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
+        self.axes = axes = {
+            side: pg.AxisItem(side, linkView=self.view, pen=theme.LINE, textPen=theme.DIM)
+            for side in ("left", "bottom")
+        }
+        for axis in axes.values():
+            axis.enableAutoSIPrefix(enable=False)
+            axis.setStyle(tickLength=4, tickTextOffset=3)
+        font = self.fontMetrics()
+        axes["left"].setWidth(font.horizontalAdvance(widest) + 12)
+        axes["bottom"].setHeight(2 * font.height() + 6)
+        axes["bottom"].setLabel(bottom, color=theme.DIM.name())
+        grid = pg.GraphicsLayout()
+        grid.setContentsMargins(0, 5, 12, 4)  # pyqtgraph draws the label a little below its axis
+        grid.setSpacing(0)
+        grid.addItem(axes["left"], 0, 0)
+        grid.addItem(self.view, 0, 1)
+        grid.addItem(axes["bottom"], 1, 1)
+        self._graphics.setCentralItem(grid)
+        header = row((self.title, 1), spacing=8)
+        for text, colour in keys:
+            key = label(text)
+            key.setStyleSheet(f"color: {colour.name()};")
+            header.addWidget(key)
+        column(header, (self._graphics, 1), spacing=2, parent=self)
+
+    def add_curve(self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine) -> pg.PlotCurveItem:
+        """Add an empty curve."""
+        curve = pg.PlotCurveItem(pen=pg.mkPen(colour, width=width, style=style), antialias=True)
+        self.view.addItem(curve)
+        return curve
+
+    def set_ranges(self, x: tuple[float, float], y: tuple[float, float]) -> None:
+        """Set what both axes span."""
+        self.view.setRange(xRange=x, yRange=y, padding=0)

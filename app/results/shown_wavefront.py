@@ -1,0 +1,173 @@
+"""Display options: which part of a wavefront is shown, at which views, in which unit."""
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from app.bench.config import parse_bench
+from app.errors import InputError
+from app.results.dataset import open_results
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field
+from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.quality.low_orders import without_low_orders
+from reconstruction.wavefront import Wavefront, without_piston
+
+MOST_AVERAGED = 100
+MOST_VIEWS = 9  # along each side
+_SAME_RAD = 1e-3  # beyond rounding
+
+
+class Unit(StrEnum):
+    """Unit of a shown wavefront."""
+
+    RAD = "rad"
+    WAVES = "waves"
+    NM = "nm"
+
+    def per_rad(self, wavelength_m: float) -> float:
+        """Return one radian in this unit."""
+        waves = 1 / (2 * math.pi)
+        return {Unit.RAD: 1.0, Unit.WAVES: waves, Unit.NM: waves * wavelength_m * 1e9}[self]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredWavefront:
+    """A wavefront at every field position, to be subtracted from others."""
+
+    name: str  # for the user
+    field: Field
+    modes: FieldModes
+    by_mode: Floats  # wavefront of each field mode, rad, (field_mode, lenslet_row, lenslet_column); NaN where unknown
+
+    @classmethod
+    def of(cls, wavefront: Wavefront, name: str) -> Self:
+        """Store the wavefront of one frame."""
+        return cls(name, wavefront.field, wavefront.displacement.modes, _by_mode(wavefront))
+
+    @classmethod
+    def from_results(cls, path: Path, lenslets: tuple[int, ...] | None = None) -> Self:
+        """Read the modal wavefront of a file of results, the mean of its frames.
+
+        `InputError` if it holds none, or not for `lenslets` (lenslet_row, lenslet_column).
+        """
+        with open_results(path) as results:
+            if "coefficients" not in results or "bench" not in results.attrs:
+                raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method = 'modal'")
+            bench = parse_bench(results.attrs["bench"], str(path), is_recorded=True)
+            frames = [name for name in ("frame",) if name in results.dims]
+            coefficients = results["coefficients"].mean(frames).transpose("pupil_mode", "field_mode").values
+            views = results["wavefront"].mean(frames).transpose("view_row", "view_column", ...).values
+        if lenslets not in {None, views.shape[2:]}:
+            raise InputError("{}: has {} x {} lenslets, the bench {} x {}".format(path, *views.shape[2:], *lenslets))
+        unknown = np.isnan(views).all(axis=(0, 1))
+        values = pupil_modes(bench.sensor, bench.reconstruction.basis, len(coefficients)).values
+        by_mode = np.tensordot(coefficients.T, values, axes=1)
+        by_mode[:, unknown] = np.nan
+        count = coefficients.shape[1]
+        modes = LegendreModes(count) if bench.field.shape == "square" else ZernikeModes(count)
+        stored = cls(path.name, bench.field, modes, without_piston(by_mode))
+        if np.nanmax(np.abs(stored.at(bench.field) - views), initial=0) > _SAME_RAD:  # displacements at stars, say
+            raise InputError(f"{path}: its wavefront cannot be evaluated between its views")
+        return stored
+
+    def at(self, field: Field) -> Floats:
+        """Return the wavefront at the views of a field, rad; NaN outside the stored one."""
+        x, y = (view_m / self.field.half_width_m for view_m in (field.view_x_m, field.view_y_m[:, None]))
+        views = np.tensordot(np.moveaxis(self.modes.values(x, y), 0, -1), self.by_mode, axes=1)
+        views[~self.field.contains(x, y)] = np.nan
+        return views
+
+
+@dataclass(frozen=True, slots=True)
+class DisplayOptions:
+    """Options of the display; the defaults show the wavefront of every frame as it is."""
+
+    without_tilt: bool = False
+    without_defocus: bool = False
+    stored: StoredWavefront | None = None  # subtracted
+    averaged: int = 1  # number of frames
+    views: int | None = None  # along each side of a square grid; None: those of the bench
+
+    @property
+    def in_words(self) -> str:
+        """The options other than the defaults, for a caption; empty without any."""
+        return ", ".join(
+            filter(
+                None,
+                [
+                    "no tilt" * self.without_tilt,
+                    "no defocus" * self.without_defocus,
+                    "" if self.stored is None else f"minus {self.stored.name}",
+                    f"mean of {self.averaged} frames" * (self.averaged > 1),
+                ],
+            )
+        )
+
+
+class WavefrontDisplay:
+    """Applies display options to successive wavefronts."""
+
+    def __init__(self) -> None:
+        self.options = DisplayOptions()
+        self._recent: deque[Floats] = deque()  # wavefronts of each field mode, newest last
+        self._newest: Wavefront | None = None
+
+    def __call__(self, wavefront: Wavefront) -> Wavefront:
+        """Return a wavefront with the `views` to show; its solution stays that of the newest frame."""
+        options, by_mode = self.options, self._mean(wavefront)
+        shown, field = wavefront, wavefront.field
+        if options.views is not None:
+            field = with_views(field, options.views)
+            shown = Wavefront.of(wavefront.sensor, field, wavefront.displacement, wavefront.solution)
+        if by_mode is not None:
+            mean = replace(StoredWavefront.of(wavefront, "mean"), by_mode=by_mode)
+            shown = replace(shown, views=without_piston(mean.at(field)))
+        if options.stored is not None:
+            shown = replace(shown, views=without_piston(shown.views - options.stored.at(field)))
+        if options.without_tilt or options.without_defocus:
+            removed = {"tilt": options.without_tilt, "defocus": options.without_defocus}
+            shown = replace(shown, views=without_low_orders(shown.views, **removed))
+        return shown
+
+    def store(self, wavefront: Wavefront, name: str) -> StoredWavefront:
+        """Return the wavefront, averaged like the shown one, to be subtracted later."""
+        by_mode = self._mean(wavefront)
+        stored = StoredWavefront.of(wavefront, name)
+        return stored if by_mode is None else replace(stored, by_mode=by_mode)
+
+    def _mean(self, wavefront: Wavefront) -> Floats | None:
+        """Include a wavefront in the mean, and return that, by field mode; None without averaging."""
+        if self.options.averaged == 1:
+            self._recent.clear()
+            return None
+        newest, self._newest = self._newest, wavefront
+        if newest is not wavefront or not self._recent:
+            by_mode = _by_mode(wavefront)
+            if newest is None or newest.displacement.modes != wavefront.displacement.modes:
+                self._recent.clear()
+            self._recent.append(by_mode)
+        while len(self._recent) > self.options.averaged:
+            self._recent.popleft()
+        known = np.isfinite(self._recent)
+        with np.errstate(invalid="ignore"):  # NaN where no frame knows a lenslet
+            return np.asarray(np.sum(self._recent, axis=0, where=known) / np.sum(known, axis=0))
+
+
+def with_views(field: Field, count: int) -> Field:
+    """Return a field with count x count views over the area of its own; of a single one, over the whole field."""
+    reach_m = (max(field.view_rows, field.view_columns) - 1) / 2 * field.view_spacing_m
+    if not reach_m:
+        reach_m = field.half_width_m * (1 - 1 / count)
+    spacing_m = 2 * reach_m / (count - 1) if count > 1 else field.view_spacing_m
+    return replace(field, view_rows=count, view_columns=count, view_spacing_m=spacing_m)
+
+
+def _by_mode(wavefront: Wavefront) -> Floats:
+    return wavefront.solution.wavefront(np.eye(wavefront.displacement.modes.count))

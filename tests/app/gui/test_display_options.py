@@ -1,0 +1,170 @@
+"""The display menu, and the enlarged view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu
+from pytestqt.qtbot import QtBot
+from support.gui_bench import BENCH, SENSOR
+from support.wavefronts import bowl
+from support.window_tools import MakeWindow, click, part, picture, press
+
+from app.gui.enlarged_view import EnlargedView
+from app.gui.main_window import MainWindow
+from app.gui.presentation import number, signed
+from app.results.dataset import result_dataset, write_results
+from app.results.view_analysis import Quantity
+from reconstruction.arrays import Floats
+
+
+@pytest.fixture
+def window(make_window: MakeWindow) -> MainWindow:
+    made = make_window()
+    made._analysis.use_settings(BENCH.reconstruction)
+    made.wavefront_panel.show_wavefront(bowl(3000.0))
+    made.wavefront_panel.update_text()
+    return made
+
+
+def shown(window: MainWindow) -> Floats:
+    maps = window.wavefront_panel.grid.maps
+    assert maps is not None
+    return maps.values
+
+
+def choose(qtbot: QtBot, menu: QMenu | None, *texts: str) -> None:
+    """Open a menu and choose entries with the keyboard, one inside the other."""
+    assert menu is not None
+    menu.popup(QPoint(0, 0))
+    action = next(action for action in menu.actions() if action.text() == texts[0])
+    if len(texts) > 1:
+        choose(qtbot, action.menu(), *texts[1:])
+    else:
+        menu.setActiveAction(action)
+        press(qtbot, menu, Qt.Key.Key_Return)
+    menu.close()
+
+
+def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
+    panel, menu = window.wavefront_panel, window.wavefront_panel.menu
+    whole = shown(window).copy()
+    choose(qtbot, menu, "Remove tilt")
+    flat = shown(window).copy()
+    assert np.ptp(flat[1, 1, 4]) == pytest.approx(np.ptp(flat[1, 1, 4, :7]))  # symmetric about the middle
+    assert np.ptp(whole[1, 1, 4]) > np.ptp(whole[1, 1, 4, :7]) + 1
+    choose(qtbot, menu, "Remove defocus")
+    np.testing.assert_allclose(shown(window), 0, atol=1e-9)
+    assert panel._summary.text().startswith("no tilt, no defocus; mean RMS")
+    choose(qtbot, menu, "Remove defocus")
+    choose(qtbot, menu, "Remove tilt")
+    choose(qtbot, menu, "Unit", "nm")
+    np.testing.assert_allclose(shown(window), whole * SENSOR.wavelength_m * 1e9 / (2 * np.pi))
+    assert panel.grid.maps is not None
+    assert panel.grid.maps.scale.title == "nm"
+    assert panel._summary.text().endswith(" nm")
+    choose(qtbot, menu, "Views", "5 \N{MULTIPLICATION SIGN} 5")
+    assert shown(window).shape[:2] == (5, 5)
+    assert panel.grid.captions[4, 0][1][0] == "x \N{MINUS SIGN}0.50  y +0.50 mm"
+
+
+def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, qtbot: QtBot) -> None:
+    panel, menu = window.wavefront_panel, window.wavefront_panel.menu
+    assert not menu.clear_stored.isEnabled()
+    choose(qtbot, menu, "Subtract the present wavefront")
+    np.testing.assert_allclose(shown(window), 0, atol=1e-9)
+    assert panel._summary.text().startswith("minus that of ")
+    panel.show_wavefront(bowl(4000.0))
+    expected = 1000.0 * SENSOR.pupil_x_m
+    np.testing.assert_allclose(shown(window)[1, 1, 4], expected, atol=1e-9)
+    choose(qtbot, menu, "Subtract nothing")
+    assert np.ptp(shown(window)[1, 1, 4]) > 10
+
+
+def test_unsuitable_file_is_refused_in_words(
+    window: MainWindow, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "zonal.nc"
+    write_results(path, result_dataset(bowl()), bench=BENCH, inputs={})
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(path), ""))
+    with qtbot.waitSignal(window.wavefront_panel.refused) as refused:
+        choose(qtbot, window.wavefront_panel.menu, "Subtract a wavefront from a file ...")
+    assert "zonal.nc: holds no coefficients" in refused.args[0]
+    assert window.wavefront_panel.menu.options.stored is None
+
+
+def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) -> None:
+    panel = window.wavefront_panel
+    panel.menu.tilt.setChecked(True)
+    panel.menu.defocus.setChecked(True)
+    panel.choose(Quantity.PSF)
+    qtbot.waitUntil(lambda: panel.grid.maps is not None)
+    maps = shown(window)
+    assert maps[1, 1, maps.shape[2] // 2, maps.shape[3] // 2] == pytest.approx(1)  # nothing is left of the bowl
+
+
+def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) -> None:
+    panel = window.wavefront_panel
+    corner = panel.grid.tile(2, 0).center()
+    click(qtbot, panel.grid, corner)
+    qtbot.mouseDClick(panel.grid, Qt.MouseButton.LeftButton, pos=corner)  # type: ignore[no-untyped-call]
+    enlarged = window.findChild(EnlargedView)
+    assert enlarged is not None
+    assert enlarged.isVisible()
+    np.testing.assert_array_equal(enlarged.map.values, shown(window)[2, 0])
+    tile = enlarged.map.tile(0, 0)
+    click(qtbot, enlarged.map, tile.topLeft() + QPoint(tile.width() * 5 // 26, tile.height() * 3 // 18))
+    assert enlarged.map.at == (1, 2)
+    for key in (Qt.Key.Key_Down, Qt.Key.Key_Right):
+        press(qtbot, enlarged.map, key)
+    assert enlarged.text.text().startswith("Lenslet row 2, column 3: ")
+    x, across = enlarged._curves[0].getData()
+    np.testing.assert_allclose(x, SENSOR.pupil_x_m * 1e3)
+    np.testing.assert_array_equal(across, shown(window)[2, 0, 2])
+    np.testing.assert_array_equal(enlarged._curves[1].getData()[1], shown(window)[2, 0, :, 3])
+    panel.show_wavefront(bowl(5000.0))
+    np.testing.assert_array_equal(enlarged.map.values, shown(window)[2, 0])
+    panel.show_wavefront(None)
+    assert enlarged.text.text() == "no wavefront"
+
+
+def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWindow, qtbot: QtBot) -> None:
+    window.wavefront_panel.enlarge()
+    enlarged = window.findChild(EnlargedView)
+    assert enlarged is not None
+    QApplication.processEvents()
+    with_contours = part(picture(enlarged.map), enlarged.map.tile(0, 0)).astype(int)
+    click(qtbot, enlarged.contour_toggle, enlarged.contour_toggle.rect().center())
+    without = part(picture(enlarged.map), enlarged.map.tile(0, 0)).astype(int)
+    changed = np.abs(with_contours - without).max(axis=2) > 30
+    assert 0.01 < changed.mean() < 0.3
+    before = picture(enlarged.surface).astype(int)
+    assert (np.ptp(before, axis=2) > 30).mean() > 0.02  # coloured faces
+    qtbot.mousePress(enlarged.surface, Qt.MouseButton.LeftButton, pos=QPoint(80, 80))  # type: ignore[no-untyped-call]
+    qtbot.mouseMove(enlarged.surface, QPoint(120, 80))  # type: ignore[no-untyped-call]
+    assert enlarged.surface.azimuth_rad == pytest.approx(0.2)
+    assert (np.abs(picture(enlarged.surface).astype(int) - before).max(axis=2) > 30).any()
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (4.207, "4.21"),
+        (0.9996, "1.00"),
+        (0.0123456, "0.0123"),
+        (-0.00045678, "\N{MINUS SIGN}0.000457"),
+        (1234.0, "1230"),
+        (3.2e-9, "3.2e\N{MINUS SIGN}09"),
+        (float("nan"), "\N{EN DASH}"),
+    ],
+)
+def test_numbers_have_significant_digits(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_signed_numbers() -> None:
+    assert [signed(value) for value in (0.5, -0.5, 0.0)] == ["+0.500", "\N{MINUS SIGN}0.500", "0"]
