@@ -196,6 +196,7 @@ def dhyana() -> Model:
     of.integer("BlackLevel", 100)
     of.number("DeviceTemperature", 41)
     of.boolean("GammaEnable", 1, more="<pIsAvailable>Missing</pIsAvailable>")
+    of.boolean("SharpnessEnabled", 1, more="<pIsImplemented>Missing</pIsImplemented>")
     of.raw('<Integer Name="Missing"><Value>0</Value></Integer>')
     return Model("Tucsen", "Dhyana 6060", of, trailing_bytes=40)
 
@@ -302,9 +303,20 @@ def test_unpadded_format_is_chosen(make: Callable[[], Model], name: str, peer: C
         assert camera.capabilities.full_scale == 4095
 
 
+def test_reported_byte_order_counts(peer: Callable[[Model], GigeCamera]) -> None:
+    of = usual(("Mono16",))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.boolean("GevSCPSBigEndian", 1, more="<ImposedAccessMode>RO</ImposedAccessMode>")
+    peer(Model("Maker", "Model", of, left_aligned, ">"))
+    with GenicamCamera(SETTINGS) as camera:
+        camera.start()
+        np.testing.assert_array_equal(camera.read(5.0).pixels, left_aligned(ROWS, COLUMNS))
+
+
 def test_full_scale_and_byte_order_can_be_given(peer: Callable[[Model], GigeCamera]) -> None:
     peer(blackfly())
     with GenicamCamera(replace(SETTINGS, pixel_format="Mono16", full_scale=4095, byte_order="little")) as camera:
+        assert camera.capabilities.full_scale == 4095
         camera.start()
         np.testing.assert_array_equal(camera.read(5.0).pixels, left_aligned(ROWS, COLUMNS).byteswap())
         assert camera.capabilities.full_scale == 4095
@@ -346,6 +358,7 @@ def test_odd_nodes_do_not_spoil_the_properties(peer: Callable[[Model], GigeCamer
         assert "DeviceTemperature" not in properties
         assert "ReverseY" not in properties
         assert "GammaEnable" not in properties
+        assert "SharpnessEnabled" not in properties
 
 
 def test_black_level_category_is_left_out(peer: Callable[[Model], GigeCamera]) -> None:
@@ -387,6 +400,29 @@ def test_whole_region_keeps_to_the_steps_with_binning(peer: Callable[[Model], Gi
         assert sensor == Region(0, 0, 32, 2048)
         assert camera.set_region(sensor) == sensor
         assert camera_peer.register(of.addresses["Width"]) == 1024
+
+
+def test_leftover_binning_is_reset(peer: Callable[[Model], GigeCamera]) -> None:
+    of = usual(("Mono8",))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.integer("BinningVertical", 1, 1, 4)
+    of.integer("BinningHorizontal", 2, 1, 4)
+    peer(Model("Maker", "Model", of))
+    with GenicamCamera(SETTINGS) as camera:
+        assert camera.binning == 1
+        assert camera.capabilities.binnings == (1, 2, 3, 4)
+
+
+def test_binning_without_factor_is_switched_off(peer: Callable[[Model], GigeCamera]) -> None:
+    of = usual(("Mono8",))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    for axis in ("BinningVertical", "BinningHorizontal"):
+        of.enumeration(axis, "On", _ON_OFF)
+    camera_peer = peer(Model("SVS-VISTEK", "evo4050", of))
+    with GenicamCamera(SETTINGS) as camera:
+        assert camera.capabilities.binnings == (1,)
+        assert camera_peer.register(of.addresses["BinningVertical"]) == 0
+        camera.set_binning(1)
 
 
 def test_unequal_binning_is_refused(peer: Callable[[Model], GigeCamera]) -> None:
