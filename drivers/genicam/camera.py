@@ -111,7 +111,7 @@ class GenicamCamera(Camera):
         digitiser_bits = next((int(found.group()) for text in texts if (found := re.search(r"\d+$", text))), None)
         best = preferred_format(offered, digitiser_bits)
         if best is None:
-            raise Unsupported(f"{self.name} sends only {', '.join(offered)}: a grey camera is needed")
+            raise Unsupported(f"{self.name} offers {', '.join(offered) or 'no pixel format'}: a grey camera is needed")
         self._format: PixelFormat = PIXEL_FORMATS[settings.pixel_format] if settings.pixel_format else best
         if self._format.name not in offered:
             usable = ", ".join(name for name in PIXEL_FORMATS if name in offered)

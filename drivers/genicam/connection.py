@@ -170,7 +170,7 @@ class GenicamConnection:
         for _ in range(self._settings.buffers):
             self.give_back(self._aravis.call("arv_buffer_new_allocate", payload_bytes))
         try:
-            self.call("arv_camera_execute_command", b"AcquisitionStart")
+            self.call("arv_camera_start_acquisition")
         except DeviceError:
             self._calls.submit(self._release_stream)
             raise
@@ -179,7 +179,7 @@ class GenicamConnection:
     def stop_stream(self, exposure_s: float) -> None:
         """Stop the acquisition; the camera may finish the exposure before it answers."""
         self.call("arv_camera_get_integer", b"Width")  # notices a missing camera sooner
-        self.call("arv_camera_execute_command", b"AcquisitionStop", patience_s=PATIENCE_S + exposure_s)
+        self.call("arv_camera_stop_acquisition", patience_s=PATIENCE_S + exposure_s)
         self.is_streaming = False
         self._calls.make(self._release_stream, PATIENCE_S)
 
@@ -229,7 +229,7 @@ class GenicamConnection:
         self._camera = self._aravis.call("arv_camera_new", device.encode())
 
     def _create_stream(self) -> None:
-        self._stream = self._aravis.call("arv_camera_create_stream", self._camera, None, None)
+        self._stream = self._aravis.create_stream(self._camera)
 
     def _release_stream(self) -> None:
         if stream := self._stream:

@@ -6,24 +6,30 @@ Its GObject introspection would need PyGObject, which pip can only build with sy
 import ctypes
 import ctypes.util
 import sys
+from contextlib import suppress
 from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 from drivers.errors import BadValue, Busy, DeviceError, Disconnected, Unsupported, WrongState
 
-HOW_TO_INSTALL: Final = "sudo apt-get install libaravis-0.8-0"
+HOW_TO_INSTALL: Final = {
+    "darwin": "brew install aravis",
+    "win32": "MSYS2's mingw-w64-ucrt-x86_64-aravis, with its folder ucrt64\\bin in PATH",
+}.get(sys.platform, "sudo apt-get install libaravis-0.8-0")
 
 STATUS_SUCCESS: Final = 0  # ArvBufferStatus
 PACKET_SOCKET_DISABLED: Final = 1  # ArvGvStreamOption
 SOCKET_BUFFER_FIXED: Final = 0  # ArvGvStreamSocketBuffer
 READ_WRITE: Final = 2  # ArvGcAccessMode
 
-_NAMES: Final = {  # Windows: of MSYS2 and of vcpkg, in a folder of PATH
-    "linux": ("libaravis-0.8.so.0",),
+_NAMES: Final = {
+    "linux": ("libaravis-0.8.so.0", "libaravis-0.10.so.0"),
     "darwin": ("libaravis-0.8.dylib", "/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"),
-    "win32": ("libaravis-0.8-0.dll", "aravis-0.8-0.dll"),
 }
+_SEARCHED: Final = ("aravis-0.8", "aravis-0.10")
+_SEARCHED_ON_WINDOWS: Final = ("libaravis-0.8-0", "aravis-0.8-0", "libaravis-0.10-0", "aravis-0.10-0")  # MSYS2, MSVC
 _G_TYPE_INT: Final = 6 << 2
 
 
@@ -90,6 +96,8 @@ _FUNCTIONS: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "arv_camera_gv_auto_packet_size": (c_uint, (c_void_p, _ERROR)),
     "arv_camera_gv_set_packet_size": (None, (c_void_p, c_int, _ERROR)),
     "arv_camera_gv_get_packet_size": (c_uint, (c_void_p, _ERROR)),
+    "arv_camera_start_acquisition": (None, (c_void_p, _ERROR)),
+    "arv_camera_stop_acquisition": (None, (c_void_p, _ERROR)),
     "arv_camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p, _ERROR)),
     "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
     "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
@@ -144,27 +152,39 @@ class Aravis:
     """The loaded library."""
 
     def __init__(self) -> None:
-        self._library = _load()
+        self._functions: dict[str, Any] = {}
+        libraries = load_library()
         for name, (result, arguments) in _FUNCTIONS.items():
-            if self.has(name) or name not in _SINCE_0_8_23:
-                function = getattr(self._library, name)
-                function.restype, function.argtypes = result, arguments
-        self._device_errors = self._library.arv_device_error_quark()
-        self._kinds = kinds_of_errors((self.call("arv_get_major_version"), self.call("arv_get_minor_version")))
+            found = [function for library in libraries if (function := getattr(library, name, None))]
+            if found:
+                self._functions[name] = found[0]
+                found[0].restype, found[0].argtypes = result, arguments
+            elif name not in _SINCE_0_8_23:
+                raise Unsupported(f"the library Aravis is too old, it lacks {name}: 0.8.20 or later is needed")
+        self._device_errors = self.call("arv_device_error_quark")
+        version = (self.call("arv_get_major_version"), self.call("arv_get_minor_version"))
+        self._kinds = kinds_of_errors(version)
+        if version >= (0, 9):  # one argument more, a function that frees the data of the callback
+            self._functions["arv_camera_create_stream"].argtypes = (*(c_void_p,) * 4, _ERROR)
+        self._callback = (None,) * (2 if version < (0, 9) else 3)
 
     def has(self, name: str) -> bool:
         """True if this version of the library has the function."""
-        return hasattr(self._library, name)
+        return name in self._functions
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Call a function by name, with text results as str; raise its error as a `DeviceError`."""
         if _FUNCTIONS[name][1][-1:] != (_ERROR,):
-            return _text(getattr(self._library, name)(*arguments))
+            return _text(self._functions[name](*arguments))
         error = POINTER(_Error)()
-        result = getattr(self._library, name)(*arguments, ctypes.byref(error))
+        result = self._functions[name](*arguments, ctypes.byref(error))
         if error:
             raise self._taken(error)
         return _text(result)
+
+    def create_stream(self, camera: int) -> int:
+        """Return a new stream of a camera."""
+        return self.call("arv_camera_create_stream", camera, *self._callback) or 0
 
     def choices(self, camera: int, feature: str) -> tuple[str, ...]:
         """Return the present values of an enumeration of the camera."""
@@ -174,19 +194,19 @@ class Aravis:
         try:
             return tuple(_text(values[i]) for i in range(count.value))
         finally:
-            self._library.g_free(values)
+            self._functions["g_free"](values)
 
     def set_property(self, target: int, name: str, number: int) -> None:
         """Set an integer or enumeration property of a library object."""
         value = _Value()
-        self._library.g_value_init(ctypes.byref(value), _G_TYPE_INT)
-        self._library.g_value_set_int(ctypes.byref(value), number)
-        self._library.g_object_set_property(target, name.encode(), ctypes.byref(value))
+        self._functions["g_value_init"](ctypes.byref(value), _G_TYPE_INT)
+        self._functions["g_value_set_int"](ctypes.byref(value), number)
+        self._functions["g_object_set_property"](target, name.encode(), ctypes.byref(value))
 
     def _taken(self, error: Any) -> DeviceError:
         """Convert a GError and free it."""
         domain, code, message = error.contents.domain, error.contents.code, _text(error.contents.message)
-        self._library.g_error_free(error)
+        self._functions["g_error_free"](error)
         kind = next((kind for word, kind in _USB.items() if word in message), None)
         if kind is None:
             kind = self._kinds.get(code, DeviceError) if domain == self._device_errors else DeviceError
@@ -200,13 +220,19 @@ def load_aravis() -> Aravis:
     return Aravis()
 
 
-def _load() -> ctypes.CDLL:
-    found = ctypes.util.find_library("aravis-0.8")
-    for name in (*_NAMES.get(sys.platform, ()), *([found] if found else ())):
-        try:
-            return ctypes.CDLL(name)
-        except OSError:
-            continue
+def load_library() -> tuple[ctypes.CDLL, ...]:
+    """Load Aravis, and on Windows what it depends on: there a library exports only its own functions."""
+    if sys.platform == "win32":
+        for path in filter(None, map(ctypes.util.find_library, _SEARCHED_ON_WINDOWS)):  # in PATH, unlike CDLL
+            prefix = Path(path).name.partition("aravis")[0]
+            parts = (Path(path).with_name(f"{prefix}{part}-2.0-0.dll") for part in ("gobject", "glib"))
+            with suppress(OSError):
+                return (ctypes.CDLL(path), *(ctypes.CDLL(str(part)) for part in parts))
+    for name in (*_NAMES.get(sys.platform, ()), *_SEARCHED):
+        path = ctypes.util.find_library(name) if name in _SEARCHED else name
+        with suppress(OSError):
+            if path:
+                return (ctypes.CDLL(path),)
     raise Unsupported(f"GenICam cameras need the library Aravis 0.8, which is not installed: {HOW_TO_INSTALL}")
 
 
