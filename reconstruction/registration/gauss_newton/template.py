@@ -22,8 +22,8 @@ from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS
 from reconstruction.registration.subimages import ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
-# scattered light that no warp describes, would have most weight. With 0.003 the residual at 10,000 e- is a third
-# larger, although the scatter is smaller.
+# scattered light that no warp describes, would have most weight. With 0.003 the residual at 10,000 e- is 1.4 times
+# as large, although the scatter is smaller.
 _MODEL_ERROR = 0.02
 _NOTHING = 1e-12
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter

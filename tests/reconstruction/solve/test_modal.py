@@ -127,7 +127,7 @@ def _rotations() -> Floats:
 @pytest.mark.parametrize("noise", [3.0, 0.1])
 def test_prior_is_ridge_regression_chosen_by_evidence(noise: float) -> None:
     generator = np.random.default_rng(2)
-    scale = (MODES.degree[1:, None] ** -4.0 * 0.5**FIELD.degree).ravel()
+    scale = (MODES.degree[1:, None] ** -5.0 * 0.5**FIELD.degree).ravel()
     truth = np.zeros((15, FIELD_MODES))
     truth[1:] = (20 * scale * generator.normal(size=14 * FIELD_MODES)).reshape(14, -1)
     covariance = correlated(generator)
@@ -196,7 +196,7 @@ def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
     rough_solver = solver_of(covariance, modes=many, parameters=np.eye(2))
     rough = rough_solver(measured(px, covariance, valid)).wavefront(np.ones(1))
     assert np.isnan(rough[3, 3])
-    assert np.sqrt(np.mean((wavefront - expected) ** 2)) < 0.7 * np.sqrt(np.nanmean((rough - expected) ** 2))
+    assert np.sqrt(np.mean((wavefront - expected) ** 2)) < 0.6 * np.sqrt(np.nanmean((rough - expected) ** 2))
     assert abs(wavefront[3, 3] - expected[3, 3]) < 3 * sigma[3, 3]
     corner = valid.copy()
     corner[:3, :3] = False
@@ -209,7 +209,7 @@ def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
 def test_scatter_of_wavefronts_matches_sigma(is_smooth: bool) -> None:
     generator = np.random.default_rng(4)
     covariance = correlated(generator)
-    scale = np.r_[0, MODES.degree[1:] ** -4.0][:, None] * 0.5**FIELD.degree
+    scale = np.r_[0, MODES.degree[1:] ** -5.0][:, None] * 0.5**FIELD.degree
     solver = solver_of(covariance, is_smooth=is_smooth)
     errors, sigmas, of_coefficients, chi_squares, misfits = [], [], [], [], []
     for _ in range(200):
