@@ -39,10 +39,13 @@ class Sensor:
             {
                 "lenslet_rows must be 2 ... 1000": 2 <= self.lenslet_rows <= 1000,
                 "lenslet_columns must be 2 ... 1000": 2 <= self.lenslet_columns <= 1000,
-                "lenslet_pitch_m must be positive": self.lenslet_pitch_m > 0,
-                "lenslet_focal_length_m must be positive": self.lenslet_focal_length_m > 0,
+                "lenslet_rows times lenslet_columns must be at most 40000": (
+                    self.lenslet_rows * self.lenslet_columns <= 40_000
+                ),
+                "lenslet_pitch_m must be 1e-6 ... 0.1": 1e-6 <= self.lenslet_pitch_m <= 0.1,
+                "lenslet_focal_length_m must be 1e-5 ... 2": 1e-5 <= self.lenslet_focal_length_m <= 2,
                 "wavelength_m must lie between 100e-9 and 20e-6": 100e-9 <= self.wavelength_m <= 20e-6,
-                "pixel_pitch_m must be positive": self.pixel_pitch_m > 0,
+                "pixel_pitch_m must be 1e-7 ... 1e-3": 1e-7 <= self.pixel_pitch_m <= 1e-3,
                 "lenslet_pitch_m must be at least 8 pixels": self.lenslet_pitch_m >= 8 * self.pixel_pitch_m,
             }
         )
@@ -90,9 +93,9 @@ class Lattice:
     def __post_init__(self) -> None:
         require(
             {
-                "center_x_px must be finite": math.isfinite(self.center_x_px),
-                "center_y_px must be finite": math.isfinite(self.center_y_px),
-                "pitch_px must be at least 8": 8 <= self.pitch_px < math.inf,
+                "center_x_px must be -1e5 ... 1e5": abs(self.center_x_px) <= 1e5,
+                "center_y_px must be -1e5 ... 1e5": abs(self.center_y_px) <= 1e5,
+                "pitch_px must be 8 ... 10000": 8 <= self.pitch_px <= 10_000,
                 "rotation_rad must lie between -0.8 and 0.8": abs(self.rotation_rad) <= 0.8,
             }
         )
@@ -138,11 +141,11 @@ class Field:
         reach_m = (max(self.view_rows, self.view_columns) - 1) / 2 * self.view_spacing_m
         require(
             {
-                "collimator_focal_length_m must be positive": self.collimator_focal_length_m > 0,
-                "half_width_m must be positive": self.half_width_m > 0,
+                "collimator_focal_length_m must be 1e-3 ... 20": 1e-3 <= self.collimator_focal_length_m <= 20,
+                "half_width_m must be 1e-6 ... 0.1": 1e-6 <= self.half_width_m <= 0.1,
                 "view_rows must be 1 ... 99": 1 <= self.view_rows <= 99,
                 "view_columns must be 1 ... 99": 1 <= self.view_columns <= 99,
-                "view_spacing_m must be positive": self.view_spacing_m > 0,
+                "view_spacing_m must be 1e-9 ... 0.1": 1e-9 <= self.view_spacing_m <= 0.1,
                 "view_spacing_m places views outside the field's half_width_m": reach_m <= self.half_width_m * 1.0001,
             }
         )

@@ -48,14 +48,14 @@ class Screen:
     def __post_init__(self) -> None:
         require(
             {
-                "correlation_length_m must be positive": 0 < self.correlation_length_m < math.inf,
-                "rms_rad must be 0 or positive": 0 <= self.rms_rad < math.inf,
-                "pv_rad must be positive": self.pv_rad is None or 0 < self.pv_rad < math.inf,
+                "correlation_length_m must be 1e-6 ... 10": 1e-6 <= self.correlation_length_m <= 10,
+                "rms_rad must be 0 ... 1e4": 0 <= self.rms_rad <= 1e4,
+                "pv_rad must be positive, at most 1e5": self.pv_rad is None or 0 < self.pv_rad <= 1e5,
                 "pv_rad must be more than twice rms_rad": self.pv_rad is None or self.pv_rad > 2 * self.rms_rad > 0,
-                "sample_spacing_m must be positive": 0 < self.sample_spacing_m < math.inf,
+                "sample_spacing_m must be 1e-9 ... 0.01": 1e-9 <= self.sample_spacing_m <= 0.01,
                 "samples must be 8 ... 8192": 8 <= self.samples <= 8192,
                 'placement must be "pupil" or "source"': self.placement in {"pupil", "source"},
-                "distance_m must be 0 or positive": 0 <= self.distance_m < math.inf,
+                "distance_m must be 0 ... 100": 0 <= self.distance_m <= 100,
                 "drift_x_m_per_s must be finite": math.isfinite(self.drift_x_m_per_s),
                 "drift_y_m_per_s must be finite": math.isfinite(self.drift_y_m_per_s),
             }
@@ -85,12 +85,12 @@ class Source:
             {
                 f"mask must be one of {', '.join(MASKS)}": self.mask in MASKS,
                 'mask = "image" needs a file': self.mask in self.masks,
-                "half_width_m must be positive": 0 < self.half_width_m < math.inf,
+                "half_width_m must be 1e-6 ... 0.1": 1e-6 <= self.half_width_m <= 0.1,
                 "ellipse_ratio must be above 0 and at most 1": 0 < self.ellipse_ratio <= 1,
                 "star_rows must be 1 ... 99": 1 <= self.star_rows <= 99,
                 "star_columns must be 1 ... 99": 1 <= self.star_columns <= 99,
-                "star_spacing_m must be positive": 0 < self.star_spacing_m < math.inf,
-                "pinhole_diameter_m must be 0 or positive": 0 <= self.pinhole_diameter_m < math.inf,
+                "star_spacing_m must be positive, at most 0.1": 0 < self.star_spacing_m <= 0.1,
+                "pinhole_diameter_m must be 0 ... 0.01": 0 <= self.pinhole_diameter_m <= 0.01,
             }
         )
 
@@ -121,7 +121,7 @@ class Simulation:
                 "pupil_samples must be even, 4 ... 256": 4 <= self.pupil_samples <= 256 and self.pupil_samples % 2 == 0,
                 "border_lenslets must be 0 ... 20": 0 <= self.border_lenslets <= 20,
                 "drifting_states must be 2 ... 10000": 2 <= self.drifting_states <= 10000,
-                "state_duration_s must be positive": 0 < self.state_duration_s < math.inf,
+                "state_duration_s must be 1e-3 ... 1e6": 1e-3 <= self.state_duration_s <= 1e6,
             }
         )
 
@@ -163,19 +163,21 @@ class SimulatedCameraSettings:
                 f"exposure_s must be {allowed.minimum:g} ... {allowed.maximum:g} with this amplifier and speed": (
                     allowed.minimum <= self.exposure_s <= allowed.maximum
                 ),
-                "maximum_em_gain must be at least 1": 1 <= self.maximum_em_gain < math.inf,
+                "maximum_em_gain must be 1 ... 1e5": 1 <= self.maximum_em_gain <= 1e5,
                 "em_gain must be 1 ... maximum_em_gain": 1 <= self.em_gain <= self.maximum_em_gain,
                 'em_gain needs amplifier = "em"': self.amplifier == "em" or self.em_gain == 1,
                 "quantum_efficiency must be above 0 and at most 1": 0 < self.quantum_efficiency <= 1,
-                "dark_current_e_per_s must be 0 or positive": 0 <= self.dark_current_e_per_s < math.inf,
-                "clock_induced_charge_e must be 0 or positive": 0 <= self.clock_induced_charge_e < math.inf,
-                "em_read_noise_e and normal_read_noise_e must be 0 or positive": all(0 <= e < math.inf for e in noises),
-                "full_well_e must be positive": 0 < self.full_well_e < math.inf,
-                "register_full_well_e must be positive": 0 < self.register_full_well_e < math.inf,
-                "electrons_per_count must be positive": 0 < self.electrons_per_count < math.inf,
+                "dark_current_e_per_s must be 0 ... 1e6": 0 <= self.dark_current_e_per_s <= 1e6,
+                "clock_induced_charge_e must be 0 ... 1e3": 0 <= self.clock_induced_charge_e <= 1e3,
+                "em_read_noise_e and normal_read_noise_e must be 0 ... 1e5": all(0 <= e <= 1e5 for e in noises),
+                "full_well_e must be 1 ... 1e9": 1 <= self.full_well_e <= 1e9,
+                "register_full_well_e must be 1 ... 1e9": 1 <= self.register_full_well_e <= 1e9,
+                "electrons_per_count must be 1e-4 ... 1e4": 1e-4 <= self.electrons_per_count <= 1e4,
                 "pixel_fill_factor must be 0 ... 1": 0 <= self.pixel_fill_factor <= 1,
                 "bits must be 8 ... 16": 8 <= self.bits <= 16,
-                "offset_counts must lie on the camera's scale": 0 <= self.offset_counts < 2**self.bits,
+                "offset_counts must lie on the camera's scale": (
+                    0 <= self.offset_counts < 2 ** min(max(self.bits, 0), 16)
+                ),
             }
         )
 
@@ -191,7 +193,7 @@ class SimulatedLightSettings:
     def __post_init__(self) -> None:
         require(
             {
-                "maximum_current_a must be positive": 0 < self.maximum_current_a < math.inf,
+                "maximum_current_a must be 1e-15 ... 1e3": 1e-15 <= self.maximum_current_a <= 1e3,
                 "current_a must be 0 ... maximum_current_a": 0 <= self.current_a <= self.maximum_current_a,
             }
         )

@@ -1,56 +1,28 @@
-"""The command line `svwfs`: arguments in, exit status out.
-
-Each command imports what it needs when it runs, so that `--help` is fast.
-"""
+"""The command line `svwfs`: arguments in, exit status out."""
 
 import sys
-from typing import Annotated, NoReturn
+from typing import NoReturn
 
-import typer
-
-from app.cli.evaluation import benchmark, paper, selftest, study
-from app.cli.frames import calibrate, reconstruct, simulate
-from app.cli.measuring import devices, live, measure
-from app.cli.recordings import export, recover, replay, report
 from app.errors import InputError, Interrupted, RunError
 from app.signals import ended_by
-
-cli = typer.Typer(
-    help="Live space-variant Shack-Hartmann wavefront sensing: the wavefront at every position of the field.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # rich takes 0.1 s to import, and breaks the lines of paragraphs
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
-
-@cli.callback(invoke_without_command=True)
-def _common(
-    show_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
-) -> None:
-    if show_version:
-        from importlib.metadata import version
-
-        typer.echo(f"svwfs {version('svwfs')}")
-        raise typer.Exit
-
-
-# in the order of the help
-_BENCH = (live, measure, recover, replay, export, report, calibrate, simulate, devices)
-for command in (*_BENCH, selftest, study, benchmark, reconstruct):
-    cli.command()(command)
-cli.add_typer(paper, name="paper")
 
 
 def main() -> None:
     """Run the command line; exit with 2 for unusable input, 1 for a failure, 130 for Ctrl-C."""
     with ended_by(_interrupt):  # typer would exit silently on a KeyboardInterrupt
+        for stream in (sys.stdout, sys.stderr):
+            if hasattr(stream, "reconfigure"):  # names of files need not be text
+                stream.reconfigure(errors="backslashreplace")
         try:
+            from app.cli.application import cli  # takes a while, in which Ctrl-C may come
+
             cli()
         except InputError as error:
             _exit(error, 2)
         except Interrupted as error:
             _exit(error, 130)
+        except MemoryError as error:
+            _exit(RunError(f"there is not enough memory: {error or 'use fewer lenslets, views or pixels'}"), 1)
         except (RunError, OSError) as error:  # OSError: standard output is full or closed
             _exit(error, 1)
 
@@ -60,5 +32,10 @@ def _interrupt(_number: int, _frame: object) -> None:
 
 
 def _exit(error: BaseException, status: int) -> NoReturn:
-    sys.stderr.write(f"svwfs: {error}\n")
+    sys.stderr.write(f"svwfs: {printable(str(error))}\n")
     raise SystemExit(status) from error
+
+
+def printable(text: str) -> str:
+    """Return a text in one line, without control codes that could change the terminal."""
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, load
+from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, TrustOption, load
 from app.errors import InputError
 
 _LIVE_OUT = Path("svwfs-output")
@@ -34,6 +34,7 @@ def live(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for screenshot, results and timings of such a run.")] = _LIVE_OUT,
     overwrite: OverwriteOption = False,
+    trust_library: TrustOption = False,
 ) -> None:
     """Open the window with live wavefronts at every field position.
 
@@ -43,13 +44,14 @@ def live(
     Example: svwfs live --bench live_demo --set registration.warp=affine
     """
     from app.commands.live import live_window
+    from app.commands.trust import confirm_libraries
 
     if replay is None:
         if frames is not None:
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
-        raise typer.Exit(
-            live_window(load(bench or _LIVE_BENCH, setting), seconds=seconds, out=out, overwrite=overwrite)
-        )
+        loaded = load(bench or _LIVE_BENCH, setting)
+        confirm_libraries(loaded, trust=trust_library)
+        raise typer.Exit(live_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
     from app.results.replay.player import Player
 
     player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
@@ -72,6 +74,7 @@ def measure(
         bool, typer.Option("--auto-expose", help="Find the exposure first, without the sample: bright, not saturated.")
     ] = False,
     overwrite: OverwriteOption = False,
+    trust_library: TrustOption = False,
     setting: SetOption = None,
 ) -> None:
     """Measure without a window: dark, reference, frames, results.
@@ -90,8 +93,10 @@ def measure(
     from app.acquisition.start_up import FRAMES
     from app.cli.tables import print_measurement, progress_bar
     from app.commands.measure import measure as run
+    from app.commands.trust import confirm_libraries
 
     loaded = load(bench, [*(setting or []), *([] if mask is None else [f"simulation.source.mask={mask}"])])
+    confirm_libraries(loaded, trust=trust_library)
     with progress_bar() as progress:
         measured = run(
             loaded, frames, out, progress, average=average or FRAMES, auto_expose=auto_expose, overwrite=overwrite
@@ -118,6 +123,7 @@ def devices(
             help="With --check camera or --check light: that device of this bench, with its settings.",
         ),
     ] = None,
+    trust_library: TrustOption = False,
     setting: SetOption = None,
 ) -> None:
     """List the connected cameras and lights.
@@ -130,10 +136,14 @@ def devices(
     Example: svwfs devices --check light --bench live_demo
     """
     from app.commands.devices import check_and_print, print_devices
+    from app.commands.trust import confirm_libraries
 
     if check is None and bench is None:
         print_devices()
     elif check is None:
         raise InputError("--bench needs --check camera or --check light")
     else:
-        check_and_print(check, None if bench is None else load(bench, setting))
+        loaded = None if bench is None else load(bench, setting)
+        if loaded is not None:
+            confirm_libraries(loaded, trust=trust_library)
+        check_and_print(check, loaded)

@@ -25,6 +25,9 @@ FramesOption = Annotated[
 SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
 
+TrustOption = Annotated[
+    bool, typer.Option("--trust-library", help="Load the program library that the bench names, now and later.")
+]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, except inputs.")]
 
 

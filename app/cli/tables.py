@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -53,7 +54,8 @@ def print_measurement(measured: Measured, out: Path) -> None:
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
         _print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
-    Console().print(f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}")
+    counts = f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}"
+    Console().print(counts, markup=False)
 
 
 def print_recovered(recovered: Recovered, folder: Path) -> None:
@@ -84,17 +86,17 @@ def print_replay(made: Replay) -> None:
     if made.unrefined:
         console.print(f"{made.unrefined} frames were refined when they were recorded; with this bench they are not")
     if made.verification is not None:
-        console.print(made.verification.sentence, highlight=False, soft_wrap=True)
+        console.print(made.verification.sentence, markup=False, highlight=False, soft_wrap=True)
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
-    console.print(f"{made.frames} frames{why}", highlight=False, soft_wrap=True)
+    console.print(f"{made.frames} frames{why}", markup=False, highlight=False, soft_wrap=True)
 
 
 def print_residual(residual: Residual) -> None:
     """Print the RMS difference of two recordings' mean wavefronts at every view, and the paper's three numbers."""
     title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
     _print_by_view(residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad))
-    Console().print(residual.sentence, highlight=False, soft_wrap=True)
+    Console().print(residual.sentence, markup=False, highlight=False, soft_wrap=True)
 
 
 def print_checks(checks: Iterable[Check]) -> bool:
@@ -140,7 +142,7 @@ def _print_rotation(rotation: Circulation, *, rotates: bool) -> None:
 
 def print_warning(sentence: str) -> None:
     """Print a warning."""
-    Console().print(f"[yellow]warning:[/] {sentence}", highlight=False, soft_wrap=True)
+    Console().print(f"[yellow]warning:[/] {escape(sentence)}", highlight=False, soft_wrap=True)
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:

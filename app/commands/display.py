@@ -1,9 +1,13 @@
 """Detection of a display for windows."""
 
 import os
+import re
+import socket
 import sys
+from pathlib import Path
 
 _PLATFORM = "QT_QPA_PLATFORM"
+_LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
 
 
 def use_display() -> bool:
@@ -19,4 +23,29 @@ def _has_display() -> bool:
         return platform != "offscreen"
     if not sys.platform.startswith("linux"):
         return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if _answers(_wayland()):
+        return True
+    os.environ.pop("WAYLAND_DISPLAY", None)  # left by a session that has ended: Qt would abort
+    local = _LOCAL_X.fullmatch(os.environ.get("DISPLAY", ""))
+    if local is None:
+        return bool(os.environ.get("DISPLAY"))  # on another computer
+    path = f"/tmp/.X11-unix/X{local[1]}"  # noqa: S108 - where X11 has it
+    return _answers(path) or _answers(f"\0{path}")
+
+
+def _wayland() -> str:
+    """Path of the socket of the Wayland display; empty without one."""
+    name = os.environ.get("WAYLAND_DISPLAY", "")
+    return str(Path(os.environ.get("XDG_RUNTIME_DIR", "/"), name)) if name else ""
+
+
+def _answers(path: str) -> bool:
+    """True if something listens at a local socket."""
+    if not path:
+        return False
+    with socket.socket(socket.AF_UNIX) as client:
+        try:
+            client.connect(path)
+        except OSError:
+            return False
+    return True

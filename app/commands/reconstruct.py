@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
@@ -40,6 +41,11 @@ def reconstruct_files(
     paths = {"frame": frame, "reference": reference, "dark": dark}
     try:
         most = min(full_scale_of(image, bench.camera_model.bits) for image in (reference_image, frame_image))
+        if np.max(reference_image) >= full_scale_of(frame_image, 64):
+            raise InputError(
+                f"{frame}: holds {frame_image.dtype} values, which cannot be as large as those of the reference"
+                f" {reference}: save both in the same form"
+            )
         reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image, full_scale=most)
         wavefront = reconstructor(frame_image)
         changes_rad = []

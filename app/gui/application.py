@@ -16,6 +16,7 @@ from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 from app.signals import ended_by
 
+_HOPELESS_FRAMES = 20
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
 
@@ -137,9 +138,13 @@ class _UnattendedRun:
         self._screenshot, self._on_finish = screenshot, on_finish
         self._deadline_s = time.monotonic() + _FIRST_WAVEFRONT_S
         self._last: Measurement | None = None
+        self._hopeless = 0  # frames without wavefront after all commands, with a warning that says why
         window.measurement_shown.connect(self._note)
 
     def _note(self, measurement: Measurement) -> None:
+        controller = self._window.controller
+        is_hopeless = controller.pending.is_empty and controller.status is not None and bool(controller.status.warning)
+        self._hopeless = self._hopeless + 1 if measurement.wavefront is None and is_hopeless else 0
         if measurement.wavefront is not None:
             if self._last is None:
                 self._deadline_s = time.monotonic() + self._duration_s
@@ -147,6 +152,9 @@ class _UnattendedRun:
 
     def is_done(self) -> bool:
         """Return whether the time is over, and save the results then."""
+        status = self._window.controller.status
+        if self._last is None and self._hopeless >= _HOPELESS_FRAMES and status is not None:
+            raise RunError(f"no wavefront: {status.warning}")
         if time.monotonic() < self._deadline_s:
             return False
         if self._last is None:

@@ -39,6 +39,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
 def read_calibration(folder: Path) -> Calibration:
     """Read a calibration, bit-identical; `InputError` if it is missing or damaged."""
     bench = load_bench(folder / "bench.toml", is_recorded=True)
+    check_readable(folder / "camera.json")
     try:
         full_scale = float(json.loads((folder / "camera.json").read_text())["full_scale"])
         if not full_scale > 0:

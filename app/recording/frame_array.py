@@ -17,7 +17,7 @@ import zarr
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
-from app.files import atomic_write, in_words, sync
+from app.files import atomic_write, check_readable, in_words, sync
 
 Separator: TypeAlias = Literal["/", "."]  # between the parts of a chunk's name
 
@@ -37,6 +37,7 @@ class FrameArray:
 
     def __init__(self, path: Path) -> None:
         """Open an array; `InputError` if it is not one of a recording."""
+        check_readable(path / METADATA)
         try:
             self._metadata = json.loads((path / METADATA).read_text())
             self.length, *shape = (int(count) for count in self._metadata["shape"])

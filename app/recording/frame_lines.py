@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cattrs
 
+_DIGITS = 18  # of whole numbers, so that they fit into 64 bits
 UNREADABLE = b"{}\n"  # replaces a line that cannot be read, so that the others keep their places
 
 
@@ -41,12 +42,23 @@ class FrameLine:
     def from_json(cls, line: str | bytes) -> FrameLine:
         """Read a line; `ValueError` if it is damaged."""
         try:
-            return _CONVERTER.structure(json.loads(line), cls)
+            tree = json.loads(line, parse_constant=_refuse, parse_int=_whole)
+            return _CONVERTER.structure(tree, cls)
         except (cattrs.BaseValidationError, TypeError, RecursionError) as error:
             raise ValueError("not the line of a frame") from error
 
 
 _CONVERTER = cattrs.Converter()
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > _DIGITS:
+        raise ValueError("too large")
+    return int(digits)
 
 
 @dataclass(frozen=True, slots=True)

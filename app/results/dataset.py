@@ -153,6 +153,9 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:
     """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory."""
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
+    origin = {
+        name: text.encode(errors="replace").decode() for name, text in origin.items()
+    }  # file names may be no text
     return piece.assign_attrs(title="Space-variant wavefront", **origin).to_netcdf(
         engine="h5netcdf", unlimited_dims=[_FRAME] if _FRAME in piece.dims else []
     )

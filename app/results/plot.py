@@ -17,14 +17,14 @@ from reconstruction.quality.image_quality import Mtf, mtf, psf, psf_angles_rad, 
 from reconstruction.quality.isoplanatism import Isoplanatism, isoplanatism
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
+_FORMATS = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by programs that may be missing
 _CURVES_HEIGHT = 2.6  # inches
 
 
 def check_plot_path(path: Path) -> None:
     """Raise `InputError` if the suffix is not a picture format."""
-    formats = sorted(Figure().canvas.get_supported_filetypes())
-    if path.suffix.lstrip(".").lower() not in formats:
-        raise InputError(f"{path}: give a picture's name that ends in one of {', '.join(formats)}")
+    if path.suffix.lower() not in _FORMATS:
+        raise InputError(f"{path}: give a picture's name that ends in one of {', '.join(_FORMATS)}")
 
 
 def plot_views(wavefront: Wavefront, path: Path) -> None:

@@ -137,3 +137,51 @@ def test_automatic_equals_omitted_setting() -> None:
     assert bench.registration.warp is None
     assert bench.reconstruction.pupil_modes is None
     assert parse_bench(write_bench(bench), "again") == bench
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "field.collimator_focal_length_m=200",  # mm
+        "sensor.lenslet_focal_length_m=46.7",
+        "sensor.lenslet_pitch_m=0.5",
+        "sensor.pixel_pitch_m=0.016",
+        "field.half_width_m=0.6",
+        "field.collimator_focal_length_m=1e-40",
+        "field.collimator_focal_length_m=5e-324",
+        "sensor.lenslet_focal_length_m=1e308",
+        "field.half_width_m=1e308",
+        "simulation.screen.rms_rad=1e300",
+    ],
+)
+def test_absurd_length_is_named(setting: str) -> None:
+    with pytest.raises(InputError, match=setting.partition("=")[0].rpartition(".")[2] + " must be"):
+        load_bench("small_demo", (setting,))
+
+
+def test_too_many_lenslets_are_refused() -> None:
+    with pytest.raises(InputError, match="lenslet_rows times lenslet_columns must be at most 40000"):
+        load_bench("small_demo", ("sensor.lenslet_rows=1000", "sensor.lenslet_columns=1000"))
+
+
+def test_deeply_nested_toml_is_refused() -> None:
+    for brackets in ("[" * 20_000 + "]" * 20_000, "{a=" * 20_000):
+        with pytest.raises(InputError, match="not valid TOML"):
+            parse_bench(f"x = {brackets}", "deep.toml")
+
+
+def test_setting_with_line_break_is_refused() -> None:
+    with pytest.raises(InputError, match=r"write section\.key=value"):
+        load_bench("small_demo", ("camera.rows=64\ncolumns=64",))
+
+
+def test_nothing_in_the_working_directory_replaces_a_preset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "live_demo").mkdir()
+    (tmp_path / "small_demo").write_text("[sensor]")
+    assert load_bench("live_demo").sensor.lenslet_rows == 15
+    assert load_bench("small_demo").is_simulated
+    (tmp_path / "mine").write_text(write_bench(load_bench("small_demo")))
+    with pytest.raises(InputError, match=r"mine: no such preset.*or the file as \./mine"):
+        load_bench("mine")
+    assert load_bench("./mine") == load_bench("small_demo")

@@ -28,7 +28,7 @@ from support.pictures import assert_drawn
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
 from app.bench.config import Bench, CameraSettings, LightSettings, load_bench, write_bench
-from app.cli import cli
+from app.cli.application import cli
 from app.errors import Interrupted, RunError
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
@@ -347,7 +347,7 @@ REAL_DEVICES: list[tuple[CameraSettings, LightSettings]] = [
     (MicroManagerSettings(adapter="DemoCamera", device="DCam", properties={"Gain": "2"}), DC2200Settings()),
 ]
 LOAD_BENCHES = "from app.bench.config import load_bench; [load_bench(path) for path in sys.argv[1:]]"
-SHOW_HELP = "from app.cli import cli; cli(['--help'], standalone_mode=False)"
+SHOW_HELP = "from app.cli.application import cli; cli(['--help'], standalone_mode=False)"
 
 
 @pytest.mark.parametrize("program", [LOAD_BENCHES, SHOW_HELP, SHOW_HELP.replace("['", "['measure', '")])
@@ -365,3 +365,40 @@ def test_measuring_loads_no_qt() -> None:
     program = "import sys, app.commands.measure, app.cli.tables; sys.exit(any('PyQt6' in name for name in sys.modules))"
     finished = subprocess.run([sys.executable, "-c", program], check=False)  # noqa: S603 - our own program
     assert finished.returncode == 0
+
+
+def test_error_is_one_line_without_control_codes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "recover", "a\x1b[31m\nb\udcff") == 2
+    assert capsys.readouterr().err == "svwfs: a\\x1b[31m\\nb\\udcff: no such folder\n"
+
+
+def test_lack_of_memory_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def exhaust(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 9 TiB")
+
+    monkeypatch.setattr("app.recording.recover.recover", exhaust)
+    assert run(monkeypatch, "recover", "run") == 1
+    assert capsys.readouterr().err == "svwfs: there is not enough memory: Unable to allocate 9 TiB\n"
+
+
+def test_ctrl_c_while_the_commands_are_imported_is_one_line() -> None:
+    program = "import os, signal, sys; from app.cli import main; sys.argv = ['svwfs', 'selftest']\n"
+    program += "class Interrupting:\n    def find_spec(self, name, *_):\n"
+    program += "        if name == 'typer': os.kill(os.getpid(), signal.SIGINT)\n"
+    program += "sys.meta_path.insert(0, Interrupting()); main()"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)  # noqa: S603
+    assert (done.returncode, done.stderr) == (130, "svwfs: interrupted\n")
+
+
+@pytest.mark.parametrize(("kind", "shift"), [(np.uint8, 8), (np.int16, 1)])
+def test_frame_of_a_smaller_type_than_the_reference_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, kind: type, shift: int
+) -> None:
+    reference = (tifffile.imread(FRAMES / "square_reference.tif") * 1e5).clip(0, 60000).astype(np.uint16)
+    tifffile.imwrite(tmp_path / "reference.tif", reference)
+    tifffile.imwrite(tmp_path / "frame.tif", (reference >> shift).astype(kind))
+    command = ("--reference", tmp_path / "reference.tif", "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
+    assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *command) == 2
+    assert "cannot be as large as those of the reference" in capsys.readouterr().err

@@ -1,0 +1,99 @@
+"""A library that a bench names is loaded only after it was confirmed once."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import pytest
+from support.command_line import run
+
+from app.bench.config import Bench, load_bench
+from app.commands.trust import confirm_libraries
+from app.errors import InputError
+
+BENCH = """
+[sensor]
+lenslet_rows = 5
+lenslet_columns = 7
+lenslet_pitch_m = 500e-6
+lenslet_focal_length_m = 46.7e-3
+wavelength_m = 462e-9
+pixel_pitch_m = 16e-6
+[field]
+collimator_focal_length_m = 0.2
+half_width_m = 0.6e-3
+[camera]
+driver = "dcam"
+library = "{library}"
+[light]
+driver = "coolled"
+port = "/dev/nowhere"
+"""
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    path = tmp_path / "libevil.so"
+    path.write_bytes(b"code")
+    (tmp_path / "bench.toml").write_text(BENCH.format(library=path))
+    return path
+
+
+@pytest.fixture
+def bench(library: Path) -> Bench:
+    return load_bench(library.with_name("bench.toml"))
+
+
+def answer(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setattr(sys, "stdin", Terminal(text))
+
+
+def test_library_is_refused_without_terminal(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
+    with pytest.raises(InputError, match=r"camera\.library = .*libevil\.so would run code: add --trust-library once"):
+        confirm_libraries(bench, trust=False)
+
+
+@pytest.mark.parametrize("text", ["no\n", "\n", "", "y\n"])
+def test_refused_library_is_asked_for_again(bench: Bench, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    for _ in range(2):
+        answer(monkeypatch, text)
+        with pytest.raises(InputError, match="is not trusted"):
+            confirm_libraries(bench, trust=False)
+
+
+@pytest.mark.parametrize("trust", [True, False])
+def test_confirmed_library_is_remembered_until_it_changes(
+    bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch, trust: bool
+) -> None:
+    answer(monkeypatch, "yes\n")
+    confirm_libraries(bench, trust=trust)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    confirm_libraries(bench, trust=False)
+    library.write_bytes(b"other code")
+    with pytest.raises(InputError, match="would run code"):
+        confirm_libraries(bench, trust=False)
+
+
+def test_bench_without_library_needs_no_confirmation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", None)
+    confirm_libraries(load_bench("small_demo"), trust=False)
+
+
+@pytest.mark.parametrize("command", ["measure --frames 3 --out r", "live", "devices --check camera"])
+def test_commands_that_open_devices_confirm_first(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], library: Path, command: str
+) -> None:
+    monkeypatch.chdir(library.parent)
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: pytest.fail("the library was loaded"))
+    assert run(monkeypatch, *command.split(), "--bench", "bench.toml") == 2
+    assert "would run code: add --trust-library once if you trust it" in capsys.readouterr().err
