@@ -30,7 +30,7 @@ from support.paths import TESTS
 from support.storm import FEW, MANY, Storm
 
 STORMS = {
-    "genicam": "drivers/genicam/test_genicam.py::test_no_sequence_of_commands_and_faults_leaves_the_family",
+    "genicam": "drivers/genicam/test_genicam.py::test_storm_raises_only_device_errors",
     "dcam": "drivers/dcam/test_dcam_storm.py",
     "micro_manager": "drivers/micro_manager/test_micro_manager.py::test_storm_raises_only_device_errors",
     "simulated_camera": "simulated_devices/test_simulated_storms.py::TestSimulatedCamera",
