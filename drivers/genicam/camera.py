@@ -40,7 +40,8 @@ from drivers.genicam.trigger import INTERNAL, set_trigger, sources, trigger
 from drivers.range import Range
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
-_DIGITISERS: Final = ("AdcBitDepth", "SensorBits")  # features with the depth of the digitiser: "Bit12", "12"
+# features with the depth of the digitiser, such as "Bit12", "Bpp12" or "12"
+_DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")
 # properties, if the camera has them
 _PROPERTIES_AS_TEXT: Final = (
     *("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID", "BinningHorizontalMode", "BinningVerticalMode"),

@@ -49,7 +49,6 @@ def auto_expose(
     with restored(devices) as state:
         camera = devices.camera
         camera.stop()
-        full_scale = camera.capabilities.full_scale
         control = _LightControl(devices, state.current_a)
         shots: list[Shot] = []
         taken = control.set(control.first(state.exposure_s))
@@ -58,6 +57,7 @@ def auto_expose(
             camera.start()
             frame = next_frame(camera, should_stop)
             camera.stop()
+            full_scale = camera.capabilities.full_scale  # some cameras show it only by their frames
             seen = brightness(frame.pixels, cell_px)
             is_reached = abs(seen.level / full_scale - fill) <= TOLERANCE
             shots.append(Shot(taken, seen, seen.level >= SATURATED * full_scale))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,10 @@ from app.bench.config import load_bench
 from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
 from app.measurement.routines.brightness import brightness
 from app.measurement.routines.frames import Cancelled, RoutineError
-from drivers.interface import BadValue, Devices, Frame, Range
+from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Range
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
-from simulated_devices.exposure_bench import PITCH_PX, SIDE_PX, Scene, exposure_bench, spots, squares
+from simulated_devices.exposure_bench import PITCH_PX, SIDE_PX, ManyFramesCamera, Scene, exposure_bench, spots, squares
 from simulated_devices.light_and_stage import SimulatedLight, SimulatedStage
 
 FULL_SCALE = 65535
@@ -87,6 +88,21 @@ def test_correct_exposure_is_kept_after_one_frame() -> None:
     found = expose(devices)
     assert found.exposure_s == pytest.approx(0.15)
     assert (found.current_a, found.frames) == (0.35, 1)
+
+
+def test_full_scale_may_follow_from_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A camera with 12 bits in Mono16 shows with its first frame that 4095 is the most."""
+    known = ManyFramesCamera.capabilities
+
+    def shown(camera: ManyFramesCamera) -> CameraCapabilities:
+        allowed: CameraCapabilities = known.__get__(camera)
+        return allowed if camera.exposed_s else replace(allowed, full_scale=FULL_SCALE)
+
+    monkeypatch.setattr(ManyFramesCamera, "capabilities", property(shown))
+    scene = Scene(counts_per_a_s=2800 / (0.35 * 0.15), exposure_range_s=C9100["em3"], bits=12)
+    found = expose(exposure_bench(scene, exposure_s=0.05)[0])
+    assert found.fill == pytest.approx(0.7, abs=0.05)
+    assert true_fill(scene, found) == pytest.approx(0.7, abs=0.06)
 
 
 def test_current_changes_only_if_exposure_is_not_enough() -> None:

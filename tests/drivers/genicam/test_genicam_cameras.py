@@ -303,6 +303,24 @@ def test_unpadded_format_is_chosen(make: Callable[[], Model], name: str, peer: C
         assert camera.capabilities.full_scale == 4095
 
 
+@pytest.mark.parametrize(
+    ("feature", "depth", "name"),
+    [
+        ("AdcBitDepth", "Bit10", "Mono10p"),
+        ("SensorBitDepth", "Bpp12", "Mono12p"),
+        ("SensorBitDepth", "Adaptive", "Mono12p"),
+        ("BslSensorBitDepth", "Bpp10", "Mono10p"),
+    ],
+)
+def test_format_suits_the_digitiser(feature: str, depth: str, name: str, peer: Callable[[Model], GigeCamera]) -> None:
+    of = usual(("Mono8", "Mono16", "Mono10p", "Mono12p"))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.enumeration(feature, depth, {depth: 1})
+    peer(Model("Maker", "Model", of))
+    with GenicamCamera(SETTINGS) as camera:
+        assert camera.properties()["pixel_format"] == name
+
+
 def test_reported_byte_order_counts(peer: Callable[[Model], GigeCamera]) -> None:
     of = usual(("Mono16",))
     of.number("ExposureTime", 9000, 10, 1e6)
