@@ -110,8 +110,9 @@ def devices(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Test everything that this device, named as in the list, must be able to do, and print a report. A"
-            " light shines during the test, with at most 5 % of its range.",
+            help="Test everything that this device, named as in the list, must be able to do, and print a report that"
+            " can be published: versions, what was tried, what was answered, timings. A light shines during the test,"
+            " with at most 5 % of its range.",
         ),
     ] = None,
     bench: Annotated[
@@ -124,6 +125,9 @@ def devices(
         ),
     ] = None,
     trust_library: TrustOption = False,
+    serial_numbers: Annotated[
+        bool, typer.Option("--serial-numbers", help="With --check: do not hide serial numbers in the report.")
+    ] = False,
     setting: SetOption = None,
 ) -> None:
     """List the connected cameras and lights.
@@ -146,4 +150,4 @@ def devices(
         loaded = None if bench is None else load(bench, setting)
         if loaded is not None:
             confirm_libraries(loaded, trust=trust_library)
-        check_and_print(check, loaded)
+        check_and_print(check, loaded, serial_numbers=serial_numbers)

@@ -1,6 +1,7 @@
 """Check of a connected device against the contract of its kind, for `svwfs devices --check`."""
 
 import dataclasses
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -10,6 +11,7 @@ import cattrs
 
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import CameraSettings, LightSettings, drivers_of
+from app.commands.device_trace import Trace
 from app.errors import RunError
 from drivers.camera import Camera
 from drivers.contract import camera as camera_contract
@@ -31,14 +33,17 @@ class Verdict:
 
     requirement: str
     problem: str  # how the device fails; empty if it passes
+    took_s: float
+    calls: tuple[str, ...]  # the last ones with their answers
 
 
 def check_device(
-    settings: CameraSettings | LightSettings, warn: Warn, begin: Callable[[str, Mapping[str, Property]], None]
+    settings: CameraSettings | LightSettings, warn: Warn, begin: Callable[[str, Mapping[str, Property], float], None]
 ) -> Iterator[Verdict]:
     """Open the device and run all checks; `RunError` if it cannot be opened or is lost.
 
-    First `begin` gets its name and properties; `warn` gets a sentence on how bright a light will shine.
+    First `begin` gets its name, its properties and how many seconds the opening took; `warn` gets a sentence on how
+    bright a light will shine.
     """
     try:
         if isinstance(settings, CameraSettings):
@@ -57,8 +62,10 @@ def settings_of(device: DiscoveredDevice) -> CameraSettings | LightSettings:
 
 
 def _check_camera(reopen: Callable[[], Camera], begin: Callable[..., None]) -> Iterator[Verdict]:
+    start_s = time.perf_counter()
     with reopen() as camera:
-        begin(camera.name, camera.properties())
+        opened_s = time.perf_counter() - start_s
+        begin(camera.name, camera.properties(), opened_s)
         for check in camera_contract.CAMERA_CHECKS:
             yield _verdict(check, camera)
             camera.stop()
@@ -68,8 +75,10 @@ def _check_camera(reopen: Callable[[], Camera], begin: Callable[..., None]) -> I
 
 
 def _check_light(settings: Any, warn: Warn, begin: Callable[..., None]) -> Iterator[Verdict]:
+    start_s = time.perf_counter()
     with open_light(settings) as light:
-        begin(light.name, light.properties())
+        opened_s = time.perf_counter() - start_s
+        begin(light.name, light.properties(), opened_s)
         allowed = light.current_range_a
     limit_a = allowed.minimum + LIGHT_SHARE * (allowed.maximum - allowed.minimum)
     warn(f"the light will shine with up to {limit_a * 1e3:.3g} mA, {LIGHT_SHARE:.0%} of its range")
@@ -84,10 +93,11 @@ def _check_light(settings: Any, warn: Warn, begin: Callable[..., None]) -> Itera
 
 
 def _verdict(check: Callable[..., None], device: Camera | LightSource, *more: Any) -> Verdict:
+    trace, start_s, problem = Trace(device), time.perf_counter(), ""
     try:
-        check(device, *more)
+        check(trace, *more)
     except Disconnected:
         raise
     except (ContractBroken, DeviceError) as error:
-        return Verdict(describe(check), str(error))
-    return Verdict(describe(check), "")
+        problem = str(error)
+    return Verdict(describe(check), problem, time.perf_counter() - start_s, tuple(trace.calls))

@@ -1,5 +1,7 @@
 """`svwfs devices`: list the connected devices, or check one of them."""
 
+import dataclasses
+import platform
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,9 +11,11 @@ import tomli_w
 from rich.console import Console
 
 from app.bench.config import Bench, CameraSettings, LightSettings
+from app.commands import device_trace
 from app.commands.device_check import Verdict, check_device, settings_of
 from app.commands.prompt import ask
 from app.errors import InputError, RunError
+from app.run_facts import versions
 from drivers.device import Property
 from drivers.discovery import DiscoveredDevice
 from drivers.errors import DeviceError
@@ -24,6 +28,7 @@ class DeviceKind:
     name: str
     driver: str  # as in a bench
     module: str  # has a function `discover`; imported when it is needed
+    package: str = ""  # of Python, through which the device is called; others report their library as a property
 
     def discover(self) -> tuple[tuple[DiscoveredDevice, ...], str]:
         """Return the connected devices, and what is missing to search for them, if anything."""
@@ -36,14 +41,22 @@ class DeviceKind:
 KINDS = (
     DeviceKind("Hamamatsu cameras, over the DCAM-API", "dcam", "drivers.dcam.session"),
     DeviceKind("GigE Vision and USB3 Vision cameras, over Aravis", "genicam", "drivers.genicam.discovery"),
-    DeviceKind("Cameras of other makers, over Micro-Manager", "micro_manager", "drivers.micro_manager.core"),
-    DeviceKind("Thorlabs DC2200 LED drivers, on USB", "thorlabs_dc2200", "drivers.usb_lights.thorlabs_dc2200"),
+    DeviceKind(
+        "Cameras of other makers, over Micro-Manager", "micro_manager", "drivers.micro_manager.core", "pymmcore"
+    ),
+    DeviceKind("Thorlabs DC2200 LED drivers, on USB", "thorlabs_dc2200", "drivers.usb_lights.thorlabs_dc2200", "pyusb"),
     DeviceKind(
         "Thorlabs DC4100 and DC4104 LED drivers, on serial ports",
         "thorlabs_dc4100",
         "drivers.serial_lights.thorlabs_dc4100",
+        "pyserial",
     ),
-    DeviceKind("CoolLED pE-300 and pE-4000, on serial ports", "coolled", "drivers.serial_lights.coolled"),
+    DeviceKind(
+        "CoolLED pE-300, pE-340fura and pE-4000, on serial ports",
+        "coolled",
+        "drivers.serial_lights.coolled",
+        "pyserial",
+    ),
 )
 
 
@@ -67,29 +80,72 @@ def print_devices() -> None:
                 console.print(f"      {line}", markup=False)
 
 
-def check_and_print(name: str, bench: Bench | None = None) -> None:
+def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
     """Check the device of that name against the contract of its kind, and print a report; `RunError` if it fails.
 
-    With a bench, the name is "camera" or "light", and the device is opened with the bench's settings.
+    With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
+    published: serial numbers are hidden unless asked for.
     """
     settings = settings_of(_connected(name)) if bench is None else _configured(bench, name)
-    console = Console(soft_wrap=True, highlight=False)
+    report = _Report(settings, is_open=serial_numbers)
+    report.print_versions()
     verdicts: list[Verdict] = []
-    for verdict in check_device(settings, _warn, lambda *facts: _print_device(console, *facts)):
-        verdicts.append(verdict)
-        console.print(f"  {'FAILED' if verdict.problem else 'ok':7}{verdict.requirement}", markup=False)
-        if verdict.problem:
-            console.print(f"         {verdict.problem}", markup=False)
+    try:
+        for verdict in check_device(settings, _warn, report.print_device):
+            verdicts.append(verdict)
+            report.print_verdict(verdict)
+    except RunError as error:
+        raise RunError(report.public(str(error))) from error
     failed = sum(bool(verdict.problem) for verdict in verdicts)
     if failed:
-        raise RunError(f"{name} fails {failed} of {len(verdicts)} checks")
-    console.print(f"{name} passes all {len(verdicts)} checks", markup=False)
+        raise RunError(report.public(f"{name} fails {failed} of {len(verdicts)} checks"))
+    report.print(f"{name} passes all {len(verdicts)} checks")
 
 
-def _print_device(console: Console, name: str, properties: Mapping[str, Property]) -> None:
-    console.print(name, style="bold", markup=False)
-    for key, value in properties.items():
-        console.print(f"  {key} = {value}", markup=False)
+class _Report:
+    """Prints a report that can be published."""
+
+    def __init__(self, settings: CameraSettings | LightSettings, *, is_open: bool) -> None:
+        """`is_open` shows serial numbers and the home folder."""
+        self._console = Console(soft_wrap=True, highlight=False)
+        self._settings, self._is_open = settings, is_open
+        self._secrets = device_trace.serial_numbers("", dataclasses.asdict(settings), {})
+
+    def public(self, text: str) -> str:
+        """Return the text without what is to be hidden."""
+        return text if self._is_open else device_trace.hide(text, self._secrets)
+
+    def print(self, text: str, style: str | None = None) -> None:
+        self._console.print(self.public(text), style=style, markup=False)
+
+    def print_versions(self) -> None:
+        """Print software, computer, and the settings that are no defaults."""
+        driver = self._settings.driver
+        package = next((kind.package for kind in KINDS if kind.driver == driver), "")
+        found = versions(package) if package else versions()
+        self.print(f"svwfs {found.get('svwfs', '')}, Python {found['python']}, {platform.platform()}")
+        self.print(f"driver {driver}" + (f", {package} {found.get(package, 'not installed')}" if package else ""))
+        for field in dataclasses.fields(self._settings):
+            value = getattr(self._settings, field.name)
+            if value not in (field.default, driver) and value:
+                self.print(f"  {field.name} = {value!r}")
+
+    def print_device(self, name: str, properties: Mapping[str, Property], opened_s: float) -> None:
+        """Print what the device reports of itself."""
+        settings = dataclasses.asdict(self._settings)
+        self._secrets = device_trace.serial_numbers(name, settings, properties)
+        self.print(name, "bold")
+        for key, value in properties.items():
+            self.print(f"  {key} = {value}")
+        self.print(f"opened in {opened_s:.2f} s")
+
+    def print_verdict(self, verdict: Verdict) -> None:
+        """Print what was tried, and for a failure the last calls with their answers."""
+        self.print(f"  {'FAILED' if verdict.problem else 'ok':7}{verdict.took_s:7.2f} s  {verdict.requirement}")
+        if verdict.problem:
+            self.print(f"         {verdict.problem}")
+            for call in verdict.calls:
+                self.print(f"           {call}")
 
 
 def _warn(sentence: str) -> None:

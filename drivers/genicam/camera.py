@@ -83,6 +83,9 @@ class GenicamCamera(Camera):
         details = super().properties()
         with self._access():
             details["protocol"] = "GigE Vision" if line.is_gige else "USB3 Vision"
+            details["Aravis"] = ".".join(
+                str(self._aravis.call(f"arv_get_{part}_version")) for part in ("major", "minor")
+            )
             details["pixel_format"] = self._format.name
             details["byte_order"] = self._byte_order
             details["full_scale"] = self.capabilities.full_scale

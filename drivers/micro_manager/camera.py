@@ -1,7 +1,8 @@
 """Cameras behind Micro-Manager's device adapters.
 
-Micro-Manager's core hides what the adapters do: the limits of this driver are listed in docs/hardware.md. Not yet tried
-on a real camera; the tests use Micro-Manager's DemoCamera.
+Micro-Manager's core hides what the adapters do: docs/hardware.md lists the limits of this driver. The thread of a
+running adapter may use its properties without a lock: reading them meanwhile corrupted the memory of the DemoCamera,
+with which the tests run. So they are read at rest and remembered. Not yet tried on a real camera.
 """
 
 import time
@@ -39,6 +40,8 @@ class MicroManagerCamera(Camera):
         self._heard_s = 0.0  # last sign of life; in the future while a long exposure ends
         self._last = -1  # index of the last frame
         self._exposures: deque[tuple[int, float]] = deque()  # first index and exposure_s
+        self._details: dict[str, Property] = {}  # the adapter's properties when last at rest
+        self._mode = 1, Region(0, 0, 0, 0)  # binning and region of the running camera
         try:
             self._line = LoadedCamera(core, settings.adapter, settings.device, settings.adapter_folder)
             self._line.initialize(settings.properties)
@@ -65,6 +68,7 @@ class MicroManagerCamera(Camera):
             self.set_region(self._settings.region)
         if self._settings.exposure_s is not None:
             self.set_exposure(self._settings.exposure_s)
+        self._read_details()
 
     def properties(self) -> dict[str, Property]:
         """All settings in force, versions, and every property of the adapter by its name."""
@@ -72,14 +76,21 @@ class MicroManagerCamera(Camera):
         with self._access():
             details |= {"frame numbers": _NUMBERS_NOTE}
             details |= {"Micro-Manager": f"{self._line.call('getVersionInfo')}, {self._line.call('getAPIVersionInfo')}"}
-            for name in self._line.property_names():
-                try:
-                    details[name] = self._line.call("getProperty", LABEL, name)
-                except Disconnected:
-                    raise
-                except DeviceError as error:
-                    details[name] = str(error)
-        return details
+            if not self._is_started:
+                self._read_details()
+        return details | self._details
+
+    def _read_details(self) -> None:
+        """Read the adapter's properties, except those among the settings."""
+        for name in self._line.property_names():
+            try:
+                self._details[name] = self._line.call("getProperty", LABEL, name)
+            except Disconnected:
+                raise
+            except DeviceError as error:
+                self._details[name] = str(error)
+        for name in ("Exposure", "Binning"):
+            self._details.pop(name, None)
 
     def _close(self) -> None:
         self._is_aborted = True  # ends `read` in another thread
@@ -105,12 +116,15 @@ class MicroManagerCamera(Camera):
         )
 
     def _read_exposure(self) -> float:
+        return self._exposures[-1][1] if self._is_started else self._ask_exposure()
+
+    def _ask_exposure(self) -> float:
         return 1e-3 * float(self._line.call("getExposure", LABEL))
 
     def _set_exposure(self, exposure_s: float) -> float:
         before_s = self._read_exposure()
         self._line.call("setExposure", LABEL, 1e3 * exposure_s)
-        taken_s = self._read_exposure()
+        taken_s = self._ask_exposure()
         if self._is_started:
             self._heard_s = time.monotonic() + before_s
             newest = self._line.newest()  # the one after it is being exposed
@@ -128,6 +142,8 @@ class MicroManagerCamera(Camera):
         return {int(min(sides)): text for text, sides in factors.items() if len(sides) == 1 and min(sides).isdigit()}
 
     def _read_binning(self) -> int:
+        if self._is_started:
+            return self._mode[0]
         if not any(self._binnings.values()):
             return 1
         text = self._line.call("getProperty", LABEL, "Binning")
@@ -147,6 +163,8 @@ class MicroManagerCamera(Camera):
             self._line.set_property("Binning", self._binnings[binning])
 
     def _read_region(self) -> Region:
+        if self._is_started:
+            return self._mode[1]
         binning = self._read_binning()
         left, top, columns, rows = self._line.call("getROI", LABEL)
         if (rows, columns) == (self._sensor.rows // binning, self._sensor.columns // binning):
@@ -172,7 +190,8 @@ class MicroManagerCamera(Camera):
         allowed = self.capabilities
         frame_bytes = self._line.call("getBytesPerPixel") * allowed.rows * allowed.columns
         self._line.call("setCircularBufferMemoryFootprint", 1 + self._settings.ring_frames * frame_bytes // 2**20)
-        self._exposures = deque([(0, self._read_exposure())])
+        self._exposures = deque([(0, self._ask_exposure())])
+        self._mode = self._read_binning(), self._read_region()
         self._line.call("startContinuousSequenceAcquisition", 0)
         self._is_started, self._last = True, -1
         self._heard_s = time.monotonic()

@@ -13,7 +13,7 @@ from drivers.micro_manager.settings import MicroManagerSettings
 FOLDER = mm_test_adapters.device_adapter_path()
 # 16 bits; no rendering, which takes longer than the exposure; stopping waits for the end of the exposure.
 PROPERTIES = {"PixelType": "16bit", "BitDepth": "16", "FastImage": "1", "MaximumExposureMs": "1000"}
-_OF_THE_CORE = {"reset", "loadDevice", "setDeviceAdapterSearchPaths", "getDeviceType"}
+_OF_THE_CORE = {"loadDevice", "setDeviceAdapterSearchPaths", "getDeviceType"}
 
 
 class FaultyCore:
@@ -22,17 +22,25 @@ class FaultyCore:
     def __init__(self) -> None:
         self.core = pymmcore.CMMCore()
         self.is_unplugged = self.is_silent = False
+        self.does_stop = True  # although unplugged
         self.resets_region = False  # when binning changes, as some adapters do
         self.to_lose = 0
         self.refused: list[str] = []  # functions whose next call fails
+        self.asked: list[str] = []  # functions called
 
     def __getattr__(self, name: str) -> Any:
+        self.asked.append(name)
         if self.is_unplugged and name not in _OF_THE_CORE:
             raise RuntimeError("Error in device: communication failed")
         if name in self.refused:
             self.refused.remove(name)
             raise RuntimeError(f"Error in device: {name} failed")
         return getattr(self.core, name)
+
+    def reset(self) -> None:
+        if self.does_stop and self.core.isSequenceRunning():
+            self.core.stopSequenceAcquisition()
+        self.core.reset()
 
     def setProperty(self, label: str, name: str, value: str) -> None:  # noqa: N802 - the core's name
         self.__getattr__("setProperty")(label, name, value)

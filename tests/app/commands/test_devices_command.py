@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import platform
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support.micro_manager_core import FOLDER
 from support.simulated_scene import CAMERA, STILL, open_bench
@@ -14,12 +18,14 @@ from support.simulated_scene import CAMERA, STILL, open_bench
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench, write_bench
 from app.commands import devices as device_report
+from app.commands.device_trace import Trace, serial_numbers
 from app.commands.devices import KINDS, DeviceKind
 from app.errors import InputError, RunError
 from drivers import discovery
-from drivers.errors import Disconnected, Unsupported
+from drivers.device import Property
+from drivers.errors import BadValue, Disconnected, Unsupported
 from drivers.genicam.settings import GenicamSettings
-from drivers.interface import Camera, LightSource
+from drivers.interface import Camera, Frame, LightSource
 from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import DC4100Settings
 from simulated_devices.bench import SimulatedBench
@@ -100,8 +106,92 @@ def test_good_camera_passes(capsys: pytest.CaptureFixture[str]) -> None:
     device_report.check_and_print("dcam:S/N 1")
     output = capsys.readouterr().out
     assert "Simulated C9100-23B" in output
-    assert "dcam:S/N 1 passes all 15 checks" in output
+    assert "dcam:(serial number) passes all 15 checks" in output
     assert "FAILED" not in output
+    assert len(re.findall(r"^  ok +\d+\.\d\d s  \w", output, re.MULTILINE)) == 15
+    assert re.search(r"^opened in \d+\.\d\d s$", output, re.MULTILINE)
+
+
+@pytest.mark.usefixtures("bench")
+def test_report_names_versions_and_settings(capsys: pytest.CaptureFixture[str]) -> None:
+    device_report.check_and_print("coolled:COM7")
+    first, second, third = capsys.readouterr().out.splitlines()[:3]
+    assert first == f"svwfs {version('svwfs')}, Python {platform.python_version()}, {platform.platform()}"
+    assert second == f"driver coolled, pyserial {version('pyserial')}"
+    assert third == "  port = 'COM7'"
+
+
+@pytest.mark.parametrize("shows", [False, True])
+def test_serial_numbers_are_hidden_unless_asked_for(capsys: pytest.CaptureFixture[str], *, shows: bool) -> None:
+    lamp = DC4100Wire()
+    with PtyServer(lamp) as server:
+        light = DC4100Settings(port=server.port, channel=1)
+        bench = replace(load_bench("live_demo"), camera=GenicamSettings(), light=light)
+        device_report.check_and_print("light", bench, serial_numbers=shows)
+    output = capsys.readouterr().out
+    assert ("M00266001" in output) == shows
+    assert ("DC4100 (serial number) LED2" in output) == (not shows)
+    assert "channel = 1" in output
+    assert "lowest_current_a = 0.0" in output
+
+
+@pytest.mark.usefixtures("bench")
+def test_lost_light_hides_its_serial_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lose(_: object) -> Camera:
+        raise Disconnected(f"the camera S/N 1 is gone; see {Path.home()}/log")
+
+    monkeypatch.setattr("app.commands.device_check.open_camera", lose)
+    with pytest.raises(RunError, match=r"^the camera \(serial number\) is gone; see ~/log$"):
+        device_report.check_and_print("dcam:S/N 1")
+
+
+def test_only_serial_numbers_count_as_such() -> None:
+    properties: dict[str, Property] = {
+        "serial number": "21735912",
+        "CameraID": "A1",
+        "DeviceUserID": "bench of Ann",
+        "head": "Thorlabs,M455L4,M00412345,1.0.0",
+        "firmware": "1.2.0",
+        "Exposure": "10000.0000",
+        "CCD": 65536,
+        "model": "C9100-23B",
+    }
+    found = serial_numbers("Hamamatsu C9100-23B, serial 000123", {"device": "0", "exposure_s": 0.01}, properties)
+    assert found == {"21735912", "bench of Ann", "M00412345", "000123"}
+
+
+def test_trace_notes_last_calls_and_answers() -> None:
+    class Device:
+        exposure_s = 0.5
+
+        def set_exposure(self, exposure_s: float) -> float:
+            if exposure_s > 1:
+                raise BadValue("too long")
+            return exposure_s
+
+        def read(self, _: float) -> Frame:
+            return Frame(np.arange(6, dtype=np.uint16).reshape(2, 3), 7, 0.0, 0.0, 0.5, 1.0)
+
+        def properties(self) -> dict[str, Property]:
+            return {"name": "device"}
+
+    trace = Trace(Device())
+    for _ in range(12):
+        trace.set_exposure(0.1)
+    assert trace.exposure_s == 0.5
+    assert trace.read(1.0).index == 7
+    trace.properties()
+    with pytest.raises(BadValue):
+        trace.set_exposure(2.0)
+    calls = [call.rpartition(", ")[0] for call in trace.calls]
+    assert calls == [
+        *["set_exposure(0.1) -> 0.1"] * 6,
+        "exposure_s -> 0.5",
+        "read(1.0) -> frame 7, 2 x 3, counts 0 ... 5, exposed 0.5 s",
+        "properties() -> 1 values",
+        "set_exposure(2.0) -> BadValue: too long",
+    ]
+    assert all(re.fullmatch(r"\d\.\d{3} s", call.rpartition(", ")[2]) for call in trace.calls)
 
 
 def test_good_light_passes_within_announced_current(
@@ -133,7 +223,7 @@ def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str
         with pytest.raises(InputError, match="--check takes camera or light"):
             device_report.check_and_print("thorlabs_dc4100", bench)
     output = capsys.readouterr()
-    assert "DC4100 M00266001 LED2" in output.out
+    assert "DC4100 (serial number) LED2" in output.out
     assert "light passes all 6 checks" in output.out
     assert "up to 10 mA" in output.err
     assert lamp.heads[1].current_ma <= 10
@@ -161,9 +251,12 @@ def test_contract_breaking_camera_fails(capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setattr(
         SimulatedCamera, "_set_em_gain", lambda self, em_gain: em_gain
     )  # acknowledges without setting it
-    with pytest.raises(RunError, match="dcam:S/N 1 fails 1 of 15 checks"):
+    with pytest.raises(RunError, match=r"dcam:\(serial number\) fails 1 of 15 checks"):
         device_report.check_and_print("dcam:S/N 1")
-    assert "  FAILED It accepts gains in its range; a refused one changes nothing" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert re.search(r"  FAILED +\d\.\d\d s  It accepts gains in its range; a refused one changes nothing\n", output)
+    assert re.search(r"\n +set_em_gain\([\d.]+\) -> [\d.]+, \d\.\d{3} s\n", output)  # what was tried and answered
+    assert re.search(r"\n +em_gain -> [\d.]+, \d\.\d{3} s\n", output)
 
 
 def test_lost_light_ends_check(bench: SimulatedBench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -209,6 +209,7 @@ def test_core_of_camera_that_does_not_stop_is_kept(faults: DemoCamera, *, is_sto
     camera.start()
     if not is_stopping:
         faults.unplug()
+        faults.faulty.does_stop = False
     camera.close()
     del camera, faults.faulty
     gc.collect()
@@ -234,6 +235,21 @@ def test_close_ends_read_of_another_thread(faults: DemoCamera, camera: MicroMana
     reader.join(HANG_S)
     (error,) = ended
     assert isinstance(error, WrongState)
+
+
+def test_running_camera_is_asked_for_no_property(faults: DemoCamera, camera: MicroManagerCamera) -> None:
+    region = camera.set_region(Region(16, 32, 128, 256))
+    camera.set_binning(2)
+    exposure_s = camera.set_exposure(0.02)
+    before = camera.properties()
+    camera.start()
+    faults.faulty.asked.clear()
+    assert (camera.binning, camera.region, camera.exposure_s) == (2, region, exposure_s)
+    assert camera.properties() == before
+    camera.read(5.0)
+    asked = set(faults.faulty.asked)
+    assert not {"getProperty", "getExposure", "getROI"} & asked
+    assert "popNextImageMD" in asked
 
 
 def test_camera_that_stopped_itself_restarts(faults: DemoCamera, camera: MicroManagerCamera) -> None:
