@@ -119,6 +119,12 @@ class Camera(Device):
         self._set_mode("readout speed", readout_speed, self.capabilities.readout_speeds, self._set_readout_speed)
 
     @property
+    def temperature_c(self) -> float | None:
+        """Temperature of the sensor; None if the camera does not report it."""
+        with self._access():
+            return self._read_temperature()
+
+    @property
     def binning(self) -> int:
         """Sensor pixels per frame pixel along each axis."""
         with self._access():
@@ -259,6 +265,9 @@ class Camera(Device):
         return self.capabilities.amplifiers[0]
 
     def _set_amplifier(self, amplifier: str) -> None: ...
+
+    def _read_temperature(self) -> float | None:
+        return None
 
     def _read_readout_speed(self) -> int:
         return self.capabilities.readout_speeds[0]

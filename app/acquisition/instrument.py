@@ -4,7 +4,7 @@ It runs in the thread that owns the devices; other threads see its frozen `Statu
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from app.bench.config import Bench, with_known
@@ -53,6 +53,7 @@ class Status:
     reference: Validity
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
+    temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
 
     @property
     def bench_in_force(self) -> Bench:
@@ -134,6 +135,7 @@ class Instrument:
             reference=_validity(self.reference, problem or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference or of_response,
+            temperature_c=camera.temperature_c,
         )
 
     def take_dark(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
-from app.gui.analysis_panel import AnalysisPanel
+from app.gui.analysis_tabs import AnalysisTabs
 from app.gui.wavefront_panel import WavefrontPanel
 from app.results.view_analysis import Analysis, AnalysisRequest, Quantity, analyse
 from reconstruction.settings import ReconstructionSettings
@@ -65,9 +65,9 @@ class BackgroundAnalysis(QObject):
 
     failed = pyqtSignal(str)
 
-    def __init__(self, wavefront_panel: WavefrontPanel, analysis_panel: AnalysisPanel, parent: QObject) -> None:
+    def __init__(self, wavefront_panel: WavefrontPanel, tabs: AnalysisTabs, parent: QObject) -> None:
         super().__init__(parent)
-        self._wavefront_panel, self._analysis_panel = wavefront_panel, analysis_panel
+        self._wavefront_panel, self._tabs = wavefront_panel, tabs
         self._thread = AnalysisThread()
         self._settings: ReconstructionSettings | None = None
         self._view: tuple[int, int] | None = None  # None: the middle one
@@ -95,16 +95,23 @@ class BackgroundAnalysis(QObject):
             analysis = None
         if analysis is not None and self._wavefront is not None:
             self._wavefront_panel.show_analysis(analysis)
-            self._analysis_panel.show_analysis(analysis)
-        if self._wavefront is None:
-            self._analysis_panel.show_nothing()
-        view = self._selected_view() if self._analysis_panel.isVisible() else None
-        self._wavefront_panel.grid.select(view)
-        quantity = self._wavefront_panel.quantity
-        if self._wavefront is None or self._settings is None or (view is None and quantity is Quantity.WAVEFRONT):
+            self._tabs.show_analysis(analysis)
+        wavefront, view = self._wavefront, self._selected_view()
+        if wavefront is None:
+            self._tabs.show_nothing()
+        self._wavefront_panel.grid.select(view if self._tabs.isVisible() else None)
+        if wavefront is None or view is None or self._settings is None:
             return
-        reach_rad = self._wavefront_panel.reach_rad
-        self._thread.submit(AnalysisRequest(self._wavefront, self._settings, quantity, reach_rad, view))
+        request = AnalysisRequest(
+            wavefront,
+            self._settings,
+            self._wavefront_panel.quantity,
+            self._wavefront_panel.reach_rad,
+            view if self._tabs.quality.isVisible() else None,
+            self._tabs.coefficients.choice(view, wavefront.displacement.modes.count),
+        )
+        if request.quantity is not Quantity.WAVEFRONT or request.view is not None or request.modes is not None:
+            self._thread.submit(request)
 
     def close(self) -> None:
         """End the thread."""

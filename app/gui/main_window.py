@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QFileDialog, QMainWindow, QSplitter, QWidget
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, start_up
 from app.acquisition.worker import Acquisition, Activity, Measurement
-from app.gui.analysis_panel import AnalysisPanel
+from app.gui.analysis_tabs import AnalysisTabs
 from app.gui.background_analysis import BackgroundAnalysis
 from app.gui.camera_panel import CameraPanel
 from app.gui.controller import Controller
@@ -56,7 +56,8 @@ class MainWindow(QMainWindow):
 
         self.camera_panel = CameraPanel()
         self.wavefront_panel = WavefrontPanel()
-        self.analysis_panel = AnalysisPanel()
+        self.tabs = AnalysisTabs(self.wavefront_panel)
+        self.analysis_panel = self.tabs.quality
         self.controls = ControlsPanel(FRAMES)
         self.recording_panel = RecordingPanel()
         self.messages = MessageStrip()
@@ -72,7 +73,7 @@ class MainWindow(QMainWindow):
             messages=self.messages,
         )
         self.messages.reconnect_requested.connect(self._reconnect)
-        self._analysis = BackgroundAnalysis(self.wavefront_panel, self.analysis_panel, self)
+        self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self)
         self._analysis.failed.connect(self.messages.warn)
         self.wavefront_panel.refused.connect(self.messages.warn)
         self._lay_out()
@@ -140,6 +141,9 @@ class MainWindow(QMainWindow):
         """Update the numbers and the message."""
         self.camera_panel.update_text()
         self.wavefront_panel.update_text()
+        if self._measurement is not None and (status := self.controller.status) is not None:
+            full_scale, temperature_c = status.capabilities.full_scale, status.temperature_c
+            self.tabs.record(self._measurement, full_scale=full_scale, temperature_c=temperature_c)
         self.controller.show_recordings()
         acquisition, status, measurement = self.controller.acquisition, self._status, self._measurement
         self.status_line.update_text(status, None if acquisition is None else acquisition.timings.summary())
@@ -189,7 +193,7 @@ class MainWindow(QMainWindow):
         self.resize(1440, 900)
         left = QSplitter(Qt.Orientation.Vertical)
         left.addWidget(self.camera_panel)
-        left.addWidget(self.analysis_panel)
+        left.addWidget(self.tabs)
         left.setSizes([1000, 450])
         left.setHandleWidth(10)
         left.setChildrenCollapsible(False)
@@ -243,7 +247,7 @@ class MainWindow(QMainWindow):
                     ("Arrows", "A", camera.arrows_toggle.toggle),
                     ("Freeze the colour scale", "H", wavefront.freeze_scale.toggle),
                     ("Enlarge the selected view", "V", wavefront.enlarge),
-                    ("MTF and isoplanatism", "I", self._toggle_analysis),
+                    ("Plots below the camera image", "I", self._toggle_analysis),
                     ("Processing times", "T", self.status_line.timing_row.toggle),
                     *(
                         (f"{quantity} over the field", str(index + 1), partial(wavefront.choose, quantity))
@@ -254,7 +258,7 @@ class MainWindow(QMainWindow):
         )
 
     def _toggle_analysis(self) -> None:
-        self.analysis_panel.setVisible(not self.analysis_panel.isVisible())
+        self.tabs.setVisible(not self.tabs.isVisible())
 
     def _choose_recordings_folder(self) -> None:
         before = str(self.controller.recordings_folder)

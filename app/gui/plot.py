@@ -22,11 +22,12 @@ class Plot(QWidget):
     ) -> None:
         """Make an empty plot with a legend of `keys`, and room for the `widest` number on its left axis."""
         super().__init__(parent)
+        self.curves: list[pg.PlotCurveItem] = []
         self.title = ElidedLabel("title")
         self.title.setText(title)
-        self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
-        self._graphics.setMinimumSize(150, 5 * self.fontMetrics().height())
-        unfocused(self._graphics)
+        self.graphics = pg.GraphicsView(background=theme.BACKGROUND)
+        self.graphics.setMinimumSize(150, 5 * self.fontMetrics().height())
+        unfocused(self.graphics)
         self.view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
         self.axes = axes = {
             side: pg.AxisItem(side, linkView=self.view, pen=theme.LINE, textPen=theme.DIM)
@@ -45,18 +46,19 @@ class Plot(QWidget):
         grid.addItem(axes["left"], 0, 0)
         grid.addItem(self.view, 0, 1)
         grid.addItem(axes["bottom"], 1, 1)
-        self._graphics.setCentralItem(grid)
+        self.graphics.setCentralItem(grid)
         header = row((self.title, 1), spacing=8)
         for text, colour in keys:
             key = label(text)
             key.setStyleSheet(f"color: {colour.name()};")
             header.addWidget(key)
-        column(header, (self._graphics, 1), spacing=2, parent=self)
+        column(header, (self.graphics, 1), spacing=2, parent=self)
 
     def add_curve(self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine) -> pg.PlotCurveItem:
         """Add an empty curve."""
         curve = pg.PlotCurveItem(pen=pg.mkPen(colour, width=width, style=style), antialias=True)
         self.view.addItem(curve)
+        self.curves.append(curve)
         return curve
 
     def set_ranges(self, x: tuple[float, float], y: tuple[float, float]) -> None:

@@ -42,6 +42,7 @@ class ViewGrid(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.maps: Maps | None = None
+        self.empty = "no wavefront"  # shown without maps
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._number_width = 0  # px
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
@@ -79,7 +80,7 @@ class ViewGrid(QWidget):
         maps = self.maps
         if maps is None:
             painter.setPen(theme.DIM)
-            painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, "no wavefront")
+            painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, self.empty)
             return
         hatching = theme.hatching()
         for row, column in np.ndindex(self._pixels.shape[:2]):

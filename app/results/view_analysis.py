@@ -1,10 +1,11 @@
-"""Analysis of a wavefront for display: maps of a chosen quantity, the MTF of one view, isoplanatism."""
+"""Analysis of a wavefront for display: maps of a chosen quantity, MTF, isoplanatism, coefficients, one lenslet."""
 
 import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
+from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_coefficients
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
@@ -35,6 +36,7 @@ class AnalysisRequest:
     quantity: Quantity
     reach_rad: float | None  # half width of PSF maps; None: as far as there is light
     view: tuple[int, int] | None  # view whose MTF is computed; None: neither MTF nor isoplanatism
+    modes: ModeChoice | None = None  # coefficients to compute
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,12 +49,14 @@ class Analysis:
     light_reach_rad: float = math.nan  # how far there is light
     transfer: Mtf | None = None
     isoplanatism: Isoplanatism | None = None
+    coefficients: ModeCoefficients | None = None
 
 
 def analyse(request: AnalysisRequest) -> Analysis:
     """Compute what is requested; the maps of the wavefront itself are its `views`."""
-    analysis = _maps(request)
-    wavefront = request.wavefront
+    analysis, wavefront = _maps(request), request.wavefront
+    if request.modes is not None:
+        analysis = replace(analysis, coefficients=mode_coefficients(wavefront, request.modes))
     if request.view is None:
         return analysis
     return replace(

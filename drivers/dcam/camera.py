@@ -3,6 +3,7 @@
 Limits and modes are queried after each change of mode; nothing about a camera is tabulated here.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -146,6 +147,10 @@ class DcamCamera(Camera):
             if self._capture is not None:
                 self._capture.change(taken_s, self._read_em_gain())
         return taken_s
+
+    def _read_temperature(self) -> float | None:
+        temperature_c = self._values.get_or(Id.SENSORTEMPERATURE, math.nan)
+        return None if math.isnan(temperature_c) else temperature_c
 
     def _read_em_gain(self) -> float:
         return self._values.get(Id.SENSITIVITY) if has_em_gain(self._values) else 1.0

@@ -228,6 +228,9 @@ class GenicamCamera(Camera):
         if counts != self.capabilities.full_scale:
             self._cached_capabilities = replace(self.capabilities, full_scale=counts)
 
+    def _read_temperature(self) -> float | None:
+        return self._line.attempt(partial(self._line.number, "DeviceTemperature"))
+
     def _read_exposure(self) -> float:
         return self._exposure.read_s()
 

@@ -49,12 +49,19 @@ class ModalSolution:
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront`, rad, the same shape."""
-        values = self._equations.values.T.astype(np.float32)
-        flat = field_modes.reshape(-1, field_modes.shape[-1]).astype(np.float32)
-        sigma = np.full((len(flat), *self.known.shape), np.nan)
-        for view, at in enumerate(flat):
-            sigma[view, self.known] = np.linalg.norm(values @ (at @ self._root_covariance), axis=1)
+        flat = field_modes.reshape(-1, field_modes.shape[-1])
+        sigma = np.array([np.linalg.norm(self.deviations(at), axis=-1) for at in flat], np.float64)
         return sigma.reshape(*field_modes.shape[:-1], *self.known.shape)
+
+    def deviations(self, field_modes: Floats) -> Image:
+        """Independent deviations of `wavefront`, each one standard deviation, for one field position.
+
+        From field modes (field_mode,) to rad, (lenslet_row, lenslet_column, n); their squares add to the variance.
+        """
+        deviations = np.full((*self.known.shape, len(self._variance)), np.nan, np.float32)
+        at = field_modes.astype(np.float32) @ self._root_covariance
+        deviations[self.known] = self._equations.values.T.astype(np.float32) @ at
+        return deviations
 
     @cached_property
     def coefficients_sigma(self) -> Floats:

@@ -1,0 +1,59 @@
+"""Tabs below the camera image: quality, coefficients and history. Hidden ones compute nothing."""
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QTabWidget, QWidget
+
+from app.gui.analysis_panel import AnalysisPanel
+from app.gui.coefficients_panel import CoefficientsPanel
+from app.gui.history_panel import HistoryPanel
+from app.gui.wavefront_panel import WavefrontPanel
+from app.measurement.measurement import Measurement
+from app.results.history import sample
+from app.results.view_analysis import Analysis
+
+
+class AnalysisTabs(QTabWidget):
+    """Shows one of the panels."""
+
+    def __init__(self, wavefront_panel: WavefrontPanel, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._wavefront_panel = wavefront_panel
+        self._measurement: Measurement | None = None
+        self.quality, self.coefficients, self.history = AnalysisPanel(), CoefficientsPanel(), HistoryPanel()
+        self.coefficients.pinned.connect(self.history.pin)
+        self.setDocumentMode(True)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        if (bar := self.tabBar()) is not None:
+            bar.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        for panel, title in ((self.quality, "Quality"), (self.coefficients, "Coefficients"), (self.history, "History")):
+            self.addTab(panel, title)
+
+    def show_analysis(self, analysis: Analysis) -> None:
+        """Show what was computed for the visible tab."""
+        self.quality.show_analysis(analysis)
+        wavefront, unit = analysis.request.wavefront, self._wavefront_panel.menu.unit
+        self.coefficients.use_unit(unit, unit.per_rad(wavefront.sensor.wavelength_m))
+        if analysis.coefficients is not None:
+            self.coefficients.show_coefficients(analysis.coefficients)
+
+    def show_nothing(self) -> None:
+        """Clear the tabs: there is no wavefront."""
+        self.quality.show_nothing()
+        self.coefficients.show_coefficients(None)
+
+    def record(self, measurement: Measurement, *, full_scale: float, temperature_c: float | None) -> None:
+        """Add a measurement to the history."""
+        if measurement is self._measurement:
+            return
+        self._measurement = measurement
+        values = sample(
+            measurement.frame,
+            self._wavefront_panel.shown,
+            full_scale=full_scale,
+            delay_s=measurement.latency_s,
+            temperature_c=temperature_c,
+        )
+        pinned_rad = self.coefficients.pinned_rad()
+        if self.coefficients.name and pinned_rad is not None:
+            values[self.coefficients.name] = pinned_rad
+        self.history.add(measurement.frame.host_time_s, values)

@@ -1,0 +1,212 @@
+"""The coefficients panel: bars with error bars, a table to copy, and the field map of the pinned coefficient."""
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtGui import QGuiApplication, QKeyEvent, QKeySequence
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QComboBox,
+    QHeaderView,
+    QStackedWidget,
+    QTableWidget,
+    QTableWidgetItem,
+    QWidget,
+)
+
+from app.gui import theme
+from app.gui.adaptive_scale import RANGES, AdaptiveScale
+from app.gui.colours import diverging
+from app.gui.plot import Plot
+from app.gui.presentation import number, signed
+from app.gui.view_grid import Maps, ViewGrid
+from app.gui.widgets import column, row, toggle
+from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_names
+from app.results.shown_wavefront import Unit
+from reconstruction.settings import PupilBasis
+
+_BASES: tuple[tuple[str, PupilBasis], ...] = (("Zernike (Noll)", "zernike"), ("Legendre", "legendre"))
+_TIP = "Click a bar to record its history and to map it over the field; click it again to stop"
+
+
+class CoefficientsPanel(QWidget):
+    """Shows the coefficients of the selected view or of one field mode."""
+
+    pinned = pyqtSignal(str)  # name of the pinned coefficient; empty: none
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._shown: ModeCoefficients | None = None
+        self._mapped: int | None = None
+        self._unit, self._per_rad = Unit.RAD, 1.0
+        self._scale, self._map_scale = AdaptiveScale(RANGES), AdaptiveScale(RANGES)
+        self.basis = QComboBox()
+        for text, basis in _BASES:
+            self.basis.addItem(text, basis)
+        self.basis.setToolTip("Modes of the bars; over the lattice (Legendre) or its inscribed circle (Zernike)")
+        self.basis.currentIndexChanged.connect(lambda: self.pin(None))
+        self.of = QComboBox()
+        self.of.addItem("Selected view", None)
+        self.of.setToolTip("The selected view as shown, or the coefficients e_pq of one field mode")
+        self.of.currentIndexChanged.connect(lambda: self.pin(None))
+        self.table_toggle = toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
+        self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.00")
+        self.plot.setToolTip(_TIP)
+        self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, brush=theme.ACCENT, pen=None)
+        self.plot.view.addItem(self._bars)
+        self._errors = pg.PlotCurveItem(pen=pg.mkPen(theme.TEXT, width=1), connect="pairs")
+        self.plot.view.addItem(self._errors)
+        self.plot.graphics.scene().sigMouseClicked.connect(self._click)
+        self.table = _Table()
+        self._stack = QStackedWidget()
+        self._stack.addWidget(self.plot)
+        self._stack.addWidget(self.table)
+        self.map = ViewGrid()
+        self.map.setMinimumSize(120, 100)
+        self.map.empty = "click a bar\nto map it over the field"
+        self.title = self.plot.title
+        header = row((self.title, 1), self.of, self.basis, self.table_toggle)
+        column(header, (row((self._stack, 3), (self.map, 2), spacing=12), 1), parent=self)
+
+    @property
+    def name(self) -> str:
+        """Name of the pinned coefficient; empty without one."""
+        if self._mapped is None:
+            return ""
+        of = self.of.currentText() if self.of.currentIndex() else "view"
+        return f"{mode_names(self.basis.currentData(), self._mapped + 1)[-1]}, {of}"
+
+    def choice(self, view: tuple[int, int], field_modes: int) -> ModeChoice | None:
+        """Return what to compute for the selected view; None if it is neither shown nor recorded."""
+        if self.of.count() != field_modes + 1:
+            self._offer(field_modes)
+        if not self.isVisible() and self._mapped is None:
+            return None
+        return ModeChoice(self.basis.currentData(), self.of.currentData(), view, self._mapped)
+
+    def use_unit(self, unit: Unit, per_rad: float) -> None:
+        """Set the unit of the numbers."""
+        self._unit, self._per_rad = unit, per_rad
+
+    def show_coefficients(self, found: ModeCoefficients | None) -> None:
+        """Show coefficients, or that there are none."""
+        self._shown = found
+        if not self.isVisible():
+            return
+        values, sigma = np.zeros(1), np.zeros(1)
+        names: tuple[str, ...] = ("",)
+        if found is not None and np.isfinite(found.rad).any():
+            values, sigma, names = found.rad * self._per_rad, found.sigma_rad * self._per_rad, found.names
+        index = np.arange(1, len(values))
+        is_pinned = index == self._mapped
+        brushes = [pg.mkBrush(theme.AMBER if one else theme.ACCENT) for one in is_pinned]
+        self._bars.setOpts(x=index, height=values[1:], width=0.7, brushes=brushes)
+        ends = np.stack([values[1:] - sigma[1:], values[1:] + sigma[1:]], axis=1)
+        known = np.isfinite(ends).all(axis=1)
+        self._errors.setData(np.repeat(index[known], 2).astype(float), ends[known].ravel())
+        limit = self._scale.follow(1.1 * float(np.max(np.abs(np.nan_to_num(ends)), initial=1e-6)))
+        self.plot.set_ranges((0, len(values)), (-limit, limit))
+        step = max(len(values) // 9, 1)
+        self.plot.axes["bottom"].setTicks([[(at, names[at].split(" ")[0]) for at in index[::step]]])
+        pinned = f": {self._described(found, self._mapped)}" if self._mapped is not None and found else ""
+        self.title.setText(f"Coefficients ({self._unit}){pinned}")
+        self.table.show_rows(
+            [
+                (name, number(value), number(one))
+                for name, value, one in zip(names[1:], values[1:], sigma[1:], strict=True)
+            ],
+            self._unit,
+        )
+        self._show_map(found)
+
+    def pin(self, mode: int | None) -> None:
+        """Record and map a mode from now on, or none."""
+        self._mapped = mode
+        self.pinned.emit(self.name)
+        self.show_coefficients(self._shown)
+
+    def pinned_rad(self) -> float | None:
+        """Return the present value of the pinned coefficient, if it is known."""
+        found = self._shown
+        if found is None or self._mapped is None or found.choice.mapped != self._mapped:
+            return None
+        return float(found.rad[self._mapped])
+
+    def _described(self, found: ModeCoefficients, mode: int) -> str:
+        value, sigma = found.rad[mode] * self._per_rad, found.sigma_rad[mode] * self._per_rad
+        error = f" \N{PLUS-MINUS SIGN} {number(sigma, 2)}" if np.isfinite(sigma) else ""
+        return f"{found.names[mode]} {signed(value)}{error}"
+
+    def _show_map(self, found: ModeCoefficients | None) -> None:
+        if found is None or found.field_map is None or self._mapped != found.choice.mapped:
+            self.map.show_maps(None)
+            return
+        values = found.field_map * self._per_rad
+        limit = self._map_scale.follow(float(np.nanmax(np.abs(values), initial=1e-6)))
+        name = found.names[found.choice.mapped or 0]
+        scale = diverging(limit, self._unit)
+        self.map.show_maps(
+            Maps(values[None, None], scale, lambda _row, _column, value: f"{name}: {signed(value)} {self._unit}", True)
+        )
+
+    def _offer(self, field_modes: int) -> None:
+        """Offer the field modes of the present warp."""
+        self.of.blockSignals(True)
+        while self.of.count() > 1:
+            self.of.removeItem(1)
+        for index, name in enumerate(mode_names("legendre", field_modes)):
+            self.of.addItem(f"Field mode {index}: {name.split(' ', 1)[1].replace('piston', 'mean')}", index)
+        self.of.blockSignals(False)
+
+    def _turn(self) -> None:
+        self._stack.setCurrentIndex(int(self.table_toggle.isChecked()))
+        self.show_coefficients(self._shown)
+
+    def _click(self, event: object) -> None:
+        position = self.plot.view.mapSceneToView(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
+        mode = round(position.x())
+        if self._shown is not None and 1 <= mode < len(self._shown.rad):
+            self.pin(None if mode == self._mapped else mode)
+
+
+class _Table(QTableWidget):
+    """Name, value and standard deviation of every mode."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(0, 3, parent)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        if (header := self.verticalHeader()) is not None:
+            header.hide()
+        if (header := self.horizontalHeader()) is not None:
+            header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Copy at Ctrl+C."""
+        if event is not None and event.matches(QKeySequence.StandardKey.Copy):
+            self.copy()
+        else:
+            super().keyPressEvent(event)
+
+    def show_rows(self, rows: list[tuple[str, str, str]], unit: str) -> None:
+        """Show texts; selection and position stay."""
+        if not self.isVisible():
+            return
+        self.setHorizontalHeaderLabels(["mode", unit, "1\N{GREEK SMALL LETTER SIGMA}"])
+        self.setRowCount(len(rows))
+        for index, texts in enumerate(rows):
+            for at, text in enumerate(texts):
+                item = self.item(index, at)
+                if item is None:
+                    item = QTableWidgetItem()
+                    self.setItem(index, at, item)
+                item.setText(text)
+
+    def copy(self) -> None:
+        """Copy the selected rows, or all, as lines of tab-separated texts."""
+        rows = sorted({index.row() for index in self.selectedIndexes()}) or range(self.rowCount())
+        lines = [[item.text() for at in range(3) if (item := self.item(index, at))] for index in rows]
+        heads = [[item.text() for at in range(3) if (item := self.horizontalHeaderItem(at))]]
+        clipboard = QGuiApplication.clipboard()
+        if clipboard is not None:
+            text = "\n".join("\t".join(line) for line in heads + lines)
+            clipboard.setText(text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "nan"))

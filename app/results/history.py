@@ -1,0 +1,66 @@
+"""History of a running measurement: named series on a common time axis, bounded in memory."""
+
+import numpy as np
+
+from drivers.interface import Frame
+from reconstruction.arrays import Floats
+from reconstruction.wavefront import Wavefront, rms
+
+RMS, FILL, DELAY, TEMPERATURE = "RMS (rad)", "Exposure (% of full scale)", "Delay (ms)", "Camera (\N{DEGREE SIGN}C)"
+
+
+class History:
+    """The last `capacity` samples of at most `most_series` series; a new one replaces the one unused for longest."""
+
+    def __init__(self, capacity: int = 6000, most_series: int = 12) -> None:
+        """Hold 20 minutes at five samples a second by default."""
+        self._capacity, self._most = capacity, most_series
+        self._time_s = np.full(capacity, np.nan)
+        self._series: dict[str, Floats] = {}
+        self._count = 0
+
+    def add(self, time_s: float, values: dict[str, float]) -> None:
+        """Add one sample at a rising time; a series that has none is NaN there."""
+        at = self._count % self._capacity
+        self._time_s[at] = time_s
+        for series in self._series.values():
+            series[at] = np.nan
+        for name, value in values.items():
+            if name not in self._series and len(self._series) >= self._most:
+                del self._series[next(iter(self._series))]
+            series = self._series.pop(name, np.full(self._capacity, np.nan))
+            series[at] = value
+            self._series[name] = series  # last: the first is the one unused for longest
+        self._count += 1
+
+    def series(self, name: str) -> tuple[Floats, Floats]:
+        """Return times before the newest sample, s, negative, and values; NaN in gaps. Empty if there are none."""
+        if name not in self._series:
+            return np.zeros(0), np.zeros(0)
+        at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
+        return self._time_s[at] - self._time_s[at[-1]], self._series[name][at]
+
+    def forget(self, name: str) -> None:
+        """Drop a series."""
+        self._series.pop(name, None)
+
+    @property
+    def bytes(self) -> int:
+        """Memory in use."""
+        return self._time_s.nbytes + sum(series.nbytes for series in self._series.values())
+
+
+def sample(
+    frame: Frame, shown: Wavefront | None, *, full_scale: float, delay_s: float, temperature_c: float | None
+) -> dict[str, float]:
+    """Return what is always recorded of a frame: mean RMS of the shown views, fill, delay and temperature."""
+    values = {DELAY: delay_s * 1e3}
+    if full_scale:
+        values[FILL] = 100 * float(frame.pixels.max()) / full_scale
+    if temperature_c is not None:
+        values[TEMPERATURE] = temperature_c
+    if shown is not None:
+        of_views = rms(shown.views)
+        if np.isfinite(of_views).any():
+            values[RMS] = float(np.nanmean(of_views))
+    return values

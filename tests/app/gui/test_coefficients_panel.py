@@ -1,0 +1,145 @@
+"""Tabs of coefficients and history."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+from support.gui_bench import BENCH, make_measurement
+from support.wavefronts import modal
+from support.window_tools import MakeWindow, click, dim_frame, views
+
+from app.gui.coefficients_panel import CoefficientsPanel
+from app.gui.main_window import MainWindow
+from app.measurement.measurement import Measurement
+from app.results.history import DELAY, RMS, TEMPERATURE
+from app.results.shown_wavefront import Unit
+
+
+def measurement(defocus: float) -> Measurement:
+    """Legendre P2(x) of the given size and a growth of P1(y) over the field's x."""
+    coefficients = np.zeros((6, 3))
+    coefficients[3, 0], coefficients[2, 1] = defocus, 0.4
+    return replace(make_measurement(dim_frame(), views()), wavefront=modal(coefficients))
+
+
+def open_tab(window: MainWindow, title: str) -> None:
+    bar = window.tabs.tabBar()
+    assert bar is not None
+    index = next(index for index in range(bar.count()) if bar.tabText(index) == title)
+    QApplication.processEvents()
+    click_at = bar.tabRect(index).center()
+    QtBot.mouseClick(bar, Qt.MouseButton.LeftButton, pos=click_at)  # type: ignore[no-untyped-call]
+
+
+@pytest.fixture
+def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
+    made = make_window()
+    made._analysis.use_settings(BENCH.reconstruction)
+    made.show_measurement(measurement(0.5))
+    open_tab(made, "Coefficients")
+    panel = made.tabs.coefficients
+    panel.basis.setCurrentText("Legendre")
+    qtbot.waitUntil(lambda: panel._shown is not None and panel._shown.choice.basis == "legendre")
+    return made
+
+
+def click_bar(panel: CoefficientsPanel, mode: int) -> None:
+    QApplication.processEvents()
+    scene = panel.plot.view.mapViewToScene(QPointF(mode, 0.0))
+    at = panel.plot.graphics.mapFromScene(scene)
+    QtBot.mouseClick(panel.plot.graphics.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(at.x(), at.y()))  # type: ignore[no-untyped-call]
+
+
+def test_bars_are_the_coefficients_of_the_selected_view(window: MainWindow, qtbot: QtBot) -> None:
+    panel = window.tabs.coefficients
+    height = np.asarray(panel._bars.opts["height"])
+    np.testing.assert_allclose(height[[1, 2]], [0, 0.5], atol=1e-4)
+    ends = panel._errors.getData()[1].reshape(-1, 2)
+    np.testing.assert_allclose(ends.mean(axis=1), height, atol=1e-9)
+    assert (np.ptp(ends, axis=1)[:5] > 1e-3).all()  # the modes of the reconstruction
+    grid = window.wavefront_panel.grid
+    click(qtbot, grid, grid.tile(1, 2).center())  # x = +0.5 mm of 0.6
+    qtbot.waitUntil(lambda: panel._shown is not None and panel._shown.choice.view == (1, 2))
+    np.testing.assert_allclose(panel._bars.opts["height"][1], 0.4 * 0.5 / 0.6, atol=1e-4)
+    panel.of.setCurrentIndex(2)
+    qtbot.waitUntil(lambda: panel._shown is not None and panel._shown.choice.field_mode == 1)
+    np.testing.assert_allclose(panel._bars.opts["height"][[1, 2]], [0.4, 0], atol=1e-4)
+
+
+def test_click_on_a_bar_maps_and_records_it_until_the_next_click(window: MainWindow, qtbot: QtBot) -> None:
+    panel = window.tabs.coefficients
+    assert panel.map.maps is None
+    click_bar(panel, 2)
+    qtbot.waitUntil(lambda: panel.map.maps is not None)
+    assert panel.map.maps is not None
+    np.testing.assert_allclose(panel.map.maps.values[0, 0, 5], np.linspace(-0.4, 0.4, 21), atol=1e-4)
+    assert panel.name == "L2 P1(y), view"
+    assert panel.title.text().startswith("Coefficients (rad): L2 P1(y) ")
+    open_tab(window, "History")  # the pinned coefficient is computed all the same
+    for defocus in (0.5, 0.6):
+        before = panel._shown
+        window.show_measurement(measurement(defocus))
+        qtbot.waitUntil(lambda before=before: panel._shown is not before)
+        assert window._measurement is not None
+        window.tabs.record(window._measurement, full_scale=65535, temperature_c=-60.0)
+    time_s, values = window.tabs.history.history.series("L2 P1(y), view")
+    np.testing.assert_allclose(values, 0, atol=1e-4)
+    assert len(values) == 2
+    assert time_s[0] < 0 == time_s[1]
+    assert list(window.tabs.history._charts) == ["L2 P1(y), view", RMS]
+    open_tab(window, "Coefficients")
+    click_bar(panel, 2)
+    assert panel.name == ""
+    assert panel.map.maps is None
+    assert list(window.tabs.history._charts) == [RMS]
+
+
+def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, qtbot: QtBot) -> None:
+    history = window.tabs.history
+    open_tab(window, "History")
+    for name in (DELAY, TEMPERATURE):
+        click(qtbot, history.toggles[name], history.toggles[name].rect().center())
+    for index in range(5):
+        history.add(10.0 * index, {RMS: 1.0 + index, DELAY: 4.0, TEMPERATURE: -65.0})
+    assert list(history._charts) == [RMS, DELAY, TEMPERATURE]
+    for name, chart in history._charts.items():
+        minutes, values = chart.curves[0].getData()
+        np.testing.assert_allclose(minutes, np.arange(-4, 1) / 6)
+        np.testing.assert_array_equal(values, history.history.series(name)[1])
+        assert chart.view.viewRange()[0] == pytest.approx([-2, 0])
+    assert history._charts[RMS].title.text() == "RMS (rad): 5.00"
+
+
+def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: QtBot) -> None:
+    panel = window.tabs.coefficients
+    window.wavefront_panel.menu.units[2].trigger()
+    assert window.wavefront_panel.menu.unit is Unit.NM
+    window.show_measurement(measurement(-0.5))
+    qtbot.waitUntil(lambda: panel.title.text().startswith("Coefficients (nm)"))
+    click(qtbot, panel.table_toggle, panel.table_toggle.rect().center())
+    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
+    clipboard = QApplication.clipboard()
+    assert clipboard is not None
+    lines = [line.split("\t") for line in clipboard.text().splitlines()]
+    assert lines[0] == ["mode", "nm", "1\N{GREEK SMALL LETTER SIGMA}"]
+    assert lines[3][0] == "L3 P2(x)"
+    assert float(lines[3][1]) == pytest.approx(-0.5 * 462 / (2 * np.pi), abs=0.05)
+    assert len(lines) == panel.table.rowCount() + 1
+    panel.table.selectRow(2)
+    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
+    assert len(clipboard.text().splitlines()) == 2
+
+
+def test_hidden_tabs_compute_nothing(window: MainWindow) -> None:
+    open_tab(window, "History")
+    window._analysis.poll()
+    assert window.tabs.coefficients.choice((1, 1), 3) is None
+    before = window._analysis._thread._request
+    window.show_measurement(measurement(0.7))
+    window._analysis.poll()
+    assert window._analysis._thread._request is before
