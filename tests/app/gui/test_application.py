@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -53,6 +54,20 @@ def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path
     assert len({QColor(image.pixel(x, image.height() // 2)).rgb() for x in range(0, image.width(), 7)}) > 10
     assert camera.is_closed
     assert qapp is QApplication.instance()
+
+
+def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Qt would report success."""
+
+    def fill_up(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    assert qapp is QApplication.instance()
+    monkeypatch.setattr(os, "fsync", fill_up)
+    camera = FakeCamera()
+    with pytest.raises(RunError, match=r"window\.png: cannot be written"):
+        run_window(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.1, screenshot=tmp_path / "window.png")
+    assert not list(tmp_path.iterdir())
 
 
 def test_unattended_run_raises_device_error(qapp: QApplication) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -122,6 +123,19 @@ def test_window_shows_a_replay(changing: Recording, tmp_path: Path, monkeypatch:
     expected = [rms(changing.calibration(0).reconstructor()(changing.pixels(index)).views) for index in (0, 1)]
     with xr.open_dataset(out / "result.nc") as shown:
         assert any(np.allclose(shown["rms"], each, rtol=1e-3) for each in expected)
+
+
+@pytest.mark.timeout(100)  # it would wait 120 s for a first wavefront
+def test_replay_that_can_show_no_wavefront_ends_at_once(
+    changing: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(changing.folder, tmp_path / "run")
+    (folder / "calibrations" / "0" / "camera.json").write_text('{"full_scale": 10}')
+    arguments = ("--replay", folder, "--frames", "0:1", "--seconds", "0.5", "--out", tmp_path / "out")
+    assert run(monkeypatch, "live", *arguments) == 1
+    errors = capsys.readouterr().err
+    assert errors.startswith("svwfs: no wavefront: ")
+    assert "saturated" in errors
 
 
 def test_frames_option_needs_a_recording(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
