@@ -4,7 +4,6 @@ The camera numbers the frames: lost packets and missing buffers show as gaps. Th
 and the EM gain is 1. Not yet tried on a real camera; the tests use Aravis's fake camera, over UDP.
 """
 
-import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from drivers.device import Property
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported
 from drivers.frame import Frame, Region
 from drivers.genicam.connection import GenicamConnection
+from drivers.genicam.digitiser import FEATURES, set_digitiser
 from drivers.genicam.discovery import choose
 from drivers.genicam.exposure import ExposureTime
 from drivers.genicam.frames import ExposureLog, FrameCount
@@ -40,12 +40,10 @@ from drivers.genicam.trigger import INTERNAL, set_trigger, sources, trigger
 from drivers.range import Range
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
-# features with the depth of the digitiser, such as "Bit12", "Bpp12" or "12"
-_DIGITISERS: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")
 # properties, if the camera has them
 _PROPERTIES_AS_TEXT: Final = (
     *("DeviceVersion", "DeviceFirmwareVersion", "DeviceUserID", "BinningHorizontalMode", "BinningVerticalMode"),
-    *_DIGITISERS,
+    *FEATURES,
     *RESETS,
 )
 _PROPERTIES_AS_NUMBER: Final = ("DeviceTemperature", "BlackLevel")
@@ -111,12 +109,12 @@ class GenicamCamera(Camera):
         """Set the format of the settings, or the one that suits the digitiser best."""
         line, settings = self._line, self._settings
         offered = line.choices("PixelFormat")
-        texts = (line.optional_text(feature) or "" for feature in _DIGITISERS)
-        digitiser_bits = next((int(found.group()) for text in texts if (found := re.search(r"\d+$", text))), None)
+        asked = PIXEL_FORMATS.get(settings.pixel_format)
+        digitiser_bits = set_digitiser(line, asked.bits if asked else 16)
         best = preferred_format(offered, digitiser_bits)
         if best is None:
             raise Unsupported(f"{self.name} offers {', '.join(offered) or 'no pixel format'}: a grey camera is needed")
-        self._format: PixelFormat = PIXEL_FORMATS[settings.pixel_format] if settings.pixel_format else best
+        self._format: PixelFormat = asked or best
         if self._format.name not in offered:
             usable = ", ".join(name for name in PIXEL_FORMATS if name in offered)
             raise BadValue(f"pixel_format = {self._format.name} is not one of {usable}, which {self.name} sends")

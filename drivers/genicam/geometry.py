@@ -1,12 +1,12 @@
 """Binning and region of a GenICam camera."""
 
 import math
-import re
 from typing import Final
 
 from drivers.errors import BadValue, Unsupported
 from drivers.frame import Region
 from drivers.genicam.connection import GenicamConnection
+from drivers.genicam.digitiser import trailing_number
 
 _LARGEST_BINNING: Final = 64
 _AXES: Final = ("BinningVertical", "BinningHorizontal")  # in this order: on some, the horizontal one only follows
@@ -86,13 +86,13 @@ class Geometry:
         )
 
     def _axis_binning(self, axis: str) -> int:
-        return _number(self._line.optional_text(axis) or "") or 1
+        return trailing_number(self._line.optional_text(axis) or "") or 1
 
     def _values(self, axis: str) -> dict[int, str]:
         """Binnings of an axis with their text: numbers, or choices such as X2."""
         choices = self._line.attempt(lambda: self._line.choices(axis))
         if choices is not None:
-            return {number: choice for choice in choices if (number := _number(choice))}
+            return {number: choice for choice in choices if (number := trailing_number(choice))}
         low, high, step = self._line.integer_bounds(axis)
         return {number: str(number) for number in range(max(low, 1), min(high, _LARGEST_BINNING) + 1, step)}
 
@@ -110,9 +110,3 @@ class Geometry:
         if side.startswith("Offset") and not self.has_offsets:
             return 1
         return self._line.integer_bounds(side)[2]
-
-
-def _number(text: str) -> int:
-    """Number at the end of a text; 0 if there is none."""
-    found = re.search(r"\d+$", text)
-    return int(found.group()) if found else 0

@@ -304,18 +304,33 @@ def test_unpadded_format_is_chosen(make: Callable[[], Model], name: str, peer: C
 
 
 @pytest.mark.parametrize(
-    ("feature", "depth", "name"),
+    ("feature", "depths", "asked", "name", "depth"),
     [
-        ("AdcBitDepth", "Bit10", "Mono10p"),
-        ("SensorBitDepth", "Bpp12", "Mono12p"),
-        ("SensorBitDepth", "Adaptive", "Mono12p"),
-        ("BslSensorBitDepth", "Bpp10", "Mono10p"),
+        ("AdcBitDepth", ("Bit8", "Bit10", "Bit12"), "", "Mono12p", "Bit12"),
+        ("AdcBitDepth", ("Bit8", "Bit10", "Bit12"), "Mono8", "Mono8", "Bit8"),
+        ("AdcBitDepth", ("Bit8", "Bit10"), "", "Mono10p", "Bit10"),
+        ("SensorBitDepth", ("Adaptive", "Bpp8", "Bpp12"), "", "Mono12p", "Bpp12"),
+        ("SensorBitDepth", ("Adaptive",), "", "Mono12p", "Adaptive"),
+        ("BslSensorBitDepth", ("Bpp12", "Bpp10"), "Mono10p", "Mono10p", "Bpp10"),
     ],
 )
-def test_format_suits_the_digitiser(feature: str, depth: str, name: str, peer: Callable[[Model], GigeCamera]) -> None:
+def test_digitiser_suits_the_format(
+    feature: str, depths: tuple[str, ...], asked: str, name: str, depth: str, peer: Callable[[Model], GigeCamera]
+) -> None:
     of = usual(("Mono8", "Mono16", "Mono10p", "Mono12p"))
     of.number("ExposureTime", 9000, 10, 1e6)
-    of.enumeration(feature, depth, {depth: 1})
+    of.enumeration(feature, depths[0], {depth: i for i, depth in enumerate(depths)})
+    peer(Model("Maker", "Model", of))
+    with GenicamCamera(replace(SETTINGS, pixel_format=asked)) as camera:
+        properties = camera.properties()
+        assert (properties["pixel_format"], properties[feature]) == (name, depth)
+
+
+@pytest.mark.parametrize(("depth", "name"), [("Bit10", "Mono10p"), ("Bit12", "Mono12p")])
+def test_format_suits_a_fixed_digitiser(depth: str, name: str, peer: Callable[[Model], GigeCamera]) -> None:
+    of = usual(("Mono8", "Mono16", "Mono10p", "Mono12p"))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    of.enumeration("AdcBitDepth", depth, {"Bit10": 0, "Bit12": 1}, more="<ImposedAccessMode>RO</ImposedAccessMode>")
     peer(Model("Maker", "Model", of))
     with GenicamCamera(SETTINGS) as camera:
         assert camera.properties()["pixel_format"] == name
