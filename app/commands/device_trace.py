@@ -57,7 +57,10 @@ class Trace:
 
 def serial_numbers(name: str, settings: Mapping[str, object], properties: Mapping[str, Property]) -> frozenset[str]:
     """Texts that identify this one device rather than its model."""
-    found = {str(settings.get(key) or "") for key in ("device", "serial_number")}
+    keys = (
+        ("serial_number",) if "adapter" in settings else ("device", "serial_number")
+    )  # an adapter's device is a model
+    found = {str(settings.get(key) or "") for key in keys}
     found |= {str(value) for key, value in properties.items() if any(own in key.lower() for own in _OWN_KEYS)}
     for text in (name, *properties.values()):
         if isinstance(text, str) and not _is_number(text):

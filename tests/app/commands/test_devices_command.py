@@ -158,6 +158,8 @@ def test_only_serial_numbers_count_as_such() -> None:
     }
     found = serial_numbers("Hamamatsu C9100-23B, serial 000123", {"device": "0", "exposure_s": 0.01}, properties)
     assert found == {"21735912", "bench of Ann", "M00412345", "000123"}
+    assert serial_numbers("", {"device": "S/N 1"}, {}) == {"S/N 1"}
+    assert not serial_numbers("", {"adapter": "DemoCamera", "device": "DCam"}, {})  # a model
 
 
 def test_trace_notes_last_calls_and_answers() -> None:
