@@ -3,7 +3,6 @@
 import logging
 import math
 import os
-import re
 import secrets
 import sys
 from collections.abc import Iterable, Iterator
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 from app.errors import InputError, RunError
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
-_SHORT_WRITE = re.compile(r"\d+ requested and \d+ written")
 _MOST_COUNTS = 1e12
 _MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
 
@@ -71,8 +69,6 @@ def check_readable(path: Path) -> None:
 def in_words(error: BaseException) -> str:
     """Say in one line why something failed."""
     text = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
-    if _SHORT_WRITE.fullmatch(text):  # NumPy says no more
-        text = "not all could be written: is the disk full?"
     return " ".join(text.split()) or type(error).__name__
 
 

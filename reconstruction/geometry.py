@@ -66,6 +66,11 @@ class Sensor:
         return self.pixel_pitch_m * self.wavenumber_rad_per_m / self.lenslet_focal_length_m
 
     @property
+    def blur_px(self) -> float:
+        """Distance from its peak at which the image of a point first vanishes, px."""
+        return self.wavelength_m * self.lenslet_focal_length_m / self.lenslet_pitch_m / self.pixel_pitch_m
+
+    @property
     def pupil_half_width_m(self) -> tuple[float, float]:
         """Half the width of the lattice along x and y, where the normalised pupil position is 1."""
         return self.lenslet_columns * self.lenslet_pitch_m / 2, self.lenslet_rows * self.lenslet_pitch_m / 2

@@ -8,7 +8,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image, Mask
-from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, RegistrationMethod
+from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
@@ -29,6 +29,7 @@ from reconstruction.warp_choice import CHOSEN_WARPS, expected_error_rad2
 from reconstruction.wavefront import Solution, Wavefront
 
 _SATURATED_FRACTION = 0.01  # of the frame's pixels; with more, the frame is rejected
+_DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing matches has no light
 _BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 
 
@@ -132,10 +133,8 @@ class Reconstructor:
         light, saturated = self._light(frame, "frame")
         displacement = self._register(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
-            left = np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL)
-            why = "is the light on?"
-            if left > displacement.outcome.size / 4:
-                why = f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
+            is_dark = light.std() < _DARK_CONTRAST * self.subimages.light.std()
+            why = "is the light on?" if is_dark else _why_lost(displacement.outcome)
             raise ReconstructionError(
                 f"no lenslet of the frame could be matched with the reference: {why}", image="frame"
             )
@@ -256,6 +255,14 @@ class Reconstructor:
         if np.issubdtype(image.dtype, np.integer):
             return np.asarray(image >= math.ceil(self._full_scale))  # 7x faster than comparing with a float
         return np.asarray(image >= self._full_scale)
+
+
+def _why_lost(outcome: Outcomes) -> str:
+    """Probable cause, if nearly all lenslets are lost."""
+    left, diverged = (np.count_nonzero(outcome == reason) for reason in (Outcome.LEFT_CELL, Outcome.DIVERGED))
+    if left > outcome.size / 4:
+        return f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
+    return f"{diverged} subimages look different: another mask, out of focus, moved or partly blocked?"
 
 
 def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:

@@ -7,12 +7,12 @@ be coarse. A round is kept if it brings the modelled displacements closer to the
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from reconstruction.arrays import Floats, Image
+from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.modes.pupil_modes import PupilGrid, pupil_modes
@@ -45,6 +45,15 @@ class Bias:
     displacement: Floats  # measured minus expected, px, (lenslet_row, lenslet_column, field_mode, xy)
     modelled: Floats  # displacements of the model's image, px, as `displacement`; NaN where lost
     views: Floats  # the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column)
+
+    def explains(self, displacement: Displacement) -> bool:
+        """True if measured displacements are closer to the modelled than to the expected ones.
+
+        `displacement` is that of the bias's wavefront, before any bias was subtracted.
+        """
+        known = _known(displacement, self)
+        expected = replace(self, modelled=self.modelled - self.displacement)
+        return _misfit_px(displacement, self, known) < _misfit_px(displacement, expected, known)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,18 +91,18 @@ class Refinement:
     def rounds(self, displacement: Displacement, most: int) -> Iterator[Round]:
         """Refine displacements in at most `most` rounds; stop before a round that fits the measured ones worse."""
         bias = self.bias(self._reconstructor.solve(displacement))
-        misfit_px = _misfit_px(displacement, bias)
         for _ in range(most):
             wavefront = self._reconstructor.solve(displacement, bias=bias.displacement)
             following = self.bias(wavefront)
-            following_px = _misfit_px(displacement, following)
-            if not following_px < misfit_px:
+            common = _known(displacement, bias, following)
+            misfit_px = _misfit_px(displacement, following, common)
+            if not misfit_px < _misfit_px(displacement, bias, common):
                 return
             change_rad = distance_rad(wavefront.views, bias.views)
-            yield Round(wavefront, bias, change_rad, following_px)
+            yield Round(wavefront, bias, change_rad, misfit_px)
             if change_rad < _SETTLED_RAD:
                 return
-            bias, misfit_px = following, following_px
+            bias = following
 
     def _phase(self, coefficients: Floats, modes: FieldModes) -> PointPhase:
         half_width_m = self._reconstructor.field.half_width_m
@@ -104,11 +113,18 @@ class Refinement:
         return phase
 
 
-def _misfit_px(displacement: Displacement, bias: Bias) -> float:
-    """RMS difference of measured and modelled displacements over the lenslets that both have."""
-    square = (displacement.coefficients - bias.modelled) ** 2
-    known = np.isfinite(square)
-    return float(np.sqrt(np.mean(square[known]))) if known.any() else np.inf
+def _known(displacement: Displacement, *biases: Bias) -> Mask:
+    """Lenslets whose measured and modelled displacements are all known, (lenslet_row, lenslet_column)."""
+    known = displacement.valid
+    for bias in biases:
+        known = known & np.isfinite(bias.modelled).all(axis=(2, 3))
+    return known
+
+
+def _misfit_px(displacement: Displacement, bias: Bias, lenslets: Mask) -> float:
+    """RMS difference of measured and modelled displacements over some lenslets; infinite over none."""
+    misfit = (displacement.coefficients - bias.modelled)[lenslets]
+    return float(np.sqrt(np.mean(misfit**2))) if misfit.size else np.inf
 
 
 def distance_rad(one: Floats, other: Floats) -> float:

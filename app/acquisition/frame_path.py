@@ -12,6 +12,7 @@ from app.timing import Timings
 from drivers.interface import DeviceTimeout, Frame, FrameLost
 
 _SKIPPING_S = 0.5  # time limit for skipping frames that arrive faster than they can be skipped
+_CLOCK_DRIFT = 5e-4  # rate of the camera's clock beside this computer's, at most
 _OLD_S = 0.1  # an older frame is skipped if there is a newer one
 
 
@@ -30,6 +31,7 @@ class FramePath:
         self.counts = FrameTotals()  # immutable: other threads read it
         self._next_index = 0
         self._clock_lag_s = math.inf  # this computer's clock minus the camera's
+        self._updated_s = -math.inf
 
     def acquire(self, instrument: Instrument, light: LightState | None) -> None:
         """Read one frame, reconstruct it and pass it on; `Cancelled` if the wait was stopped."""
@@ -85,6 +87,7 @@ class FramePath:
             start=made.start,
             registered=made.registered,
             light=light,
+            quality=made.quality,
         )
 
     def _count(self, frame: Frame) -> None:
@@ -96,8 +99,11 @@ class FramePath:
         self._update_clock(frame)
 
     def _update_clock(self, frame: Frame) -> None:
-        """Update the clock difference; the smallest delay seen belongs to the fastest transfer."""
-        self._clock_lag_s = min(self._clock_lag_s, frame.host_time_s - frame.camera_time_s)
+        """Update the clock difference; the smallest delay seen belongs to the fastest transfer, until clocks drift."""
+        elapsed_s = max(frame.host_time_s - self._updated_s, 0.0)
+        self._updated_s = frame.host_time_s
+        allowed_s = self._clock_lag_s + _CLOCK_DRIFT * elapsed_s
+        self._clock_lag_s = min(allowed_s, frame.host_time_s - frame.camera_time_s)
 
     def _exposure_end_s(self, frame: Frame) -> float:
         """End of the exposure on this computer's clock, `time.perf_counter()`."""

@@ -24,6 +24,9 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.pipeline import Reconstructor
+from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.sequence import sequence_quality
+from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 Validity = Literal["missing", "doubtful", "good"]  # of a dark or a reference
@@ -82,6 +85,7 @@ class Reconstruction:
     start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
     registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
     refinement: RefinementState = RefinementState()
+    quality: Quality = Quality()
 
 
 class Instrument:
@@ -99,7 +103,9 @@ class Instrument:
         self._lattice = bench.lattice
         self._reconstructor: Reconstructor | None = None
         self._refinement: LiveRefinement | None = None
+        self._judge: FrameJudge | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
+        self._previous: Frame | None = None
         self._problem = "no reference yet: take the sample out and take one"
 
     def properties(self) -> dict[str, dict[str, Property]]:
@@ -113,7 +119,7 @@ class Instrument:
         now = Circumstances.of(self.devices)
         problem = self._problem if self._reconstructor is None else ""
         of_dark, of_reference = self._doubt_of_dark(now), self._doubt_of_reference(now)
-        of_response = "" if self._reconstructor is None else self._reconstructor.response_problem
+        of_images = "" if self._judge is None else self._judge.of_reference.sentence
         return Status(
             bench=self.bench,
             camera_name=camera.name,
@@ -134,7 +140,7 @@ class Instrument:
             dark=_validity(self.dark, of_dark),
             reference=_validity(self.reference, problem or of_reference),
             lattice=self._lattice,
-            warning=problem or of_dark or of_reference or of_response,
+            warning=problem or of_dark or of_reference or of_images,
             temperature_c=camera.temperature_c,
         )
 
@@ -212,20 +218,23 @@ class Instrument:
     def measure(self, frame: Frame) -> Reconstruction:
         """Reconstruct a frame, or say why that is impossible."""
         calibration, start = self.calibration, self._before
-        if self._reconstructor is None:
+        previous, self._previous = self._previous, frame
+        if self._reconstructor is None or self._judge is None:
             return Reconstruction(None, self._problem)
         try:
             with self._timings.of("register"):
                 registered = self._reconstructor.register(frame.pixels, start=start)
             with self._timings.of("reconstruct"):
                 wavefront, refinement = self._solve(self._reconstructor, registered, frame.camera_time_s)
+                quality = self._judge(frame.pixels, wavefront.displacement) | _beside(previous, frame)
         except ReconstructionError as error:
             return Reconstruction(None, str(error), calibration, start)
         self._before = registered
-        return Reconstruction(wavefront, "", calibration, start, registered, refinement)
+        return Reconstruction(wavefront, "", calibration, start, registered, refinement, quality)
 
     def skip(self, frame: Frame) -> Reconstruction:
         """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's correction."""
+        self._previous = frame
         refinement = RefinementState() if self._refinement is None else self._refinement.as_before(frame.camera_time_s)
         return Reconstruction(None, SKIPPED, self.calibration, refinement=refinement)
 
@@ -244,7 +253,7 @@ class Instrument:
 
     def _prepare(self) -> None:
         """Rebuild the reconstructor, the camera paused; a failure becomes the warning in the status."""
-        self.calibration = self._reconstructor = self._before = None
+        self.calibration = self._reconstructor = self._judge = self._before = None
         self.close()
         if self.reference is None:
             return
@@ -258,6 +267,7 @@ class Instrument:
                 calibration = Calibration.of(bench, dark, self.reference, camera.capabilities.full_scale)
                 self._lattice = calibration.lattice
                 self._reconstructor = calibration.reconstructor()
+                self._judge = calibration.judge(self._reconstructor)
                 self.calibration = calibration
                 if bench.reconstruction.refine:
                     self._refinement = LiveRefinement(bench, self._reconstructor)
@@ -271,6 +281,13 @@ class Instrument:
     def _doubt_of_reference(self, now: Circumstances) -> str:
         """Why the reference does not fit the current frames; empty if it does."""
         return _doubt("reference", self._reference_taken, now, is_lit=True)
+
+
+def _beside(previous: Frame | None, frame: Frame) -> Quality:
+    """Quality of a frame beside the one before; the camera counts from 0 after a restart."""
+    if previous is None or frame.index <= previous.index:
+        return Quality()
+    return sequence_quality(previous.pixels, frame.pixels, frame.camera_time_s - previous.camera_time_s)
 
 
 def _as_averaged(now: Circumstances, average: Average) -> Circumstances:

@@ -113,7 +113,7 @@ def reconstruct(
             frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress
         )
     inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
-    dataset = result_dataset(reconstructed.wavefront, with_psf=True).assign_attrs(
+    dataset = result_dataset(reconstructed.wavefront, reconstructed.quality, with_psf=True).assign_attrs(
         refinement_rounds=len(reconstructed.changes_rad)
     )
     write_results(out, dataset, bench=reconstructed.bench, inputs=inputs)
@@ -122,5 +122,5 @@ def reconstruct(
     print_views(reconstructed.wavefront)
     if refine:
         print_refinement(reconstructed.changes_rad)
-    if reconstructed.response_problem:
-        print_warning(f"less accurate: {reconstructed.response_problem}")
+    for reason in reconstructed.quality.reasons.values():
+        print_warning(f"doubtful: {reason}")

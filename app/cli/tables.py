@@ -13,6 +13,7 @@ from rich.table import Table
 
 from app.evaluation.selftest import Check
 from app.recording.recover import Recovered
+from app.results.quality import QualityTally
 from app.results.recording_results import Measured
 from app.results.replay.run import Replay
 from app.results.report.residual import Residual
@@ -54,6 +55,7 @@ def print_measurement(measured: Measured, out: Path) -> None:
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
         _print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
+    print_quality(measured.quality)
     counts = f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}"
     Console().print(counts, markup=False)
 
@@ -87,9 +89,16 @@ def print_replay(made: Replay) -> None:
         console.print(f"{made.unrefined} frames were refined when they were recorded; with this bench they are not")
     if made.verification is not None:
         console.print(made.verification.sentence, markup=False, highlight=False, soft_wrap=True)
+    print_quality(made.quality)
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
     console.print(f"{made.frames} frames{why}", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_quality(quality: QualityTally) -> None:
+    """Print a warning for each fault of the frames."""
+    for sentence in quality.sentences:
+        print_warning(f"doubtful: {sentence}")
 
 
 def print_residual(residual: Residual) -> None:
@@ -128,9 +137,13 @@ def _print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> 
     table.add_column("y \\ x (mm)", justify="right")
     for x_m in field.view_x_m:
         table.add_column(f"{x_m * 1e3:+.2f}", justify="right")
-    for y_m, row in zip(field.view_y_m, cells, strict=True):
-        table.add_row(f"{y_m * 1e3:+.2f}", *row)
+    inside = field.contains(field.view_x_m / field.half_width_m, field.view_y_m[:, None] / field.half_width_m)
+    for y_m, row, is_inside in zip(field.view_y_m, cells, inside, strict=True):
+        texts = (cell if lies else "outside" for cell, lies in zip(row, is_inside, strict=True))
+        table.add_row(f"{y_m * 1e3:+.2f}", *texts)
     Console().print(table)
+    if not inside.all():
+        Console().print("outside: these views lie outside the circular field")
 
 
 def _print_rotation(rotation: Circulation, *, rotates: bool) -> None:

@@ -42,7 +42,8 @@ def live_window(
     def finish(measurement: Measurement) -> None:
         _write_run(run, made[-1])
         if measurement.wavefront is not None:
-            write_results(results, result_dataset(measurement.wavefront), bench=bench, inputs={})
+            dataset = result_dataset(measurement.wavefront, measurement.quality)
+            write_results(results, dataset, bench=bench, inputs={})
 
     with stream_sinks(bench) as sinks:
 

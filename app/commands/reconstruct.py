@@ -13,6 +13,7 @@ from app.files import read_image
 from app.measurement.bench_reconstructor import BenchReconstructor, full_scale_of
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError
+from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 
@@ -23,7 +24,7 @@ class Reconstructed:
     wavefront: Wavefront
     bench: Bench  # with the lattice in force
     changes_rad: tuple[float, ...]  # RMS change by each round of refinement, mean over the views
-    response_problem: str  # why the response of the registration is not used; empty if it is, or was not wanted
+    quality: Quality
 
 
 def reconstruct_files(
@@ -46,7 +47,7 @@ def reconstruct_files(
                 f"{frame}: holds {frame_image.dtype} values, which cannot be as large as those of the reference"
                 f" {reference}: save both in the same form"
             )
-        reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image, full_scale=most)
+        reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image, full_scale=most, frame=frame_image)
         wavefront = reconstructor(frame_image)
         changes_rad = []
         if refine:
@@ -55,7 +56,8 @@ def reconstruct_files(
                 wavefront = step.wavefront
                 changes_rad.append(step.change_rad)
                 progress("refining", done / refine)
-        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), reconstructor.response_problem)
+        quality = reconstructor.quality(frame_image, wavefront)
+        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), quality)
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
 

@@ -150,12 +150,10 @@ class MainWindow(QMainWindow):
         activity = Activity() if acquisition is None else acquisition.activity
         is_live = status is not None and status.is_running and not activity.text
         live = measurement if is_live else None
-        problem, wavefront = ("", None) if live is None else (live.problem, live.wavefront)
-        self.messages.show_state(
-            failure=self._failure,
-            warning="" if status is None or activity.text else warning(status, problem, wavefront),
-            advice=advice(status, activity, measurement),
-        )
+        alarm = ""
+        if status is not None and not activity.text:
+            alarm = warning(status) if live is None else warning(status, live.problem, live.wavefront, live.quality)
+        self.messages.show_state(failure=self._failure, warning=alarm, advice=advice(status, activity, measurement))
 
     def save_screenshot(self, path: Path | None = None) -> bool:
         """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""

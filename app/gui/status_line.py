@@ -108,6 +108,7 @@ class StatusLine(QWidget):
             "preparing": ("computing", "", theme.TEXT),
             "applied": (f"{refinement.age_s:.1f} s old", change, theme.GREEN),
             "moved": ("rejected", f"{change}: too much to apply it", theme.AMBER),
+            "worse": ("rejected", "It brings the model no closer to the measurement", theme.AMBER),
             "failed": ("failed", refinement.problem, theme.RED),
         }[refinement.stage]
         self.correction.setText(text)

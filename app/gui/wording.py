@@ -12,6 +12,7 @@ from app.recording.recorder import RecordingState
 from app.results.rotation import ROTATES, rotation_of
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.lattice.search import Survey
+from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 LOST_REASONS = {
@@ -25,15 +26,23 @@ LOST_REASONS = {
 _SLOW_S = 1.0  # a frame shown for longer is explained
 
 
-def warning(status: Status, problem: str, wavefront: Wavefront | None = None) -> str:
+def warning(
+    status: Status,
+    problem: str = "",
+    wavefront: Wavefront | None = None,
+    quality: Quality = Quality(),  # noqa: B008
+) -> str:
     """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
 
-    A `problem` of the newest frame comes first, subimages of its `wavefront` that rotate come last.
+    A `problem` of the newest frame comes first, then its `quality`; subimages of its `wavefront` that rotate come last.
     """
     if problem not in {"", status.warning}:
         return problem
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
     keys = ", ".join(key for key, validity in stale if validity != "good")
+    own = "" if status.warning in quality.sentence else status.warning
+    if quality.reasons:
+        return "; ".join(filter(None, (quality.sentence, own)))
     if not status.warning and wavefront is not None:
         rotation = rotation_of(wavefront)
         return ROTATES if rotation is not None and rotation.contradicts_layers else ""

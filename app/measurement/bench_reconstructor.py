@@ -2,6 +2,7 @@
 
 import operator
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, cast
@@ -12,9 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel
 from app.errors import InputError
+from app.measurement.judging import frame_judge
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
+from reconstruction.frame.noise import CameraNoise, image_noise
+from reconstruction.geometry import Sensor
 from reconstruction.lattice.search import survey
+from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.verdict import Quality
 from reconstruction.refinement import Refinement, Round
 from reconstruction.wavefront import Wavefront
 
@@ -32,6 +39,8 @@ class BenchReconstructor:
         Frame without light, (row, column), counts. Without one, the darkest percent of each image is the background.
     full_scale
         Count at which a pixel saturates; by default see `full_scale_of`.
+    frame
+        A frame with the sample. With it, the camera's noise is estimated from frame and reference.
 
     Raises
     ------
@@ -40,22 +49,34 @@ class BenchReconstructor:
     """
 
     def __init__(
-        self, bench: Bench, reference: Counts, *, dark: Counts | None = None, full_scale: float | None = None
+        self,
+        bench: Bench,
+        reference: Counts,
+        *,
+        dark: Counts | None = None,
+        full_scale: float | None = None,
+        frame: Counts | None = None,
     ) -> None:
         reference, dark = as_image(reference, "reference"), None if dark is None else as_image(dark, "dark")
         most = full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale
         lattice = bench.lattice or survey(reference, bench.sensor, dark=dark, full_scale=most).lattice
+        self._reference, self._dark, self._full_scale = reference, dark, most
+        self._is_lattice_given = bench.lattice is not None
         self.bench = replace(bench, lattice=lattice)
-        self._reconstructor = bench.reconstructor(reference, lattice=lattice, dark=dark, full_scale=most)
+        noise, frames = (
+            (None, np.inf) if frame is None else _noise(bench.sensor, as_image(frame, "frame"), reference, dark)
+        )
+        self._reconstructor = bench.reconstructor(
+            reference, lattice=lattice, dark=dark, full_scale=most, noise=noise, reference_frames=frames
+        )
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
         return self._reconstructor(as_image(frame, "frame"))
 
-    @property
-    def response_problem(self) -> str:
-        """Why the response of the registration is not used; empty if it is, or was not wanted."""
-        return self._reconstructor.response_problem
+    def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
+        """Judge a frame (row, column), counts, by its wavefront."""
+        return self._judge(as_image(frame, "frame"), wavefront.displacement)
 
     def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
@@ -64,11 +85,34 @@ class BenchReconstructor:
         return self._refinement.rounds(self._reconstructor.register(as_image(frame, "frame")), most)
 
     @cached_property
+    def _judge(self) -> FrameJudge:
+        shown, sensor = None, self.bench.sensor
+        if self._is_lattice_given:
+            with suppress(ReconstructionError):  # a few lit lenslets show no lattice
+                shown = survey(self._reference, sensor, dark=self._dark, full_scale=self._full_scale).lattice
+        return frame_judge(self._reconstructor, self._reference, shown=shown, dark=self._dark)
+
+    @cached_property
     def _refinement(self) -> Refinement:
         try:
             return Refinement(self._reconstructor, BenchModel(self.bench, self._reconstructor))
         except ValueError as error:  # the reference does not allow a model
             raise ReconstructionError(str(error), image="reference") from error
+
+
+def _noise(sensor: Sensor, frame: Counts, reference: Counts, dark: Counts | None) -> tuple[CameraNoise | None, float]:
+    """Noise of a frame, None if it cannot be seen, and the number of frames averaged in the reference."""
+    found = []
+    if dark is not None and dark.shape != reference.shape:
+        dark = None  # refused later
+    bad = find_bad_pixels(reference, dark)
+    for image in (frame, reference):
+        light = np.asarray(image - np.float32(np.min(image)) if dark is None else image - dark, np.float32)
+        found.append(image_noise(repaired(light, bad) if light.shape == bad.shape else light, sensor.blur_px))
+    of_frame, of_reference = found
+    if of_frame is None or of_reference is None:
+        return of_frame, np.inf
+    return of_frame, max(of_frame.counts_per_electron / of_reference.counts_per_electron, 1.0)
 
 
 def as_image(image: ArrayLike, what: str) -> Counts:

@@ -7,13 +7,17 @@ all that its frames refer to.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from app.bench.config import Bench
+from app.measurement.judging import frame_judge
 from app.measurement.routines.averages import Average
+from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise, photon_transfer
-from reconstruction.geometry import Lattice
+from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.pipeline import Reconstructor
+from reconstruction.quality.frame_quality import FrameJudge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +47,21 @@ class Calibration:
             reference_frames=self.reference.frames,
         )
 
+    def judge(self, reconstructor: Reconstructor) -> FrameJudge:
+        """Judge the calibration, and prepare the judgement of frames reconstructed by `reconstructor`."""
+        dark, reference = self.dark, self.reference
+        shown = None
+        if self.bench.lattice is not None:
+            shown = _shown_lattice(dark, reference, self.bench.sensor, self.full_scale)
+        return frame_judge(
+            reconstructor,
+            reference.mean,
+            shown=shown,
+            dark=None if dark is None else dark.mean,
+            variance=reference.variance,
+            frames=reference.frames,
+        )
+
     def noise(self) -> CameraNoise | None:
         """Camera noise from the scatter of the averaged frames; None without a dark."""
         dark, reference = self.dark, self.reference
@@ -51,6 +70,16 @@ class Calibration:
         return photon_transfer(
             reference.mean - dark.mean, reference.variance, frames=reference.frames, dark_variance=dark.variance
         )
+
+
+@lru_cache(maxsize=4)  # another setting does not change it
+def _shown_lattice(dark: Average | None, reference: Average, sensor: Sensor, full_scale: float) -> Lattice | None:
+    """The lattice that the reference shows; None if it shows none."""
+    try:
+        mean = None if dark is None else dark.mean
+        return survey(reference.mean, sensor, dark=mean, full_scale=full_scale).lattice
+    except ReconstructionError:
+        return None
 
 
 def surveyed(bench: Bench, dark: Average | None, reference: Average, full_scale: float) -> Survey:

@@ -1,7 +1,8 @@
 """Live refinement: a low-priority thread estimates the bias, and the newest bias corrects every frame.
 
 A round takes some tenths of a second. If the wavefront has changed much meanwhile, the old bias would do harm: frames
-stay uncorrected until the next one is found.
+stay uncorrected until the next one is found. So they do near a wavefront at which the corrected displacements, modelled
+again, did not come closer to the measured ones.
 """
 
 import math
@@ -9,7 +10,7 @@ import os
 import sys
 import threading
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel
@@ -25,7 +26,7 @@ _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _NICENESS = 10
 _WAIT_S = 0.2
 
-RefinementStage = Literal["off", "preparing", "applied", "moved", "failed"]
+RefinementStage = Literal["off", "preparing", "applied", "moved", "worse", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +40,31 @@ class RefinementState:
     bias: Floats | None = field(default=None, compare=False, repr=False)  # as applied, px; see `Reconstructor.solve`
 
 
+class _Refined(NamedTuple):
+    """A frame's result."""
+
+    wavefront: Wavefront
+    measured: Displacement  # before the bias
+    time_s: float
+    stage: RefinementStage
+
+
+class _Found(NamedTuple):
+    """A bias, and whether corrections near it help."""
+
+    bias: Bias
+    time_s: float
+    helps: bool
+
+
 class LiveRefinement:
     """Refinement of one reconstructor's frames; its thread ends soon after `close`."""
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor) -> None:
         """Build the model, which blocks all threads for some tenths of a second, and start the thread."""
         self._reconstructor = reconstructor
-        self._newest: tuple[Wavefront, float] | None = None  # one slot each way, written by one thread
-        self._bias: tuple[Bias, float] | None = None
+        self._newest: _Refined | None = None  # one slot each way, written by one thread
+        self._bias: _Found | None = None
         self._problem = ""
         self._state = RefinementState("preparing")  # of the previous frame
         self._something_new, self._closing = threading.Event(), threading.Event()
@@ -68,20 +86,17 @@ class LiveRefinement:
             wavefront = self._reconstructor.solve(displacement)
             state = RefinementState("failed" if self._problem else "preparing", problem=self._problem)
         else:
-            bias, found_s = newest
+            bias = newest.bias
             wavefront = self._reconstructor.solve(displacement, bias=bias.displacement)
             moved_rad = distance_rad(wavefront.views, bias.views)
-            limit_rad = max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(bias.views))
-            is_near = moved_rad <= limit_rad
-            if not is_near:
+            stage: RefinementStage = "applied" if newest.helps else "worse"
+            if moved_rad > max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(bias.views)):
+                stage = "moved"
+            if stage != "applied":
                 wavefront = self._reconstructor.solve(displacement)
-            state = RefinementState(
-                "applied" if is_near else "moved",
-                time_s - found_s,
-                moved_rad,
-                bias=bias.displacement if is_near else None,
-            )
-        self._newest, self._state = (wavefront, time_s), state
+            applied = bias.displacement if stage == "applied" else None
+            state = RefinementState(stage, time_s - newest.time_s, moved_rad, bias=applied)
+        self._newest, self._state = _Refined(wavefront, displacement, time_s, state.stage), state
         self._something_new.set()
         return wavefront, state
 
@@ -89,7 +104,7 @@ class LiveRefinement:
         """Return the previous frame's correction, for a skipped frame exposed at `time_s`."""
         if self._newest is None:
             return self._state
-        return replace(self._state, age_s=self._state.age_s + time_s - self._newest[1])
+        return replace(self._state, age_s=self._state.age_s + time_s - self._newest.time_s)
 
     def _work(self, model: BenchModel) -> None:
         """Estimate the bias of the newest wavefront repeatedly."""
@@ -100,9 +115,13 @@ class LiveRefinement:
             while not self._closing.is_set():
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
-                    wavefront, time_s = self._newest
+                    newest = self._newest
+                    if newest.stage == "worse":  # until the wavefront changes
+                        continue
                     try:
-                        self._bias = refinement.bias(wavefront), time_s
+                        bias = refinement.bias(newest.wavefront)
+                        helps = newest.stage != "applied" or bias.explains(newest.measured)
+                        self._bias = _Found(bias, newest.time_s, helps)
                     except ReconstructionError as error:  # the next wavefront may succeed
                         self._problem = str(error)
         except Exception as error:

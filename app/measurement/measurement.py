@@ -6,6 +6,7 @@ from app.measurement.calibration import Calibration
 from app.measurement.live_refinement import RefinementState
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement
+from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 SKIPPED = "passed over: the computer was behind, and a newer frame was there"  # stored in recordings
@@ -43,3 +44,4 @@ class Measurement:
     start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
     registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
     light: LightState | None = None  # as last polled
+    quality: Quality = Quality()

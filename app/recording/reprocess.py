@@ -11,15 +11,19 @@ from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Counts, Floats
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.pipeline import Reconstructor
+from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.sequence import sequence_quality
+from reconstruction.quality.verdict import Quality
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront
 
 Change = Callable[[Calibration], Calibration]
+_Seen = tuple[FrameLine, Counts]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +36,7 @@ class Reprocessed:
     registered: Displacement | None  # before the bias
     calibration: Calibration | None  # after the change
     is_refined: bool = False  # whether a bias was subtracted
+    quality: Quality = Quality()
 
 
 def reprocess(
@@ -63,6 +68,7 @@ def reprocess(
     """
     in_force: _InForce | None = None
     before: Displacement | None = None
+    previous: _Seen | None = None
     with one_blas_thread():
         for index in range(len(recording)) if frames is None else frames:
             line = recording.line(index)
@@ -72,8 +78,9 @@ def reprocess(
             if in_force is None or line.calibration != in_force.number:
                 in_force, before = _InForce.of(recording, line.calibration, change), None
             start = _as_start(recording.start(index)) if in_force.registers_as_recorded else before
-            made = in_force.reconstruct(recording, line, start)
-            before = made.registered or before
+            pixels = recording.pixels(index)
+            made = in_force.reconstruct(recording, line, pixels, start, previous)
+            before, previous = made.registered or before, (line, pixels)
             yield made
 
 
@@ -84,6 +91,7 @@ class _InForce:
     number: int
     calibration: Calibration
     reconstructor: Reconstructor
+    judge: FrameJudge
     registers_as_recorded: bool
 
     @classmethod
@@ -92,20 +100,32 @@ class _InForce:
         try:
             calibration = recorded if change is None else change(recorded)
             same = _of_registration(calibration) == _of_registration(recorded)
-            return cls(number, calibration, calibration.reconstructor(), same)
+            reconstructor = calibration.reconstructor()
+            return cls(number, calibration, reconstructor, calibration.judge(reconstructor), same)
         except ReconstructionError as error:
             raise InputError(f"{recording.folder}: calibration {number} does not fit this bench: {error}") from error
 
-    def reconstruct(self, recording: Recording, line: FrameLine, start: Displacement | None) -> Reprocessed:
+    def reconstruct(
+        self, recording: Recording, line: FrameLine, pixels: Counts, start: Displacement | None, previous: _Seen | None
+    ) -> Reprocessed:
         try:
-            registered = self.reconstructor.register(recording.pixels(line.index), start=start)
+            registered = self.reconstructor.register(pixels, start=start)
             bias = recording.bias(line.bias) if self.registers_as_recorded and line.bias is not None else None
             if bias is not None and bias.shape != registered.coefficients.shape:
                 raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
             wavefront = self.reconstructor.solve(registered, bias=bias)
         except ReconstructionError as error:
             return Reprocessed(line, None, str(error), None, self.calibration)
-        return Reprocessed(line, wavefront, "", registered, self.calibration, is_refined=bias is not None)
+        quality = self.judge(pixels, wavefront.displacement) | _beside(previous, line, pixels)
+        is_refined = bias is not None
+        return Reprocessed(line, wavefront, "", registered, self.calibration, is_refined=is_refined, quality=quality)
+
+
+def _beside(previous: _Seen | None, line: FrameLine, pixels: Counts) -> Quality:
+    """Quality of a frame beside the recorded one before; the camera counts from 0 after a restart."""
+    if previous is None or previous[0].index + 1 != line.index or previous[0].camera_index >= line.camera_index:
+        return Quality()
+    return sequence_quality(previous[1], pixels, line.camera_time_s - previous[0].camera_time_s)
 
 
 def _of_registration(calibration: Calibration) -> object:

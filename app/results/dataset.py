@@ -17,11 +17,13 @@ from app.bench.config import Bench, write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, in_words
 from app.results.hdf_file import HdfFile
+from app.results.quality import quality_variable
 from app.results.rotation import rotation_variables
 from app.results.view_quality import Variable, about, point_spread, structure, transfer
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.quality.image_quality import psf
+from reconstruction.quality.verdict import Quality
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
@@ -36,7 +38,7 @@ _RANGE = "displacement of the field's edge over what the cell allows; above 1 it
 _CHI_SQUARE = "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"
 
 
-def result_dataset(wavefront: Wavefront, *, with_psf: bool = False) -> xr.Dataset:
+def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with_psf: bool = False) -> xr.Dataset:
     """Return all results of a wavefront, named as in docs/results.md; point-spread functions make them much larger."""
     displacement, solution = wavefront.displacement, wavefront.solution
     vectors, modes = (*_LENSLET, "field_mode", "xy"), ("pupil_mode", "field_mode")
@@ -60,6 +62,8 @@ def result_dataset(wavefront: Wavefront, *, with_psf: bool = False) -> xr.Datase
             "slope_chi_square": ((), chi_square, about("1", "reduced chi-square of the slopes against the fit")),
         }
     variables |= rotation_variables(wavefront)
+    if quality is not None:
+        variables["quality"] = quality_variable(quality)
     coordinates = _coordinates(wavefront.sensor, wavefront.field)
     for qualities in (transfer, structure, point_spread)[: 3 if with_psf else 2]:
         more, along = qualities(wavefront)
@@ -81,7 +85,9 @@ def results_in_pieces(frames: Iterable[tuple[Reprocessed, Mapping[str, Variable]
     with_wavefront = ((frame, more) for frame, more in frames if frame.wavefront is not None)
     while piece := list(islice(with_wavefront, _PIECE)):
         datasets = [
-            result_dataset(frame.wavefront).assign(more) for frame, more in piece if frame.wavefront is not None
+            result_dataset(frame.wavefront, frame.quality).assign(more)
+            for frame, more in piece
+            if frame.wavefront is not None
         ]
         lines = [frame.line for frame, _ in piece]
         stacked = stack_frames(

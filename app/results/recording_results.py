@@ -1,7 +1,7 @@
 """Results in a recording's folder: `results.nc`, dark and reference."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
 from app.results.dataset import results_in_pieces, write_pieces
+from app.results.quality import QualityTally
 from app.results.rotation import rotation_of
 from reconstruction.arrays import Floats
 from reconstruction.registration.circulation import Circulation
@@ -39,6 +40,7 @@ class Measured:
     rotation: Circulation | None = None  # of the subimages of the last frame; None if the registration excludes it
     rotating: int = 0  # frames whose subimages rotate
     problem: str = ""  # of the first frame that could not be reconstructed
+    quality: QualityTally = field(default_factory=QualityTally)
 
     @property
     def scatter_rms_rad(self) -> Floats:
@@ -52,6 +54,7 @@ class Measured:
             self.problem = self.problem or made.problem
             return
         self.reconstructed += 1
+        self.quality.take(made.quality)
         self.rotation = rotation_of(made.wavefront)
         self.rotating += self.rotation is not None and self.rotation.contradicts_layers
         values = rms(made.wavefront.views)

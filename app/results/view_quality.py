@@ -9,7 +9,7 @@ from reconstruction.quality.image_quality import diffraction_rad, mtf, psf, psf_
 from reconstruction.quality.isoplanatism import isoplanatism
 from reconstruction.wavefront import Wavefront
 
-Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, str]]  # dimensions, values, attributes
+Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]  # dimensions, values, attributes
 
 _VIEW = ("view_row", "view_column")
 _PSF_REACH = 16  # half width of the map in diffraction widths (wavelength / pupil width), equal for all frames

@@ -6,12 +6,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft, ndimage
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import require
 
 _FEWEST_FRAMES = 4  # with fewer, a pixel's variance is too uncertain
 _BINS = 40  # of light, with equally many pixels
+_BEYOND = 1.05  # times the highest spatial frequency of the light
+_FEWEST_FREQUENCIES = 0.1  # share of those beyond it
+_MEDIAN_SQUARE = 0.4549  # of a normal deviate; hot pixels do not move it
+_LEAST_NOISE = 2e-3  # of the light; noise-free images of lenslets seem to have 4e-4, from the borders of cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +72,49 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
     order = np.argsort(mean, axis=None)
     light = np.array([np.mean(part) for part in np.array_split(mean.ravel()[order], _BINS)])
     noise = np.array([np.median(part) for part in np.array_split(variance.ravel()[order], _BINS)]) / scatter
+    return _line(light, noise, read_variance)
+
+
+def image_noise(light: Image, blur_px: float) -> CameraNoise | None:
+    """Estimate the noise of a single image from what no optics can show.
+
+    The light of lenslets holds no spatial frequency, along x or y, above the inverse of the blur. Beyond it there is
+    only noise, which is white.
+
+    Parameters
+    ----------
+    light : (row, column)
+        Counts above the dark or the background.
+    blur_px : float
+        Distance at which the image of a point first vanishes, wavelength times focal length over lenslet pitch, px.
+
+    Returns
+    -------
+    CameraNoise or None
+        None if the pixels are too coarse, or the image has hardly any noise.
+    """
+    rows, columns = light.shape
+    cutoff = _BEYOND / blur_px  # cycles per pixel
+    x, y = (np.arange(count) / (2 * count) > cutoff for count in (columns, rows))
+    is_noise = x | y[:, None]
+    if np.mean(is_noise) < _FEWEST_FREQUENCIES:
+        return None
+    noise = fft.idctn(fft.dctn(light.astype(np.float64), norm="ortho") * is_noise, norm="ortho")
+    smooth = ndimage.gaussian_filter(light.astype(np.float64), 1.0)  # as the filter spreads the noise
+    order = np.argsort(smooth, axis=None)
+    parts = np.array_split(order, _BINS)
+    levels = np.array([np.mean(smooth.ravel()[part]) for part in parts])
+    variance = np.array([np.median(noise.ravel()[part] ** 2) for part in parts]) / (_MEDIAN_SQUARE * np.mean(is_noise))
+    if variance[-1] < (_LEAST_NOISE * levels[-1]) ** 2:
+        return None
+    return _line(levels, variance, float(np.min(variance)))
+
+
+def _line(light: Floats, noise: Floats, read_variance: float) -> CameraNoise | None:
+    """Fit a line through the read noise to the variances of bins of light; each has the same relative error."""
     bright = light > np.max(light) / 10
     if np.min(noise[bright]) <= read_variance:
         return None
-    # A line through the read noise, weighted because each bin's variance has the same relative error.
     weight = 1 / noise[bright] ** 2
     slope = float(
         np.sum(weight * light[bright] * (noise[bright] - read_variance)) / np.sum(weight * light[bright] ** 2)

@@ -16,7 +16,8 @@ from reconstruction.modes.field_modes import FieldModes
 _OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice does not belong to this frame
 _SPOILT = 0.25  # of a subimage's squared gradients on bad pixels; with more, a lenslet is unlit
 _NEXT_PX = 2.0  # beyond the border of a cell, where interpolation still uses a pixel
-DARK_CONTRAST = 0.1  # of the median lenslet's contrast; with less, a lenslet is unlit
+DARK_CONTRAST = 0.1  # of the typical lit lenslet's contrast; with less, a lenslet is unlit
+_BRIGHT = 3  # rank of a lit lenslet's contrast; higher ones may be stray
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is only noise
 
 
@@ -48,11 +49,9 @@ class ReferenceSubimages:
         self._field_outline = field.outline
         self._at_outline: dict[FieldModes, Floats] = {}  # field modes there, (Q, position), cached
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage
-        # A point's image falls to zero at the distance blur_px.
-        blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
-        self.blur_px = blur_px
+        self.blur_px = sensor.blur_px
         self.pitch_px = lattice.pitch_px
-        self.reach_px = (lattice.pitch_px - blur_px) / 2  # light beyond it reaches the next cell
+        self.reach_px = (lattice.pitch_px - self.blur_px) / 2  # light beyond it reaches the next cell
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
         cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
         self.turn = np.array([[cosine, sine], [-sine, cosine]])  # row vectors: lattice frame @ turn = camera
@@ -81,7 +80,7 @@ class ReferenceSubimages:
         self.contrast = self.light.std(axis=1)  # (L,)
         steepness = np.sum(self.gradient**2, axis=2)
         spoilt = np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
-        dark = ~(self.contrast > DARK_CONTRAST * np.median(self.contrast[~self.off_camera])) | spoilt
+        dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera])) | spoilt
         self.lit = ~dark & ~self.off_camera
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
@@ -139,3 +138,9 @@ class ReferenceSubimages:
         window = window - window.mean(axis=(1, 2), keepdims=True)
         neighbours = (window[:, :, 1:] * window[:, :, :-1]).mean(axis=(1, 2))
         return float(np.median(neighbours / (window**2).mean(axis=(1, 2))))
+
+
+def _typical(contrast: Floats) -> float:
+    """Median contrast of the lit lenslets, which may be few."""
+    bright = np.sort(contrast)[-min(_BRIGHT, contrast.size)]
+    return float(np.median(contrast[contrast >= DARK_CONTRAST * bright]))

@@ -155,8 +155,3 @@ def test_image_files_that_lie_are_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=sentence) as fault:
             read_image(tmp_path / name)
         assert "\n" not in str(fault.value)
-
-
-def test_short_write_of_numpy_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"is the disk full\?"), atomic_write(tmp_path / "image.tif"):
-        raise OSError("41280 requested and 8064 written")

@@ -171,3 +171,25 @@ def test_lenslets_are_weighted_by_their_light(small_bench: SmallBench, tilted: N
         views = reconstructor.solve(replace(displacement, coefficients=moved)).views
         changes.append(rms(views - reconstructor.solve(displacement).views).mean())
     assert changes[0] > 4 * changes[1]
+
+
+def test_dark_neighbours_of_a_few_lit_lenslets_are_not_valid(small_bench: SmallBench) -> None:
+    """4 of 63 lenslets are lit; most of the others show only noise."""
+    lit = np.zeros(small_bench.frame_shape, np.bool_)
+    for row in (2, 3):
+        for column in (4, 5):
+            lit[_cell(small_bench, row, column)] = True
+    rng = np.random.default_rng(0)
+    light = small_bench.reference / small_bench.reference.max() * 1e4
+    reference = np.where(lit, light, 0) + rng.normal(0, 20, light.shape)
+    frame = np.where(lit, light, 0) + rng.normal(0, 20, light.shape)
+    reconstructor = small_bench.reconstructor("affine", "zonal", reference=reference.astype(np.float32))
+    outcome = reconstructor.register(frame.astype(np.float32)).outcome
+    assert np.count_nonzero(outcome == Outcome.CONVERGED) == 4
+    assert np.count_nonzero(outcome == Outcome.DARK) == outcome.size - 4
+
+
+def test_frame_of_another_mask_is_not_called_dark(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    noise = np.random.default_rng(0).uniform(0, tilted.max(), tilted.shape).astype(np.float32)
+    with pytest.raises(ReconstructionError, match="another mask"):
+        small_bench.reconstructor()(noise)

@@ -79,6 +79,8 @@ def _frame_facts(measurement: Measurement) -> dict[str, Any]:
         "refinement": refinement.stage,
         "bias_age_s": None if math.isnan(refinement.age_s) else refinement.age_s,
         "problem": measurement.problem,
+        "quality": [fault.name.lower() for fault in measurement.quality.faults if fault.name],
+        "quality_reason": measurement.quality.sentence,
     }
 
 

@@ -1,7 +1,7 @@
 """`svwfs replay`: reconstruct a recording again, to verify it or to compare another bench with its own."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from app.bench.bench_files import bench_file
@@ -14,6 +14,7 @@ from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
 from app.results.dataset import results_in_pieces, write_pieces
+from app.results.quality import QualityTally
 from app.results.replay.comparison import Comparison, Verification
 from app.results.view_quality import Variable
 from reconstruction.errors import ReconstructionError
@@ -30,6 +31,7 @@ class Replay:
     reconstructed: int = 0
     unrefined: int = 0  # frames refined live but not in this replay
     problem: str = ""  # of the first frame that could not be reconstructed
+    quality: QualityTally = field(default_factory=QualityTally)
 
     def take(self, frame: Reprocessed) -> None:
         """Count one frame."""
@@ -37,6 +39,8 @@ class Replay:
         self.reconstructed += frame.wavefront is not None
         self.unrefined += frame.wavefront is not None and frame.line.bias is not None and not frame.is_refined
         self.problem = self.problem or frame.problem
+        if frame.wavefront is not None:
+            self.quality.take(frame.quality)
 
 
 def replay(

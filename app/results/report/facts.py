@@ -13,6 +13,7 @@ from app.recording.frame_lines import FrameLine
 from app.results.report.summary import Summary
 
 Fact = tuple[str, str]  # label and text
+_MOST_DOUBTS = 4
 
 
 def facts(summary: Summary) -> list[Fact]:
@@ -23,6 +24,7 @@ def facts(summary: Summary) -> list[Fact]:
         ("recorded", _when(summary)),
         ("frames", _counts(summary)),
         *[("", f"{count} of them: {problem}") for problem, count in summary.problems.most_common(2)],
+        *[("doubtful", sentence) for sentence in _doubts(summary)],
         ("camera", _camera(summary, camera, bench)),
         ("exposure", _exposure(lines, camera)),
         ("light", _light(lines, light)),
@@ -42,6 +44,10 @@ def _section(tree: dict[str, Any], *names: str) -> dict[str, Any]:
         if not isinstance(tree, dict):
             return {}
     return tree
+
+
+def _doubts(summary: Summary) -> list[str]:
+    return [] if summary.statistics is None else summary.statistics.quality.sentences[:_MOST_DOUBTS]
 
 
 def _when(summary: Summary) -> str:

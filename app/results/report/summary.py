@@ -13,6 +13,7 @@ from app.progress import Progress
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
+from app.results.quality import QualityTally
 from app.results.replay.comparison import are_alike
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -35,6 +36,7 @@ class Statistics:
     rms_sigma_rad: Floats  # RMS of the wavefront's standard deviation, an upper bound for that of `rms_rad`, (frame,)
     wavefront: Wavefront  # of the middle frame
     refined: int  # number of refined frames
+    quality: QualityTally
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +106,7 @@ class _Sums:
         self._views = self._known = self._variance = self._variances = np.zeros(())
         self._outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # number of frames, (outcome, ...)
         self._refined = 0
+        self._quality = QualityTally()
 
     def take(self, frame: Reprocessed, *, is_early: bool) -> None:
         """Add a frame; keep the last early wavefront, or the first if none is early."""
@@ -123,6 +126,7 @@ class _Sums:
         self._rms_rad.append(mean_rms(views))
         self._rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
         self._refined += frame.is_refined
+        self._quality.take(frame.quality)
 
     def statistics(self) -> Statistics | None:
         """Statistics of all frames; None if none has a wavefront."""
@@ -141,4 +145,5 @@ class _Sums:
                 rms_sigma_rad=np.array(self._rms_sigma_rad),
                 wavefront=self._wavefront,
                 refined=self._refined,
+                quality=self._quality,
             )

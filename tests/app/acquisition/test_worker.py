@@ -22,6 +22,7 @@ from app.errors import InputError
 from app.measurement.measurement import SKIPPED
 from app.measurement.routines.frames import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
+from reconstruction.quality.verdict import Fault
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light_and_stage import SimulatedLight
 
@@ -370,3 +371,26 @@ def test_light_switched_off_by_hand_is_detected(running: Running) -> None:
     light._bench.change(is_light_on=False)  # at its front panel
     wait_until(lambda: running.acquisition.status is not None and not running.acquisition.status.is_light_on)
     assert running.acquisition.is_alive
+
+
+def test_camera_that_repeats_a_frame_is_reported(small_toml: Path) -> None:
+    running = Running(load_bench(small_toml))
+    try:
+        running.begin()
+        instrument = running.acquisition.submit(lambda each: each).result(HANG_S)
+        wait_until(lambda: running.newest.wavefront is not None)
+        frame = running.newest.frame
+        assert not running.newest.quality.reasons
+
+        def repeat(_: Instrument) -> list[Reconstruction]:
+            later = [
+                replace(frame, index=frame.index + step, camera_time_s=frame.camera_time_s + step) for step in (1, 2)
+            ]
+            early = replace(frame, index=frame.index + 3, pixels=frame.pixels + 1)
+            return [instrument.measure(each) for each in (*later, early)]
+
+        _, frozen, back = running.acquisition.submit(repeat).result(HANG_S)
+    finally:
+        running.acquisition.close()
+    assert frozen.quality.faults == Fault.FROZEN
+    assert back.quality.faults == Fault.CLOCK

@@ -1,0 +1,38 @@
+"""Preparation of the judgement of frames from what was made of their reference."""
+
+from reconstruction.arrays import Counts, Image
+from reconstruction.geometry import Lattice
+from reconstruction.pipeline import Reconstructor
+from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.reference_quality import reference_quality, response_quality
+
+
+def frame_judge(
+    reconstructor: Reconstructor,
+    reference: Counts,
+    *,
+    shown: Lattice | None,
+    dark: Counts | None,
+    variance: Image | None = None,
+    frames: float = 1,
+) -> FrameJudge:
+    """Judge a reference, and prepare the judgement of frames reconstructed with it; see `reference_quality`."""
+    sensor = reconstructor.sensor
+    return FrameJudge(
+        reconstructor.subimages,
+        reconstructor.registration,
+        sensor=sensor,
+        field=reconstructor.field,
+        dark=dark,
+        of_reference=reference_quality(
+            reference,
+            sensor=sensor,
+            lattice=reconstructor.lattice,
+            shown=shown,
+            dark=dark,
+            variance=variance,
+            noise=reconstructor.noise,
+            frames=frames,
+        )
+        | response_quality(reconstructor.response_problem),
+    )

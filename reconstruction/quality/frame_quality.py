@@ -1,0 +1,211 @@
+"""Quality of frames measured against one reference, from what their reconstruction has found and some of their pixels.
+
+Valid lenslets do not make a wavefront true. A blurred or doubled image, or one with wrong grey values, matches after a
+wrong warp, but not well; a torn or turned frame matches well, but with slopes that belong to no wavefront.
+
+Strong aberrations leave a misfit, too, because a warp does not describe diffraction. It grows with the deformation that
+is found, so that limits are shares of it, above the noise (docs/quality.md).
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from reconstruction.arrays import Counts, Floats, Mask
+from reconstruction.displacement import Displacement, Outcome
+from reconstruction.geometry import Field, Sensor
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.quality.clipping import clipped_fraction
+from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings, Warp
+
+
+class _Limits(NamedTuple):
+    """Shares of the deformation above which a misfit is no effect of the warp."""
+
+    pixels: float  # residual over the reference's contrast, per px of deformation within a subimage
+    slopes: float  # misfit of the slopes over the displacement
+
+
+_LIMITS: dict[Warp, _Limits] = {
+    "translation": _Limits(0.0, 0.1),
+    "affine": _Limits(0.25, 0.06),
+    "quadratic": _Limits(0.055, 0.03),
+    "cubic": _Limits(0.04, 0.03),
+    "quartic": _Limits(0.03, 0.03),
+}
+_LEAST_MISFIT = 0.015  # residual over contrast; uneven pixels of 1 % cause as much
+_LEAST_SLOPES_PX = 0.01
+_NOISE_PIXELS, _NOISE_SLOPES = 1.3, 2.0  # of the expected variances, not counted as misfit
+_UNLIKE = 0.25  # share of lenslets without a match
+_LEFT = 0.1  # share of lenslets that left their cells
+_BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
+_UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
+_CLIPPED = 0.01  # of the pixels
+_SAMPLED = 5  # pixels of a lenslet, along each axis
+_ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which deformation is taken
+_MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
+_TILE = 16  # lenslets a side whose slopes are judged together
+
+
+class FrameJudge:
+    """Judges frames measured against one reference."""
+
+    def __init__(
+        self,
+        reference: ReferenceSubimages,
+        settings: RegistrationSettings,
+        *,
+        sensor: Sensor,
+        field: Field,
+        dark: Counts | None = None,
+        of_reference: Quality = Quality(),  # noqa: B008 - immutable
+    ) -> None:
+        """Prepare; `of_reference` is the reference's own quality, which all its frames share."""
+        self._sensor, self._noise, self.of_reference = sensor, reference.noise, of_reference
+        is_ours = settings.method == "gauss_newton"
+        self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
+        self._knows_misfit = is_ours and settings.warp != "translation" and reference.noise is not None
+        self._lit = reference.lit.reshape(reference.lenslets)
+        step = -(-reference.width // _SAMPLED)
+        columns = reference.bad.shape[1]
+        nearest = np.rint(reference.position_px).astype(np.intp)
+        nearest = nearest.reshape(-1, reference.width, reference.width, 2)[:, step // 2 :: step, step // 2 :: step]
+        self._sampled = (nearest[..., 1] * columns + nearest[..., 0]).reshape(len(nearest), -1)  # (L, sample)
+        self._is_good = ~reference.bad.ravel()[self._sampled]
+        self._lit_rows = np.flatnonzero(reference.lit)
+        subimages = reference.light.reshape(-1, reference.width, reference.width)
+        light = subimages[:, step // 2 :: step, step // 2 :: step].reshape(self._sampled.shape)
+        self._light = np.sum(light * self._is_good, axis=1)[self._lit_rows]
+        self._grid = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)
+        self._grid = self._grid[field.contains(*self._grid.T)]
+        self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
+        self._tiles = list(_tiles(reference.lenslets))
+        self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
+
+    def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
+        """Judge a frame (row, column), counts, by its displacements."""
+        reasons = dict(self._of_matches(displacement))
+        reasons |= self._of_pixels(frame.ravel()[self._sampled])
+        return Quality(reasons) | self.of_reference
+
+    def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
+        """Faults seen in the outcomes of the lenslets, their residuals and their slopes."""
+        outcome, count = displacement.outcome, displacement.outcome.size
+        counts = np.bincount(outcome[self._lit], minlength=len(Outcome)).tolist()
+        unlike, left, dark = counts[Outcome.DIVERGED], counts[Outcome.LEFT_CELL], counts[Outcome.DARK]
+        lit = sum(counts)
+        deformation_px, spread_px = self._sizes_px(displacement)
+        misfit = _misfit(displacement) if self._knows_misfit else 0.0
+        slopes_px = self._slope_misfit_px(displacement)
+        if unlike > _UNLIKE * lit:
+            yield Fault.MISFIT, f"{unlike} of {count} subimages do not match the reference: {_LOOK}"
+        elif misfit > math.hypot(_LEAST_MISFIT, self._limits.pixels * deformation_px):
+            yield (
+                Fault.MISFIT,
+                f"the subimages differ from the reference's by {100 * misfit:.0f} % of the contrast: {_LOOK}",
+            )
+        if slopes_px > math.hypot(_LEAST_SLOPES_PX, self._limits.slopes * math.hypot(deformation_px, spread_px)):
+            moved = "has the camera turned since the reference, or is the frame torn?"
+            yield Fault.SLOPES, f"slopes differ from those of any wavefront by {slopes_px:.2f} px: {moved}"
+        if left > _LEFT * lit:
+            yield Fault.RANGE, f"{left} of {count} subimages have left their cells: the aberration is too strong"
+        if dark > _BLOCKED * lit:
+            yield (
+                Fault.ILLUMINATION,
+                f"{dark} of {count} lenslets are dark, but lit in the reference: what blocks the light?",
+            )
+
+    def _of_pixels(self, counts: Counts) -> Iterator[tuple[Fault, str]]:
+        """Faults seen in some pixels (L, sample), counts."""
+        level = np.min(counts) if self._dark is None else self._dark
+        above = counts - level
+        light = np.einsum("ls,ls->l", above, self._is_good)[self._lit_rows]
+        ratio = light * (self._light.sum() / max(light.sum(), 1.0)) / self._light
+        uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))
+        if uneven > _BLOCKED * ratio.size:
+            change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
+            yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
+        scatter = 0.0
+        if self._noise is not None:
+            scatter = math.sqrt(self._noise.variance(above.max(keepdims=True)).item())
+        clipped = clipped_fraction(counts[self._is_good], scatter)
+        if clipped > _CLIPPED:
+            yield (
+                Fault.CLIPPED,
+                f"{100 * clipped:.0f} % of the pixels are clipped: shorten the exposure or lower the current",
+            )
+
+    def _sizes_px(self, displacement: Displacement) -> tuple[float, float]:
+        """RMS deformation of the subimages, and RMS scatter of their mean displacements, px."""
+        coefficients = displacement.coefficients[displacement.valid]  # (lenslet, field_mode, xy)
+        if not len(coefficients):
+            return 0.0, 0.0
+        mean = coefficients[:, 0]
+        if self._values is None or len(self._values) != displacement.modes.count:
+            self._values = displacement.modes.values(*self._grid.T)
+        deformation = np.swapaxes(coefficients[:, 1:], 1, 2).reshape(2 * len(mean), -1) @ self._values[1:]
+        away = mean - mean.mean(axis=0)
+        return _rms(deformation), _rms(away)
+
+    def _slope_misfit_px(self, displacement: Displacement) -> float:
+        """RMS misfit of the mean displacements to the smooth wavefront that fits them best, beyond the noise, px."""
+        square = freedom = 0.0
+        all_valid, variance = displacement.valid, displacement.mean_variance
+        for tile in self._tiles:
+            valid = all_valid[tile]
+            data = displacement.coefficients[tile][valid][:, 0].ravel()
+            basis = _gradients(self._sensor, *valid.shape, valid.tobytes())
+            if basis.shape[0] > basis.shape[1]:
+                misfit = data - basis @ (basis.T @ data)
+                free = basis.shape[0] - basis.shape[1]
+                square += float(misfit @ misfit) - _NOISE_SLOPES * free * float(np.mean(variance[tile][valid]))
+                freedom += free
+        return math.sqrt(max(square / freedom, 0.0)) if freedom else 0.0
+
+
+_LOOK = "another mask, focus, motion, a ghost or wrong grey values?"
+
+
+def _rms(vectors: Floats) -> float:
+    """RMS length of vectors (x and y) given by all their components."""
+    return math.sqrt(2 * float(np.vdot(vectors, vectors)) / vectors.size) if vectors.size else 0.0
+
+
+def _misfit(displacement: Displacement) -> float:
+    """Residual of a typical lenslet beyond its noise, over the reference's contrast."""
+    chi_square = displacement.chi_square[displacement.valid]
+    if not chi_square.size:
+        return 0.0
+    square = displacement.residual_rms[displacement.valid] ** 2 * (1 - _NOISE_PIXELS / chi_square)
+    return math.sqrt(max(float(np.median(square)), 0.0))
+
+
+def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
+    """Parts of a lattice, of at most 16 x 16 lenslets each."""
+    rows, columns = (np.linspace(0, side, -(-side // _TILE) + 1).astype(int).tolist() for side in shape)
+    for top, bottom in pairwise(rows):
+        for left, right in pairwise(columns):
+            yield slice(top, bottom), slice(left, right)
+
+
+@lru_cache(maxsize=64)
+def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> Floats:
+    """Orthonormal basis of the mean gradients of smooth wavefronts on rows x columns lenslets, (2 * valid, n)."""
+    part = replace(sensor, lenslet_rows=rows, lenslet_columns=columns)
+    valid: Mask = np.frombuffer(valid_bytes, np.bool_).reshape(rows, columns)
+    degree = max(n for n in range(1, _MOST_DEGREE + 1) if n == 1 or _modes(n) <= _MODES_SHARE * 2 * valid.size)
+    gradients = pupil_modes(part, "legendre", _modes(degree)).gradients[1:, valid]  # (mode, lenslet, xy)
+    basis, _ = np.linalg.qr(gradients.reshape(len(gradients), -1).T)
+    return np.asarray(basis)
+
+
+def _modes(degree: int) -> int:
+    """Number of polynomials of two variables up to that degree."""
+    return (degree + 1) * (degree + 2) // 2

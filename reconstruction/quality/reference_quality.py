@@ -1,0 +1,108 @@
+"""Quality of a reference and its dark."""
+
+import numpy as np
+
+from reconstruction.arrays import Counts, Floats, Image
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.geometry import Lattice, Sensor, centered_steps
+from reconstruction.quality.clipping import clipped_fraction
+from reconstruction.quality.verdict import Fault, Quality
+
+_OFF_LATTICE = 0.1  # of a pitch; half of it changes the wavefront by less than the noise
+_LEAK = 0.01  # of the light in the dark; 0.2 changes a wavefront of 4 rad RMS by 0.9 rad
+_CLIPPED = 0.01  # of the pixels
+
+
+def reference_quality(
+    reference: Counts,
+    *,
+    sensor: Sensor,
+    lattice: Lattice,
+    shown: Lattice | None = None,
+    dark: Counts | None = None,
+    variance: Image | None = None,
+    noise: CameraNoise | None = None,
+    frames: float = 1,
+) -> Quality:
+    """Judge a reference and its dark.
+
+    Parameters
+    ----------
+    reference, dark : (row, column)
+        Counts.
+    sensor, lattice
+        Lenslets, and where they are taken to be.
+    shown : Lattice, optional
+        Where the reference shows them (`lattice.search.survey`).
+    variance : (row, column), optional
+        Of the averaged frames, counts^2.
+    noise : CameraNoise, optional
+        Of one frame.
+    frames : float
+        Number of frames averaged.
+    """
+    reasons: dict[Fault, str] = {}
+    if shown is not None:
+        off_px = lattice_error_px(lattice, shown, sensor)
+        if off_px > _OFF_LATTICE * lattice.pitch_px:
+            reasons[Fault.LATTICE] = (
+                f"the reference shows lenslets up to {off_px:.1f} px from [lattice], which is wrong or stale:"
+                " calibrate again, or leave [lattice] out"
+            )
+    light = np.asarray(reference, np.float64)
+    if dark is not None:
+        light = light - dark
+        leak = leaked_light(np.asarray(dark, np.float64), light)
+        if leak > _LEAK:
+            reasons[Fault.DARK] = (
+                "the dark is brighter than the reference: take it again with the light off"
+                if leak >= 1
+                else f"the dark contains {100 * leak:.0f} % of the reference's light: take it again with the light off"
+            )
+    scatter = 0.0
+    if noise is not None:
+        scatter = float(np.sqrt(noise.variance(np.max(light, keepdims=True)).item() / frames))
+    clipped = clipped_fraction(reference, scatter)
+    if clipped > _CLIPPED:
+        reasons[Fault.CLIPPED] = (
+            f"{100 * clipped:.0f} % of the reference's pixels are clipped below the camera's full scale:"
+            " shorten the exposure or lower the current"
+        )
+    if variance is not None and frames > 1 and not variance.any():
+        reasons[Fault.FROZEN] = "all frames of the reference are identical: the camera repeats one frame"
+    return Quality(reasons)
+
+
+def response_quality(problem: str) -> Quality:
+    """Quality of a reference for which the response of the registration is not used; the problem is empty if it is."""
+    return Quality({Fault.RESPONSE: problem} if problem else {})
+
+
+def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
+    """Largest distance of a lenslet from the nearest lenslet of the other lattice, px.
+
+    Whole pitches do not count: a reference may show more lenslets than the sensor has.
+    """
+    corners = np.array(
+        [
+            (x, y)
+            for x in centered_steps(sensor.lenslet_columns)[[0, -1]]
+            for y in centered_steps(sensor.lenslet_rows)[[0, -1]]
+        ]
+    )
+    off = other.from_camera_px(lattice.to_camera_px(corners * lattice.pitch_px)) / other.pitch_px - corners
+    off -= np.rint(off.mean(axis=0))
+    return float(np.hypot(*off.T).max() * other.pitch_px)
+
+
+def leaked_light(dark: Floats, light: Floats) -> float:
+    """Share of the reference's light in the dark, from the dark's regression on it; 1 if the dark is brighter.
+
+    `light` (row, column) is the reference minus the dark, counts.
+    """
+    away = light - light.mean()
+    square = float(np.vdot(away, away))
+    if light.mean() <= 0 or square == 0:
+        return 1.0
+    slope = float(np.vdot(away, dark)) / square
+    return slope / (1 + slope) if slope > 0 else 0.0

@@ -1,0 +1,45 @@
+"""Verdict on the quality of a frame or a reference: its faults, each with a plain reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntFlag
+from functools import reduce
+from operator import or_
+
+
+class Fault(IntFlag):
+    """Faults that make a wavefront doubtful although its lenslets are valid; stored as bits in results."""
+
+    MISFIT = 1  # subimages look unlike the reference's, however they are warped
+    SLOPES = 2  # slopes of no wavefront
+    CLIPPED = 4  # many pixels at one highest count
+    ILLUMINATION = 8  # lenslets blocked, or lit otherwise than in the reference
+    RANGE = 16  # subimages have left their cells
+    LATTICE = 32  # the reference shows the lenslets elsewhere
+    DARK = 64  # the dark contains light
+    RESPONSE = 128  # the reference does not look as the bench is modelled
+    FROZEN = 256  # the same bytes as the frame before
+    CLOCK = 512  # not later than the frame before
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """Faults with their reasons, the worst first; none if all is well."""
+
+    reasons: Mapping[Fault, str] = field(default_factory=dict)
+
+    @property
+    def faults(self) -> Fault:
+        """All faults together."""
+        return reduce(or_, self.reasons, Fault(0))
+
+    @property
+    def sentence(self) -> str:
+        """The reasons; empty if there are none."""
+        return "; ".join(self.reasons.values())
+
+    def __or__(self, other: Quality) -> Quality:
+        """Faults of both; of two reasons for the same fault, the first one's."""
+        return Quality({**other.reasons, **self.reasons} if self.reasons else other.reasons)

@@ -1,0 +1,148 @@
+"""Verdicts on frames: honest ones of all warps and light levels, and impossible ones."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.faulty_frames import FAULTY
+from support.optics import FIELD, SmallBench, converged
+
+from reconstruction.errors import ReconstructionError
+from reconstruction.frame.noise import CameraNoise
+from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.pipeline import Reconstructor
+from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.settings import Warp
+
+Light = NDArray[np.float32]
+
+READ_NOISE_E = 8.0
+BENCH = SmallBench()
+WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic", "quartic")
+NOISE = CameraNoise(counts_per_electron=1.0, read_noise_counts=READ_NOISE_E)
+
+
+@cache
+def aberrated(strength: float) -> Light:
+    """Electrons per brightest electron of the reference, behind a wavefront of two layers."""
+    half_m, half_field_m = BENCH.sensor.pupil_half_width_m[0], FIELD.half_width_m
+    u, v = (axis / half_m for axis in BENCH.samples())
+
+    def layer(s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.sin(2.5 * s + 1) * np.cos(2.1 * t) + 0.7 * np.sin(1.8 * s - 2.6 * t)
+
+    def phase(x_m: float, y_m: float) -> Light:
+        x, y = x_m / half_field_m, y_m / half_field_m
+        near, far = layer(u + 0.05 * x, v + 0.05 * y), layer(v + 0.2 * y, u + 0.2 * x)
+        return np.asarray(strength * (near + far), np.float32)
+
+    return BENCH.frame(phase) / np.float32(BENCH.reference.max())
+
+
+def exposed(light: Light, peak_e: float, seed: int) -> Light:
+    rng = np.random.default_rng(seed)
+    counts = rng.poisson(np.maximum(light, 0) * peak_e) + rng.normal(0, READ_NOISE_E, light.shape)
+    return np.asarray(counts, np.float32)
+
+
+@cache
+def measured_by(warp: Warp, peak_e: float) -> tuple[Reconstructor, FrameJudge]:
+    reference = np.asarray(BENCH.reference / BENCH.reference.max() * peak_e, np.float32)
+    dark = np.zeros_like(reference)
+    reconstructor = BENCH.reconstructor(warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD, dark=dark)
+    return reconstructor, judge
+
+
+def faults(warp: Warp, peak_e: float, light: Light) -> tuple[Fault, str]:
+    """Faults with their reasons; a refusal because subimages look different counts as a misfit."""
+    try:
+        found = verdict(warp, peak_e, light)
+    except ReconstructionError as error:
+        return (Fault.MISFIT if "look different" in str(error) else Fault(0)), str(error)
+    return found.faults, found.sentence
+
+
+def verdict(warp: Warp, peak_e: float, light: Light, seed: int = 0) -> Quality:
+    reconstructor, judge = measured_by(warp, peak_e)
+    frame = exposed(light, peak_e, seed)
+    return judge(frame, reconstructor.register(frame))
+
+
+@pytest.mark.parametrize("peak_e", [200.0, 1e3, 1e4, 1e5])
+@pytest.mark.parametrize("warp", WARPS)
+def test_honest_frames_raise_no_alarm(warp: Warp, peak_e: float) -> None:
+    for seed, strength in enumerate((0.0, 0.5, 2.0, 4.0)):
+        found = verdict(warp, peak_e, aberrated(strength), seed)
+        assert not found.reasons, (strength, found.sentence)
+
+
+@pytest.mark.parametrize("peak_e", [1e3, 1e4])
+@pytest.mark.parametrize("name", FAULTY)
+def test_impossible_frame_is_found(name: str, peak_e: float) -> None:
+    spoil, fault = FAULTY[name]
+    for warp in ("quadratic", "cubic"):
+        found, why = faults(warp, peak_e, spoil(aberrated(1.0), BENCH.lattice))
+        assert fault in found, (warp, why)
+
+
+def test_torn_frame_is_found() -> None:
+    torn, right = aberrated(0.0).copy(), aberrated(1.0)
+    torn[: len(torn) // 2] = right[: len(right) // 2]
+    assert verdict("cubic", 1e3, torn).faults == Fault.SLOPES
+
+
+def test_other_mask_is_found() -> None:
+    """Stars instead of the square."""
+    stars = np.array(aberrated(0.0))
+    row, column = np.indices(stars.shape)
+    position = BENCH.lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64))
+    stars[(np.abs(position % (BENCH.lattice.pitch_px / 3) - BENCH.lattice.pitch_px / 6) > 2).any(axis=-1)] = 0
+    found, why = faults("cubic", 1e4, stars)
+    assert Fault.MISFIT in found
+    assert "another mask" in why
+
+
+def test_uneven_dimming_is_found_but_even_dimming_is_not() -> None:
+    light = aberrated(1.0)
+    assert not verdict("cubic", 1e4, 0.4 * light).reasons
+    uneven = light.copy()
+    uneven[:, : light.shape[1] // 3] *= 0.3
+    assert verdict("cubic", 1e4, uneven).faults == Fault.ILLUMINATION
+
+
+def test_full_well_below_full_scale_is_found() -> None:
+    reconstructor, judge = measured_by("cubic", 1e5)
+    frame = exposed(aberrated(1.0), 1e5, 0)
+    clipped = np.minimum(frame, 0.8e5) + np.random.default_rng(1).normal(0, READ_NOISE_E, frame.shape)
+    clipped = np.asarray(clipped, np.float32)
+    found = judge(clipped, reconstructor.register(clipped))
+    assert Fault.CLIPPED in found.faults
+    assert "shorten the exposure" in found.sentence
+
+
+def test_faults_of_the_reference_are_those_of_each_frame() -> None:
+    reconstructor, _ = measured_by("cubic", 1e4)
+    stale = Quality({Fault.LATTICE: "stale"})
+    judge = FrameJudge(
+        reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD, of_reference=stale
+    )
+    frame = exposed(aberrated(1.0), 1e4, 0)
+    assert judge(frame, reconstructor.register(frame)).reasons == stale.reasons
+
+
+def test_large_lattice_is_judged_in_parts() -> None:
+    """20 x 24 lenslets: a wavefront passes, a tear does not."""
+    bench = SmallBench(20, 24, rotation_rad=0.0)
+    judge = FrameJudge(bench.subimages(), bench.reconstructor().registration, sensor=bench.sensor, field=FIELD)
+    u, v = bench.pupil_x_m / 5e-3, bench.pupil_y_m / 5e-3
+    slopes = np.zeros((20, 24, 3, 2))
+    slopes[:, :, 0, 0], slopes[:, :, 0, 1] = 2 * np.cos(2 * u + v), np.cos(2 * u + v)
+    modes, variance = LegendreModes(3), np.full(slopes.shape, 1e-6)
+    assert judge._slope_misfit_px(converged(modes, slopes, variance)) < 1e-3
+    slopes[5:, :, 0] *= 0.5
+    assert judge._slope_misfit_px(converged(modes, slopes, variance)) > 0.1
