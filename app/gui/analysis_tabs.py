@@ -1,11 +1,13 @@
-"""Tabs below the camera image: quality, coefficients and history. Hidden ones compute nothing."""
+"""Tabs below the camera image: quality, coefficients, history, histogram, lenslet. Hidden ones compute nothing."""
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QTabWidget, QWidget
 
 from app.gui.analysis_panel import AnalysisPanel
 from app.gui.coefficients_panel import CoefficientsPanel
+from app.gui.histogram_panel import HistogramPanel
 from app.gui.history_panel import HistoryPanel
+from app.gui.lenslet_panel import LensletPanel
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
 from app.results.history import sample
@@ -20,12 +22,20 @@ class AnalysisTabs(QTabWidget):
         self._wavefront_panel = wavefront_panel
         self._measurement: Measurement | None = None
         self.quality, self.coefficients, self.history = AnalysisPanel(), CoefficientsPanel(), HistoryPanel()
+        self.histogram, self.lenslet = HistogramPanel(), LensletPanel()
         self.coefficients.pinned.connect(self.history.pin)
         self.setDocumentMode(True)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         if (bar := self.tabBar()) is not None:
             bar.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        for panel, title in ((self.quality, "Quality"), (self.coefficients, "Coefficients"), (self.history, "History")):
+            bar.setToolTip("What is shown below the camera image")
+        for panel, title in (
+            (self.quality, "Quality"),
+            (self.coefficients, "Coefficients"),
+            (self.history, "History"),
+            (self.histogram, "Histogram"),
+            (self.lenslet, "Lenslet"),
+        ):
             self.addTab(panel, title)
 
     def show_analysis(self, analysis: Analysis) -> None:
@@ -35,6 +45,14 @@ class AnalysisTabs(QTabWidget):
         self.coefficients.use_unit(unit, unit.per_rad(wavefront.sensor.wavelength_m))
         if analysis.coefficients is not None:
             self.coefficients.show_coefficients(analysis.coefficients)
+        if analysis.request.lenslet is not None:
+            self.lenslet.show_inspection(analysis.inspection)
+
+    def inspect(self, row: int, column: int) -> None:
+        """Show a lenslet in its tab."""
+        self.lenslet.select((row, column))
+        self.setCurrentWidget(self.lenslet)
+        self.show()
 
     def show_nothing(self) -> None:
         """Clear the tabs: there is no wavefront."""

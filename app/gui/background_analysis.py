@@ -10,6 +10,7 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] #
 
 from app.gui.analysis_tabs import AnalysisTabs
 from app.gui.wavefront_panel import WavefrontPanel
+from app.measurement.measurement import Measurement
 from app.results.view_analysis import Analysis, AnalysisRequest, Quantity, analyse
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
@@ -36,7 +37,9 @@ class AnalysisThread:
         if self._future is not None or request == self._request:
             return
         differs_by_wavefront = (
-            self._request is not None and replace(request, wavefront=self._request.wavefront) == self._request
+            self._request is not None
+            and replace(request, wavefront=self._request.wavefront, measurement=self._request.measurement)
+            == self._request
         )
         if differs_by_wavefront and time.monotonic() < self._requested_s + _INTERVAL_S:
             return
@@ -69,6 +72,7 @@ class BackgroundAnalysis(QObject):
         super().__init__(parent)
         self._wavefront_panel, self._tabs = wavefront_panel, tabs
         self._thread = AnalysisThread()
+        self._measurement: Measurement | None = None
         self._settings: ReconstructionSettings | None = None
         self._view: tuple[int, int] | None = None  # None: the middle one
         wavefront_panel.grid.selected.connect(self._select)
@@ -80,6 +84,10 @@ class BackgroundAnalysis(QObject):
     def use_settings(self, settings: ReconstructionSettings) -> None:
         """Set how the wavefronts are reconstructed."""
         self._settings = settings
+
+    def use_measurement(self, measurement: Measurement) -> None:
+        """Set the newest measurement."""
+        self._measurement = measurement
 
     @property
     def _wavefront(self) -> Wavefront | None:
@@ -102,6 +110,7 @@ class BackgroundAnalysis(QObject):
         self._wavefront_panel.grid.select(view if self._tabs.isVisible() else None)
         if wavefront is None or view is None or self._settings is None:
             return
+        lenslet = self._tabs.lenslet.wanted()
         request = AnalysisRequest(
             wavefront,
             self._settings,
@@ -109,8 +118,11 @@ class BackgroundAnalysis(QObject):
             self._wavefront_panel.reach_rad,
             view if self._tabs.quality.isVisible() else None,
             self._tabs.coefficients.choice(view, wavefront.displacement.modes.count),
+            lenslet,
+            None if lenslet is None else self._measurement,
         )
-        if request.quantity is not Quantity.WAVEFRONT or request.view is not None or request.modes is not None:
+        wanted = (request.view, request.modes, request.lenslet)
+        if request.quantity is not Quantity.WAVEFRONT or any(one is not None for one in wanted):
             self._thread.submit(request)
 
     def close(self) -> None:

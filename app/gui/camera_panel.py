@@ -2,15 +2,16 @@
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QPointF, QRectF, Qt
+from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
-from app.gui.lattice_overlay import arrow_length_px, arrows, lattice_lines, lenslet_at, lost_boxes
+from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
 from app.gui.widgets import ElidedLabel, column, label, row, toggle, unfocused
 from app.gui.wording import LOST_REASONS
+from app.results.frame_statistics import FrameStatistics, frame_statistics
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
@@ -23,6 +24,9 @@ _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 class CameraPanel(QWidget):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
+    lenslet_clicked = pyqtSignal(int, int)  # row and column
+    statistics_changed = pyqtSignal(object)  # FrameStatistics, a few times a second
+
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._frame: Frame | None = None
@@ -33,6 +37,8 @@ class CameraPanel(QWidget):
         self._contrast = ContrastLevels()
         self._reach = AdaptiveScale(MAGNIFICATIONS)  # longest displacement over what fits between two lenslets
         self._pointer: QPointF | None = None
+        self._statistics: FrameStatistics | None = None
+        self._inspected: tuple[int, int] | None = None  # row and column of the clicked lenslet
 
         self.lattice_toggle = toggle("Lattice", "Show the lenslets' cells; lost lenslets are crossed out in red (G)")
         self.arrows_toggle = toggle("Arrows", "Show each lenslet's displacement, averaged over the field (A)")
@@ -51,7 +57,7 @@ class CameraPanel(QWidget):
         self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
-        self._graphics.setMinimumSize(220, 150)
+        self._graphics.setMinimumSize(220, 130)
         unfocused(self._graphics)
         self._image = pg.ImageItem(axisOrder="row-major")  # pyqtgraph's default is column-major
         self._lines = _curve(self._view, theme.ACCENT, alpha=110)
@@ -60,10 +66,15 @@ class CameraPanel(QWidget):
         self._proposed_boxes = _curve(self._view, theme.AMBER, width=2)  # lenslets without light
         self._arrows = _curve(self._view, theme.AMBER)
         self._arrows.setShadowPen(pg.mkPen((0, 0, 0, 200), width=3))  # visible on black and on white
-        self._view.addItem(self._image)
+        self._inspected_box = _curve(self._view, theme.ACCENT, width=2)
+        self._clipped = _clipped_item()
+        for item in (self._image, self._clipped):
+            self._view.addItem(item)
         self._view.sigRangeChanged.connect(self._place_legend)
         self._view.sigResized.connect(self._place_legend)
-        self._graphics.scene().sigMouseMoved.connect(self._point_at)
+        scene = self._graphics.scene()
+        scene.sigMouseMoved.connect(self._point_at)
+        scene.sigMouseClicked.connect(self._click)
         self.legend = label("", "on-image", self._graphics)
         self.caption = ElidedLabel("dim")
         self._title = label("Camera", "title")
@@ -104,17 +115,24 @@ class CameraPanel(QWidget):
             area = QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
             self._image.setRect(area)
             self._view.setRange(area)
+        self._show_clipped(frame)
         self._show_overlay()
 
     def update_text(self) -> None:
         """Update the brightness and the pixel under the pointer."""
         if self._frame is None:
             return
-        parts = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"]
+        parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM
+        found = self._statistics = frame_statistics(self._frame.pixels, self._full_scale)
+        self.statistics_changed.emit(found)
         if self._full_scale:
-            peak = self._frame.pixels.max() / self._full_scale
-            parts.append(f"peak {peak:.0%} of full scale" + (", saturated" if peak >= 1 else ""))
-            self.caption.setStyleSheet(f"color: {(theme.AMBER if peak >= 1 else theme.DIM).name()};")
+            brightness = f"peak {found.peak / self._full_scale:.0%} of full scale"
+            if found.clipped_share:
+                brightness, colour = f"{brightness}, {_share(found.clipped_share)} of the pixels clipped", theme.RED
+            elif found.is_nearly_full:
+                brightness, colour = f"{brightness}: nearly saturated, shorten the exposure", theme.AMBER
+            parts.append(brightness)
+        self.caption.setStyleSheet(f"color: {colour.name()};")
         self.caption.setText("    ".join([*parts, self._pointed_at()]))
 
     def _restart_contrast(self) -> None:
@@ -124,6 +142,28 @@ class CameraPanel(QWidget):
 
     def _show_colours(self, name: str) -> None:
         self._image.setLookupTable(pg.colormap.get(name).getLookupTable(nPts=256) if name != "grey" else None)
+
+    def _show_clipped(self, frame: Frame) -> None:
+        """Paint clipped pixels red."""
+        known = self._statistics
+        level = self._full_scale if known is None else known.clip_level
+        clipped = frame.pixels >= (level or np.inf)
+        self._clipped.setVisible(bool(clipped.any()))
+        if self._clipped.isVisible():
+            self._clipped.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))
+            self._clipped.setRect(QRectF(-0.5, -0.5, *clipped.shape[::-1]))
+
+    def _click(self, event: object) -> None:
+        """Request to inspect the lenslet under a click."""
+        position = self._view.mapSceneToView(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
+        sensor, lattice = self._sensor, self._lattice
+        if sensor is None or lattice is None:
+            return
+        shape = (sensor.lenslet_rows, sensor.lenslet_columns)
+        self._inspected = lenslet_at(lattice, shape, position.x(), position.y())
+        self._show_overlay()
+        if self._inspected is not None:
+            self.lenslet_clicked.emit(*self._inspected)
 
     def _show_overlay(self) -> None:
         lattice, sensor, displacement = self._lattice, self._sensor, self._displacement
@@ -137,6 +177,12 @@ class CameraPanel(QWidget):
             _draw(self._lines, lattice_lines(lattice, sensor.lenslet_rows, sensor.lenslet_columns))
             is_lost = np.zeros((1, 1), np.bool_) if displacement is None else ~displacement.valid
             _draw(self._boxes, lost_boxes(lattice, is_lost))
+        self._inspected_box.setVisible(lattice is not None and self._inspected is not None)
+        if lattice is not None and sensor is not None and self._inspected is not None:
+            _draw(
+                self._inspected_box,
+                cell_border(lattice, (sensor.lenslet_rows, sensor.lenslet_columns), self._inspected),
+            )
         if has_arrows and lattice is not None and displacement is not None:
             room_px = _ARROW_REACH * lattice.pitch_px
             magnification = 1 / self._reach.follow(arrow_length_px(displacement) / room_px)
@@ -168,7 +214,7 @@ class CameraPanel(QWidget):
             if displacement is None or lattice is None
             else lenslet_at(lattice, displacement.outcome.shape, pointer.x(), pointer.y())
         )
-        self._graphics.setToolTip("Wheel: zoom; drag: move")
+        self._graphics.setToolTip("Wheel: zoom; drag: move; click: inspect the lenslet")
         if displacement is None or lenslet is None:
             return text
         name, reason = "row {}, column {}".format(*lenslet), LOST_REASONS[Outcome(int(displacement.outcome[lenslet]))]
@@ -176,6 +222,18 @@ class CameraPanel(QWidget):
             return f"{text}    lenslet {name}"
         self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")
         return f"{text}    lenslet {name}: {reason}"
+
+
+def _clipped_item() -> pg.ImageItem:
+    """Make an image of 1 where a pixel is clipped: red, and transparent elsewhere."""
+    item = pg.ImageItem(axisOrder="row-major")
+    item.setLookupTable(np.array([[0, 0, 0, 0], theme.RED.getRgb()], np.uint8))
+    item.setZValue(0.5)
+    return item
+
+
+def _share(share: float) -> str:
+    return f"{share:.1%}" if share >= 0.001 else "< 0.1%"
 
 
 def _curve(view: pg.ViewBox, colour: QColor, alpha: int = 255, width: int = 1) -> pg.PlotCurveItem:

@@ -49,6 +49,9 @@ class CoefficientsPanel(QWidget):
         self.of.addItem("Selected view", None)
         self.of.setToolTip("The selected view as shown, or the coefficients e_pq of one field mode")
         self.of.currentIndexChanged.connect(lambda: self.pin(None))
+        for choice in (self.of, self.basis):
+            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+            choice.setMinimumContentsLength(10)
         self.table_toggle = toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
         self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.00")
         self.plot.setToolTip(_TIP)
@@ -62,7 +65,7 @@ class CoefficientsPanel(QWidget):
         self._stack.addWidget(self.plot)
         self._stack.addWidget(self.table)
         self.map = ViewGrid()
-        self.map.setMinimumSize(120, 100)
+        self.map.setMinimumSize(80, 50)
         self.map.empty = "click a bar\nto map it over the field"
         self.title = self.plot.title
         header = row((self.title, 1), self.of, self.basis, self.table_toggle)

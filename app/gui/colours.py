@@ -46,7 +46,8 @@ class ColourScale:
         return tuple((part**self.power, self._text(self.low + span * part)) for part in self.numbered)
 
     def _text(self, value: float) -> str:
-        text = f"{value:+.3g}" if self.is_signed else f"{value:.3g}"
+        digits = ".0f" if abs(value) >= 1000 else ".3g"
+        text = f"{value:+{digits}}" if self.is_signed else f"{value:{digits}}"
         return text.replace("-", "\N{MINUS SIGN}") if value else "0"
 
 

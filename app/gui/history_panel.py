@@ -6,7 +6,7 @@ from PyQt6.QtWidgets import QComboBox, QWidget
 from app.gui import theme
 from app.gui.plot import Plot
 from app.gui.presentation import number
-from app.gui.widgets import column, label, row, toggle
+from app.gui.widgets import ElidedLabel, column, row, toggle
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, History
 
 _MINUTES = (1, 2, 5, 10, 20)
@@ -29,7 +29,8 @@ class HistoryPanel(QWidget):
         self.minutes.setCurrentIndex(1)
         self.minutes.setToolTip("Time shown")
         self.minutes.currentIndexChanged.connect(self.refresh)
-        self._hint = label(_HINT, "dim")
+        self._hint = ElidedLabel("dim")
+        self._hint.setText(_HINT)
         self._charts: dict[str, Plot] = {}
         self._rows = row(spacing=12)
         header = row(*self.toggles.values(), (self._hint, 1), self.minutes)

@@ -33,6 +33,13 @@ def lost_boxes(lattice: Lattice, is_lost: NDArray[np.bool_]) -> Floats:
     return lattice.to_camera_px((middle[:, None] + box).reshape(-1, 2) * lattice.pitch_px)
 
 
+def cell_border(lattice: Lattice, lenslets: tuple[int, int], at: tuple[int, int]) -> Floats:
+    """Return the border of the cell of one lenslet (row, column)."""
+    middle = centered_steps(lenslets[1])[at[1]], centered_steps(lenslets[0])[at[0]]
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
+    return lattice.to_camera_px((middle + corners[[0, 1, 1, 2, 2, 3, 3, 0]]) * lattice.pitch_px)
+
+
 def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> Floats:
     """Return an arrow from every lenslet's centre along its displacement (lenslet_row, lenslet_column, xy), px.
 

@@ -76,6 +76,8 @@ class MainWindow(QMainWindow):
         self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self)
         self._analysis.failed.connect(self.messages.warn)
         self.wavefront_panel.refused.connect(self.messages.warn)
+        self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
+        self.camera_panel.statistics_changed.connect(self.tabs.histogram.show_statistics)
         self._lay_out()
         self._fill_menus()
         self._timer = QTimer(self)
@@ -122,6 +124,7 @@ class MainWindow(QMainWindow):
         wavefront = measurement.wavefront
         self.camera_panel.show_frame(measurement.frame, None if wavefront is None else wavefront.displacement)
         self.wavefront_panel.show_wavefront(wavefront)
+        self._analysis.use_measurement(measurement)
         self.status_line.count(measurement)
         if is_first:
             self.update_text()

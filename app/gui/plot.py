@@ -26,7 +26,7 @@ class Plot(QWidget):
         self.title = ElidedLabel("title")
         self.title.setText(title)
         self.graphics = pg.GraphicsView(background=theme.BACKGROUND)
-        self.graphics.setMinimumSize(150, 5 * self.fontMetrics().height())
+        self.graphics.setMinimumSize(120, 4 * self.fontMetrics().height())
         unfocused(self.graphics)
         self.view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
         self.axes = axes = {

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
+from app.measurement.measurement import Measurement
+from app.results.lenslet_inspection import LensletInspection, inspect_lenslet
 from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_coefficients
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
@@ -37,6 +39,8 @@ class AnalysisRequest:
     reach_rad: float | None  # half width of PSF maps; None: as far as there is light
     view: tuple[int, int] | None  # view whose MTF is computed; None: neither MTF nor isoplanatism
     modes: ModeChoice | None = None  # coefficients to compute
+    lenslet: tuple[int, int] | None = None  # lenslet to inspect
+    measurement: Measurement | None = None  # of the wavefront; the inspection needs it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +54,7 @@ class Analysis:
     transfer: Mtf | None = None
     isoplanatism: Isoplanatism | None = None
     coefficients: ModeCoefficients | None = None
+    inspection: LensletInspection | None = None
 
 
 def analyse(request: AnalysisRequest) -> Analysis:
@@ -57,6 +62,8 @@ def analyse(request: AnalysisRequest) -> Analysis:
     analysis, wavefront = _maps(request), request.wavefront
     if request.modes is not None:
         analysis = replace(analysis, coefficients=mode_coefficients(wavefront, request.modes))
+    if request.lenslet is not None and request.measurement is not None:
+        analysis = replace(analysis, inspection=inspect_lenslet(request.measurement, *request.lenslet))
     if request.view is None:
         return analysis
     return replace(

@@ -1,0 +1,51 @@
+"""The histogram of the camera's newest frame."""
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QWidget
+
+from app.gui import theme
+from app.gui.plot import Plot
+from app.gui.widgets import column
+from app.results.frame_statistics import NEARLY_FULL, FrameStatistics
+
+
+class HistogramPanel(QWidget):
+    """Number of pixels over their counts, on a logarithmic scale; dashed lines at 95 % and where pixels clip."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        keys = (("95 %", theme.AMBER), ("clipped", theme.RED))
+        self.plot = Plot("Histogram", "counts", keys, widest="10000")
+        self.plot.setToolTip(
+            "Number of pixels over their counts. Keep the brightest below 95 % of the level that clips."
+        )
+        self.curve = pg.PlotCurveItem(
+            x=[0, 1],
+            y=[0],
+            pen=pg.mkPen(theme.ACCENT, width=1),
+            stepMode="center",
+            fillLevel=0,
+            brush=theme.ACCENT.darker(200),
+        )
+        self.plot.view.addItem(self.curve)
+        self._lines = [
+            pg.InfiniteLine(0, angle=90, pen=pg.mkPen(colour, width=1, style=Qt.PenStyle.DashLine))
+            for colour in (theme.AMBER, theme.RED)
+        ]
+        for line in self._lines:
+            self.plot.view.addItem(line)
+        self.plot.axes["left"].setTicks([[(decade, f"{10**decade}") for decade in range(8)]])
+        column(self.plot, parent=self)
+
+    def show_statistics(self, found: FrameStatistics) -> None:
+        """Show the histogram of a frame, if visible."""
+        if not self.isVisible():
+            return
+        self.curve.setData(found.level, np.log10(np.maximum(found.pixels, 0.8)))
+        for line, part in zip(self._lines, (NEARLY_FULL, 1.0), strict=True):
+            line.setValue(part * found.clip_level)
+        self.plot.set_ranges((0, float(found.level[-1])), (0, float(np.log10(max(found.pixels.max(), 10))) + 0.2))
+        share = f", {found.clipped_share:.2%} of the pixels clipped" if found.clipped_share else ""
+        self.plot.title.setText(f"Histogram: peak {found.peak} of {found.clip_level} counts{share}")

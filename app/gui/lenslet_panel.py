@@ -1,0 +1,92 @@
+"""The lenslet inspector: subimages, residual and numbers of the lenslet that was clicked."""
+
+import numpy as np
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QWidget
+
+from app.gui.colours import ColourScale, diverging
+from app.gui.presentation import number, signed
+from app.gui.view_grid import Maps, ViewGrid
+from app.gui.widgets import ElidedLabel, column, label, row
+from app.gui.wording import LOST_REASONS
+from app.results.lenslet_inspection import LensletInspection
+from reconstruction.arrays import Floats
+
+_LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
+
+
+class LensletPanel(QWidget):
+    """Shows one lenslet of the newest frame."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.lenslet: tuple[int, int] | None = None  # row and column
+        self.title, self.numbers = ElidedLabel("title"), ElidedLabel()
+        self.tiles = {name: ViewGrid() for name in ("Reference", "Frame", "Frame, warped back", "Residual")}
+        self.tiles["Reference"].setToolTip("Spot image without the sample")
+        columns = []
+        for name, tile in self.tiles.items():
+            tile.setMinimumSize(60, 50)
+            tile.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            tile.empty = ""
+            columns.append((column(label(name, "dim"), (tile, 1), spacing=2), 1))
+        column(self.title, (row(*columns, spacing=10), 1), self.numbers, parent=self)
+        self.select(None)
+
+    def select(self, lenslet: tuple[int, int] | None) -> None:
+        """Wait for the inspection of another lenslet."""
+        self.lenslet = lenslet
+        self.title.setText(
+            "Click a lenslet in the camera image" if lenslet is None else "Lenslet row {}, column {}".format(*lenslet)
+        )
+        self.numbers.setText("")
+        for tile in self.tiles.values():
+            tile.show_maps(None)
+
+    def wanted(self) -> tuple[int, int] | None:
+        """Return the lenslet to inspect; None while hidden."""
+        return self.lenslet if self.isVisible() else None
+
+    def show_inspection(self, found: LensletInspection | None) -> None:
+        """Show an inspection unless another lenslet was selected meanwhile; None without a reference."""
+        if found is None:
+            self.numbers.setText("nothing to inspect: there is no reference, or no wavefront")
+            return
+        if (found.row, found.column) != self.lenslet:
+            return
+        reason = LOST_REASONS[found.outcome]
+        self.title.setText(
+            f"Lenslet row {found.row}, column {found.column}: {'lost, ' + reason if reason else 'converged'}"
+        )
+        top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
+        light = ColourScale("inferno", 0.0, top, "", _LIGHT)
+        images = (found.reference, found.frame, found.fitted, found.residual)
+        for tile, image in zip(self.tiles.values(), images, strict=True):
+            scale = light if image is not found.residual or image is None else _residual_scale(image)
+            tile.show_maps(None if image is None else Maps(image[None, None], scale, _describe))
+        self.numbers.setText(_numbers(found))
+        self.numbers.setToolTip(self.numbers.text().replace("    ", "\n"))
+
+
+def _residual_scale(residual: Floats) -> ColourScale:
+    return diverging(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0), "")
+
+
+def _numbers(found: LensletInspection) -> str:
+    if not np.isfinite(found.displacement_px).all():
+        return ""
+    x, y = (
+        f"{axis} {signed(float(value))} \N{PLUS-MINUS SIGN} {number(float(sigma), 2)}"
+        for axis, value, sigma in zip("xy", found.displacement_px, found.sigma_px, strict=True)
+    )
+    parts = [
+        f"displacement {x}, {y} px",
+        f"residual {found.residual_rms:.1%} of the contrast",
+        f"chi-square {number(found.chi_square)}",
+        f"{found.range_used:.0%} of the dynamic range",
+    ]
+    return "    ".join(parts)
+
+
+def _describe(row: int, column: int, value: float) -> str:
+    return f"row {row}, column {column}: {number(value)} counts"

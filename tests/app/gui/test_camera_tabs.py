@@ -1,0 +1,147 @@
+"""Clipped pixels, histogram, and the lenslet inspector."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+from support.gaussian_lenslets import inspected
+from support.gui_bench import BENCH, FULL_SCALE, LATTICE, SENSOR, make_measurement
+from support.wavefronts import bowl
+from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
+
+from app.gui.camera_panel import CameraPanel
+from app.gui.main_window import MainWindow
+from app.measurement.measurement import Measurement
+from reconstruction.displacement import Outcome
+
+
+@pytest.fixture
+def window(make_window: MakeWindow) -> MainWindow:
+    made = make_window()
+    made.camera_panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
+    made.camera_panel.arrows_toggle.setChecked(False)
+    made._analysis.use_settings(BENCH.reconstruction)
+    return made
+
+
+def click_lenslet(panel: CameraPanel, row: int, column: int) -> None:
+    QApplication.processEvents()
+    x, y = LATTICE.lenslet_centers_px(*LENSLETS)[row, column]
+    at = panel._graphics.mapFromScene(panel._view.mapViewToScene(QPointF(x, y)))
+    viewport = panel._graphics.viewport()
+    QtBot.mouseClick(viewport, Qt.MouseButton.LeftButton, pos=QPoint(at.x(), at.y()))  # type: ignore[no-untyped-call]
+
+
+def show_pixels(window: MainWindow, pixels: NDArray[np.uint16]) -> None:
+    """Show a frame twice: a full well below full scale is found in the first one."""
+    for _ in range(2):
+        window.show_measurement(make_measurement(pixels, views()))
+        window.camera_panel.update_text()
+    QApplication.processEvents()
+
+
+def redness(window: MainWindow) -> int:
+    seen = picture(window.camera_panel._graphics).astype(int)
+    return int(np.count_nonzero((seen[..., 0] > 200) & (seen[..., 1] < 130)))
+
+
+@pytest.mark.parametrize(
+    ("level", "text", "is_red"),
+    [
+        (60000, "peak 92% of full scale", False),
+        (63000, "peak 96% of full scale: nearly saturated, shorten the exposure", False),
+        (65535, "peak 100% of full scale, 0.9% of the pixels clipped", True),
+    ],
+)
+def test_clipped_pixels_are_red_and_nearly_clipped_ones_warned_of(
+    window: MainWindow, level: int, text: str, is_red: bool
+) -> None:
+    pixels = dim_frame()
+    pixels[100:130, 50:90] = level if is_red else np.linspace(0.9 * level, level, 40)
+    show_pixels(window, pixels)
+    assert text in window.camera_panel.caption.text()
+    assert (redness(window) > 300) is is_red
+    show_pixels(window, dim_frame())
+    assert "saturated" not in window.camera_panel.caption.text()
+    assert redness(window) == 0
+
+
+def test_full_well_below_full_scale_is_red(window: MainWindow) -> None:
+    pixels = dim_frame()
+    pixels[100:130, 50:90] = np.random.default_rng(2).integers(63990, 64000, (30, 40), np.uint16)
+    show_pixels(window, pixels)
+    assert "peak 98% of full scale, 0.9% of the pixels clipped" in window.camera_panel.caption.text()
+    assert redness(window) > 300
+
+
+def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow) -> None:
+    panel = window.tabs.histogram
+    pixels = np.random.default_rng(1).integers(0, 60000, (300, 430), np.uint16)
+    window.show_measurement(make_measurement(pixels, views()))
+    window.camera_panel.update_text()
+    assert panel.curve.getData()[1].size == 1  # hidden: nothing is drawn
+    window.tabs.setCurrentWidget(panel)
+    QApplication.processEvents()
+    window.camera_panel.update_text()
+    level, logarithm = panel.curve.getData()
+    expected, _ = np.histogram(pixels, level)
+    np.testing.assert_allclose(10**logarithm, np.maximum(expected, 0.8))
+    assert [line.value() for line in panel._lines] == [pytest.approx(0.95 * FULL_SCALE), FULL_SCALE]
+    assert panel.plot.title.text() == f"Histogram: peak {pixels.max()} of 65535 counts"
+
+
+def shown(measurement: Measurement) -> Measurement:
+    """With a wavefront whose isoplanatism can be computed."""
+    return replace(measurement, wavefront=bowl())
+
+
+def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot) -> None:
+    panel = window.tabs.lenslet
+    window.show_measurement(shown(inspected()))
+    assert panel.wanted() is None
+    click_lenslet(window.camera_panel, 4, 7)
+    assert window.tabs.currentWidget() is panel
+    qtbot.waitUntil(lambda: bool(panel.numbers.text()))
+    assert panel.title.text() == "Lenslet row 4, column 7: converged"
+    assert panel.numbers.text().startswith(
+        "displacement x +1.30 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
+    )
+    maps = {name: tile.maps for name, tile in panel.tiles.items()}
+    for name in ("Reference", "Frame", "Frame, warped back", "Residual"):
+        assert maps[name] is not None, name
+    reference, back = maps["Reference"], maps["Frame, warped back"]
+    assert reference is not None
+    assert back is not None
+    middle = reference.values.shape[2] // 2
+    assert back.values[0, 0, middle, middle] == pytest.approx(reference.values[0, 0, middle, middle], rel=0.01)
+    outline = window.camera_panel._inspected_box.getData()
+    centre = LATTICE.lenslet_centers_px(*LENSLETS)[4, 7]
+    np.testing.assert_allclose([outline[0].mean(), outline[1].mean()], centre)
+
+
+def test_lost_lenslet_is_inspected_with_its_reason(window: MainWindow, qtbot: QtBot) -> None:
+    measurement = inspected()
+    assert measurement.registered is not None
+    outcome = measurement.registered.outcome.copy()
+    outcome[2, 3] = Outcome.LEFT_CELL
+    window.show_measurement(shown(replace(measurement, registered=replace(measurement.registered, outcome=outcome))))
+    click_lenslet(window.camera_panel, 2, 3)
+    panel = window.tabs.lenslet
+    qtbot.waitUntil(lambda: panel.tiles["Frame"].maps is not None)
+    assert panel.title.text() == "Lenslet row 2, column 3: lost, displaced into a neighbour's cell"
+    assert panel.tiles["Residual"].maps is None
+
+
+def test_lenslet_without_reference_is_explained(window: MainWindow, qtbot: QtBot) -> None:
+    window.show_measurement(shown(make_measurement(dim_frame(), views())))
+    click_lenslet(window.camera_panel, 2, 3)
+    panel = window.tabs.lenslet
+    qtbot.waitUntil(lambda: panel.numbers.text().startswith("nothing to inspect"))
+    click_lenslet(window.camera_panel, 4, 4)
+    assert panel.title.text() == "Lenslet row 4, column 4"

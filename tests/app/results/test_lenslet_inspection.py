@@ -1,0 +1,55 @@
+"""Inspection of lenslets whose light is Gaussian, displaced and stretched in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.gaussian_lenslets import SHIFT_PX, inspected
+
+from app.results.lenslet_inspection import inspect_lenslet
+from reconstruction.displacement import Outcome
+
+
+@pytest.mark.parametrize("brightness", [1.0, 0.6])
+def test_warp_brings_the_frame_back_onto_the_reference(brightness: float) -> None:
+    found = inspect_lenslet(inspected(brightness), 4, 7)
+    assert found is not None
+    middle = found.reference.shape[0] // 2
+    assert found.reference[middle, middle] == pytest.approx(20000, rel=0.02)
+    assert found.fitted is not None
+    assert found.residual is not None
+    fitted = np.isfinite(found.residual)
+    assert 0.3 < fitted.mean() < 0.9
+    assert np.abs(found.residual[fitted]).max() < 30  # of 20000: interpolation and rounding
+    unfitted = found.reference - found.frame / brightness
+    assert np.abs(unfitted).max() > 3000
+    peak = np.array(np.unravel_index(found.frame.argmax(), found.frame.shape)) - (found.frame.shape[0] - 1) / 2
+    np.testing.assert_allclose(peak[::-1], SHIFT_PX, atol=0.6)  # x is the column
+
+
+def test_numbers_are_those_of_the_registration() -> None:
+    found = inspect_lenslet(inspected(), 4, 7)
+    assert found is not None
+    assert found.outcome is Outcome.CONVERGED
+    np.testing.assert_allclose(found.displacement_px, SHIFT_PX)
+    np.testing.assert_allclose(found.sigma_px, [0.02, 0.03])
+
+
+def test_lost_lenslet_shows_its_subimages_and_reason() -> None:
+    measurement = inspected()
+    assert measurement.registered is not None
+    outcome = measurement.registered.outcome.copy()
+    outcome[4, 7] = Outcome.LEFT_CELL
+    found = inspect_lenslet(replace(measurement, registered=replace(measurement.registered, outcome=outcome)), 4, 7)
+    assert found is not None
+    assert found.outcome is Outcome.LEFT_CELL
+    assert found.fitted is None
+    assert found.residual is None
+    assert found.frame.max() > 10000
+
+
+def test_nothing_is_inspected_without_calibration_or_beside_the_lattice() -> None:
+    assert inspect_lenslet(replace(inspected(), calibration=None), 4, 7) is None
+    assert inspect_lenslet(inspected(), 9, 7) is None
