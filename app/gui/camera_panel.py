@@ -18,6 +18,7 @@ from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
 
 _AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
+_NEVER = 2**16  # more than any count
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 
@@ -147,7 +148,7 @@ class CameraPanel(QWidget):
         """Paint clipped pixels red."""
         known = self._statistics
         level = self._full_scale if known is None else known.clip_level
-        clipped = frame.pixels >= (level or np.inf)
+        clipped = frame.pixels >= (level or _NEVER)
         self._clipped.setVisible(bool(clipped.any()))
         if self._clipped.isVisible():
             self._clipped.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))

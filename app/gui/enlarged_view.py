@@ -15,7 +15,7 @@ from app.results.relief import contour_step, contours
 from reconstruction.arrays import Floats
 
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
-_CONTOUR = QColor(0, 0, 0, 150)
+_CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
 
 
 class EnlargedMap(ViewGrid):
@@ -59,7 +59,7 @@ class EnlargedMap(ViewGrid):
             painter.setRenderHint(QPainter.RenderHint.Antialiasing, on=False)
         at_row, at_column = self.at
         x, y = round((at_column + 0.5) * step_x), round((at_row + 0.5) * step_y)
-        painter.setPen(QPen(theme.BACKGROUND, 1, Qt.PenStyle.DashLine))
+        painter.setPen(QPen(_CURSOR, 1, Qt.PenStyle.DashLine))
         painter.drawLine(x, 0, x, tile.height())
         painter.drawLine(0, y, tile.width(), y)
 
