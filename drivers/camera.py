@@ -70,9 +70,9 @@ class Camera(Device):
     def capabilities(self) -> CameraCapabilities:
         """Allowed settings in the present mode."""
         with self._access():
-            if self._cached_capabilities is None:
-                self._cached_capabilities = self._read_capabilities()
-            return self._cached_capabilities
+            if (known := self._cached_capabilities) is None:
+                self._cached_capabilities = known = self._read_capabilities()
+            return known
 
     @property
     def exposure_s(self) -> float:

@@ -12,7 +12,7 @@ Property: TypeAlias = str | float | int | bool
 
 
 class Device(ABC):
-    """An open device, called by one thread only.
+    """An open device, called by one thread; only a light may be switched off by any other.
 
     After the first `Disconnected` the device is lost: every later call raises it again, until the device is closed and
     reopened. A driver's own methods raise only `DeviceError`.

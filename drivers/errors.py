@@ -25,6 +25,10 @@ class WrongState(DeviceError):
     """The device cannot do this now, for example read a frame before it was started."""
 
 
+class LightHeldOff(WrongState):
+    """The light was switched off after the command that needs it was sent."""
+
+
 class BadValue(DeviceError):
     """The value is outside the allowed ones, which the message names."""
 

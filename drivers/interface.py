@@ -18,6 +18,7 @@ from drivers.errors import (
     DeviceTimeout,
     Disconnected,
     FrameLost,
+    LightHeldOff,
     Unsupported,
     WrongState,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "Disconnected",
     "Frame",
     "FrameLost",
+    "LightHeldOff",
     "LightSource",
     "Property",
     "Range",

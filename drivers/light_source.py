@@ -16,7 +16,7 @@ from weakref import WeakSet
 import numpy as np
 
 from drivers.device import Device, Property
-from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
+from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightHeldOff
 from drivers.range import Range
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
@@ -34,6 +34,7 @@ class LightSource(Device):
         """`limit_a` is the owner's limit of the current; `sleep` waits between two steps of a ramp."""
         super().__init__("light")
         self._limit_a, self._sleep = limit_a, sleep
+        self.may_shine: Callable[[], bool] = lambda: True  # asked before the light is lit, and while its current rises
         self._has_begun = False  # until then the device is unknown, and `close` sends nothing to it
         self._lit_since_s: float | None = None
         self._lit_before_s = 0.0
@@ -110,9 +111,14 @@ class LightSource(Device):
             return is_lit
 
     def set_on(self, on: bool) -> None:
-        """Switch the light; its current rises in steps."""
+        """Switch the light; its current rises in steps.
+
+        Any thread may switch it off; that waits for one call of the other thread at most. `LightHeldOff` if it may not
+        shine.
+        """
         with self._guarded():
             if on and not self._is_lit():
+                self._check_may_shine()
                 self._light_up()
             else:
                 self._switch(on=on)
@@ -176,9 +182,14 @@ class LightSource(Device):
         start_a = self._read_current()
         steps = int(np.ceil(_RAMP_STEPS * (current_a - start_a) / max(allowed.maximum - allowed.minimum, 1e-12)))
         for step_a in np.linspace(start_a, current_a, max(steps, 1) + 1)[1:-1]:
+            self._check_may_shine()
             self._set_current(float(step_a))
             self._sleep(_RAMP_S / _RAMP_STEPS)
         return self._set_current(current_a)
+
+    def _check_may_shine(self) -> None:
+        if not self.may_shine():
+            raise LightHeldOff("the light was switched off meanwhile: switch it on (L) and repeat")
 
     def _note(self, *, on: bool) -> None:
         """Start or stop the timer of `lit_s`."""

@@ -1,6 +1,7 @@
 """The simulated bench: light, mask, sample and optics, on which the three devices act."""
 
 import dataclasses
+import threading
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +47,7 @@ class Exposed:
 
 
 class SimulatedBench:
-    """A bench whose images are rendered once and then played; used by one thread.
+    """A bench whose images are rendered once and then played; used by one thread, but any may `change` the light.
 
     The constructor renders the reference and the first state, unless they are cached; `progress` receives 0 ... 1 over
     both. A child process renders the other states.
@@ -75,6 +76,7 @@ class SimulatedBench:
         self._playbacks: dict[str, Playback] = {}
         self._ahead: RenderingAhead | None = None
         self._next_poll_s = self.clock.now()
+        self._changing = threading.Lock()
         condition = Condition(current_a=light_settings.current_a, mask=scene.simulation.source.mask)
         self._history: deque[tuple[float, Condition]] = deque([(self.clock.now(), condition)], maxlen=256)
         self._prepare(condition.mask, progress)
@@ -86,10 +88,12 @@ class SimulatedBench:
 
     def change(self, **changes: float | bool | str) -> None:
         """Change fields of `condition` from now on."""
-        condition = dataclasses.replace(self.condition, **changes)  # type: ignore[arg-type] # fields by name
-        if condition.mask != self.condition.mask:
-            self._prepare(condition.mask, None)
-        self._history.append((self.clock.now(), condition))
+        mask = changes.get("mask", self.condition.mask)
+        if mask != self.condition.mask:
+            self._prepare(str(mask), None)
+        with self._changing:
+            condition = dataclasses.replace(self.condition, **changes)  # type: ignore[arg-type] # fields by name
+            self._history.append((self.clock.now(), condition))
 
     def render_reference(self, mask: str, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, without the sample; rendered once."""
@@ -135,12 +139,14 @@ class SimulatedBench:
 
     def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, float, Condition]]:
         """Return the parts of the interval during which nothing changed, in order; at least one."""
-        begins = [begin for begin, _ in self._history]
+        with self._changing:
+            history = tuple(self._history)
+        begins = [begin for begin, _ in history]
         ends = [*begins[1:], float("inf")]
         begins[0] = -float("inf")
         pieces = [
             (max(begin, start_s), min(end, end_s), condition)
-            for begin, end, (_, condition) in zip(begins, ends, self._history, strict=True)
+            for begin, end, (_, condition) in zip(begins, ends, history, strict=True)
         ]
         return [piece for piece in pieces if piece[1] > piece[0]] or [(start_s, end_s, self.condition)]
 

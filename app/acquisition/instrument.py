@@ -5,8 +5,8 @@ It runs in the thread that owns the devices; other threads see its frozen `Statu
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
+from app.acquisition.validity import Validity, about, as_averaged, doubt, fits, note, validity
 from app.bench.config import Bench, with_known
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.live_refinement import LiveRefinement, RefinementState
@@ -28,8 +28,6 @@ from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.sequence import sequence_quality
 from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
-
-Validity = Literal["missing", "doubtful", "good"]  # of a dark or a reference
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +52,8 @@ class Status:
     is_sample_in: bool
     dark: Validity
     reference: Validity
+    dark_note: str  # how it was taken, and why it is doubtful
+    reference_note: str
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
@@ -100,6 +100,7 @@ class Instrument:
         self.calibration: Calibration | None = None  # None if frames cannot be reconstructed
         self._dark_taken: Circumstances | None = None
         self._reference_taken: Circumstances | None = None
+        self._dark_about = self._reference_about = "none yet"
         self._lattice = bench.lattice
         self._reconstructor: Reconstructor | None = None
         self._refinement: LiveRefinement | None = None
@@ -137,8 +138,10 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
-            dark=_validity(self.dark, of_dark),
-            reference=_validity(self.reference, problem or of_reference),
+            dark=validity(self.dark, of_dark),
+            reference=validity(self.reference, problem or of_reference),
+            dark_note=note(self._dark_about, of_dark),
+            reference_note=note(self._reference_about, problem or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference or of_images,
             temperature_c=camera.temperature_c,
@@ -148,20 +151,23 @@ class Instrument:
         """Average frames with the light off, and use them as dark from now on."""
         self.dark = take_dark(self.devices, frames, progress=progress, should_stop=should_stop)
         self._dark_taken = Circumstances.of(self.devices)
+        self._dark_about = about(self.dark, self._dark_taken)
         self._prepare()
 
     def take_reference(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
         """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
         self.reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
         self._reference_taken = Circumstances.of(self.devices)
+        self._reference_about = about(self.reference, self._reference_taken)
         self._prepare()
 
     def use(self, calibration: Calibration) -> None:
         """Replace bench, dark and reference, for example by recorded ones."""
         self.bench, self.dark, self.reference = calibration.bench, calibration.dark, calibration.reference
         now = Circumstances.of(self.devices)
-        self._dark_taken = None if self.dark is None else _as_averaged(now, self.dark)
-        self._reference_taken = _as_averaged(now, self.reference)
+        self._dark_taken = None if self.dark is None else as_averaged(now, self.dark)
+        self._reference_taken = as_averaged(now, self.reference)
+        self._dark_about = self._reference_about = "as recorded"
         self._prepare()
 
     def auto_expose(self, *, progress: FrameProgress, should_stop: ShouldStop) -> AutoExposure:
@@ -182,9 +188,9 @@ class Instrument:
         if self.reference is None:
             raise WrongState("the lattice is found in the reference: take one first")
         now = Circumstances.of(self.devices)
-        if not _fits(self._reference_taken, now):
+        if not fits(self._reference_taken, now):
             raise WrongState(self._doubt_of_reference(now))
-        dark = self.dark if _fits(self._dark_taken, now) else None
+        dark = self.dark if fits(self._dark_taken, now) else None
         return surveyed(self.bench, dark, self.reference, self.devices.camera.capabilities.full_scale)
 
     def set_area(self, area: SensorArea) -> SensorArea:
@@ -258,10 +264,10 @@ class Instrument:
         if self.reference is None:
             return
         camera, bench, now = self.devices.camera, self.bench, Circumstances.of(self.devices)
-        if not _fits(self._reference_taken, now):
+        if not fits(self._reference_taken, now):
             self._problem = self._doubt_of_reference(now)
             return
-        dark = self.dark if _fits(self._dark_taken, now) else None
+        dark = self.dark if fits(self._dark_taken, now) else None
         try:
             with camera.paused():
                 calibration = Calibration.of(bench, dark, self.reference, camera.capabilities.full_scale)
@@ -276,11 +282,11 @@ class Instrument:
 
     def _doubt_of_dark(self, now: Circumstances) -> str:
         """Why the dark does not fit the current frames; empty if it does."""
-        return _doubt("dark", self._dark_taken, now, is_lit=False)
+        return doubt("dark", self._dark_taken, now, is_lit=False)
 
     def _doubt_of_reference(self, now: Circumstances) -> str:
         """Why the reference does not fit the current frames; empty if it does."""
-        return _doubt("reference", self._reference_taken, now, is_lit=True)
+        return doubt("reference", self._reference_taken, now, is_lit=True)
 
 
 def _beside(previous: Frame | None, frame: Frame) -> Quality:
@@ -288,26 +294,3 @@ def _beside(previous: Frame | None, frame: Frame) -> Quality:
     if previous is None or frame.index <= previous.index:
         return Quality()
     return sequence_quality(previous.pixels, frame.pixels, frame.camera_time_s - previous.camera_time_s)
-
-
-def _as_averaged(now: Circumstances, average: Average) -> Circumstances:
-    """Circumstances of an average; what it does not store is assumed unchanged."""
-    return replace(now, exposure_s=average.exposure_s, em_gain=average.em_gain, amplifier=average.amplifier)
-
-
-def _fits(taken: Circumstances | None, now: Circumstances) -> bool:
-    """True if an average covers the same pixels as the current frames."""
-    return taken is not None and taken.shows_same_pixels(now)
-
-
-def _doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit: bool) -> str:
-    if taken is None:
-        return f"no {what} yet: the background is a guess"
-    changed = taken.differs(now, is_lit=is_lit)
-    return f"the {what} was taken {changed}: take it again" if changed else ""
-
-
-def _validity(average: Average | None, doubt: str) -> Validity:
-    if average is None:
-        return "missing"
-    return "doubtful" if doubt else "good"

@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from app.acquisition.command_queue import CommandQueue
 from app.acquisition.frame_path import FramePath
 from app.acquisition.instrument import Instrument, Status
+from app.acquisition.light_switch import LightSwitch
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
@@ -28,6 +29,7 @@ from reconstruction.runtime.threads import one_blas_thread
 T = TypeVar("T")
 
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
+_LIGHT_OFF_S = 3.0  # for a light that does not answer
 _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
 
 
@@ -53,6 +55,8 @@ class AcquisitionLoop:
         self._commands = CommandQueue(self._update_status)
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
+        self._light_switch = LightSwitch()
+        self._writing_status = threading.Lock()
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
         self.timings = Timings()
         self._recorder = Recorder(self.timings)
@@ -68,13 +72,40 @@ class AcquisitionLoop:
 
     def submit(self, command: Callable[[Instrument], T]) -> Future[T]:
         """Execute `command` on the worker between two frames; the future resolves after `status` is updated."""
-        return self._commands.submit(command)
+        known = self._light_switch.requests
+
+        def execute(instrument: Instrument) -> T:
+            self._light_switch.begin_command(known)
+            return command(instrument)
+
+        return self._commands.submit(execute)
+
+    def cancel(self) -> None:
+        """End the current routine, if any; it restores the devices."""
+        self._cancelling.set()
+
+    def switch_light_off(self) -> Future[None]:
+        """Switch the light off at once, beside the worker, and cancel the current routine.
+
+        Commands that were sent before cannot switch it on again; the future resolves when it is off.
+        """
+        future = self._light_switch.switch_off()
+        self.cancel()
+        future.add_done_callback(self._note_light_off)
+        return future
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Stop, finish the recording, turn the light off, close the devices; wait at most `timeout_s` for all that."""
-        self._stopping.set()
+        """Turn the light off, stop, finish the recording, close the devices; wait at most `timeout_s` for all that."""
+        self.begin_close()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
+        self._light_switch.close(_LIGHT_OFF_S if timeout_s is None else timeout_s)
+
+    def begin_close(self) -> None:
+        """Turn the light off at once and ask the worker to end."""
+        if not self._stopping.is_set() and self._thread.is_alive():
+            self.switch_light_off()
+        self._stopping.set()
 
     @property
     def failure(self) -> str:
@@ -106,6 +137,7 @@ class AcquisitionLoop:
                 self._open_devices(self.bench, self._show_opening) as devices,
                 closing(Instrument(devices, self.bench, self.timings)) as instrument,
             ):
+                self._light_switch.attach(devices.light)
                 self.activity = Activity()
                 self._update_status(instrument)
                 while not self._stopping.is_set():
@@ -148,9 +180,18 @@ class AcquisitionLoop:
             self._update_status(instrument)
 
     def _update_status(self, instrument: Instrument) -> None:
-        asked_s = time.monotonic()
-        self.status, answered_s = instrument.status(), time.monotonic()
+        asked_s, served = time.monotonic(), self._light_switch.served
+        status, answered_s = instrument.status(), time.monotonic()
+        with self._writing_status:
+            if served != self._light_switch.served:  # switched off while the status was queried
+                status = replace(status, is_light_on=False)
+            self.status = status
         self._status_due_s = answered_s + max(_STATUS_INTERVAL_S, (answered_s - asked_s) / _STATUS_SHARE)
+
+    def _note_light_off(self, future: Future[None]) -> None:
+        with self._writing_status:
+            if future.exception() is None and self.status is not None:
+                self.status = replace(self.status, is_light_on=False)
 
     def _light(self) -> LightState | None:
         return None if self.status is None else LightState(self.status.is_light_on, self.status.current_a)

@@ -1,5 +1,6 @@
 """The acquisition: requests to the worker thread, and what it measured and recorded."""
 
+import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -41,10 +42,6 @@ class Acquisition(AcquisitionLoop):
     def check_background(self, frames: int = 8) -> Future[BackgroundCheck]:
         """Compare the background with the dark."""
         return self._routine(f"checking the background, {frames} frames", Instrument.check_background, frames)
-
-    def cancel(self) -> None:
-        """End the current routine, if any; it restores the devices."""
-        self._cancelling.set()
 
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.
@@ -107,15 +104,15 @@ class Acquisition(AcquisitionLoop):
             self._path.show(frame, text, self._light())
 
         def command(instrument: Instrument) -> T:
+            def should_stop() -> bool:
+                self._poll_status(instrument)  # the light and the sample differ from before
+                return self._stopping.is_set() or self._cancelling.is_set()
+
             self._cancelling.clear()
+            self._status_due_s = -math.inf
             self.activity = Activity(text)
             try:
-                return routine(
-                    instrument,
-                    *arguments,
-                    progress=show_progress,
-                    should_stop=lambda: self._stopping.is_set() or self._cancelling.is_set(),
-                )
+                return routine(instrument, *arguments, progress=show_progress, should_stop=should_stop)
             finally:
                 self.activity = Activity()
 

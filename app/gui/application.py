@@ -14,6 +14,7 @@ from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
+from app.gui.window_state import settings_file
 from app.signals import ended_by
 
 _HOPELESS_FRAMES = 20
@@ -61,7 +62,8 @@ def run_window(
         application = QApplication(sys.argv[:1])
     application.setApplicationName("svwfs")
     apply_theme(application)
-    window = MainWindow(make_acquisition, begin=begin)
+    settings = settings_file() if offscreen_s is None else None  # an unattended run always looks the same
+    window = MainWindow(make_acquisition, begin=begin, settings=settings)
     if offscreen_s is not None:
         until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).is_done
     watch = None if until is None else _Watch(window, until)

@@ -1,15 +1,17 @@
 """The camera panel: the newest frame with lattice, lost lenslets and mean displacement drawn over it."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QComboBox, QWidget
+from PyQt6.QtGui import QColor, QMouseEvent
+from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
 from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
-from app.gui.widgets import ElidedLabel, column, label, row, toggle, unfocused
+from app.gui.widgets import Choice, ElidedLabel, column, label, row, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics, frame_statistics
 from drivers.interface import Frame
@@ -19,7 +21,19 @@ from reconstruction.lattice.search import Survey
 
 _AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
 _NEVER = 2**16  # more than any count
+_CLOSEST_PX = 8  # side of the smallest area that fills the view
+_FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
+
+
+class _Picture(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types
+    def __init__(self, double_clicked: Callable[[], None], *, background: QColor) -> None:
+        super().__init__(background=background)
+        self._double_clicked = double_clicked
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        super().mouseDoubleClickEvent(event)
+        self._double_clicked()
 
 
 class CameraPanel(QWidget):
@@ -46,16 +60,16 @@ class CameraPanel(QWidget):
         for chosen in (self.lattice_toggle, self.arrows_toggle):
             chosen.setChecked(True)
             chosen.toggled.connect(self._show_overlay)
-        self._contrast_choice = QComboBox()
+        self._contrast_choice = Choice()
         self._contrast_choice.addItems([_AUTOMATIC, _FULL, _FROZEN])
         self._contrast_choice.setToolTip("Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen")
         self._contrast_choice.currentIndexChanged.connect(self._restart_contrast)
-        self._colours = QComboBox()
-        self._colours.addItems(["grey", "inferno"])
-        self._colours.setToolTip("Colours of the camera image")
-        self._colours.currentTextChanged.connect(self._show_colours)
+        self.colours = Choice()
+        self.colours.addItems(["grey", "inferno"])
+        self.colours.setToolTip("Colours of the camera image")
+        self.colours.currentTextChanged.connect(self._show_colours)
 
-        self._graphics = pg.GraphicsView(background=theme.BACKGROUND)
+        self._graphics = _Picture(self.reset_zoom, background=theme.BACKGROUND)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
         self._graphics.setMinimumSize(220, 130)
@@ -80,7 +94,7 @@ class CameraPanel(QWidget):
         self.caption = ElidedLabel("dim")
         self._title = label("Camera", "title")
         self._placeholder = label("no frame yet", "dim")
-        header = row((self._title, 1), self.lattice_toggle, self.arrows_toggle, self._contrast_choice, self._colours)
+        header = row((self._title, 1), self.lattice_toggle, self.arrows_toggle, self._contrast_choice, self.colours)
         column(header, (self._graphics, 1), self.caption, parent=self)
         column(self._placeholder, parent=self._graphics).setAlignment(Qt.AlignmentFlag.AlignCenter)
 
@@ -112,12 +126,16 @@ class CameraPanel(QWidget):
         self._image.setImage(frame.pixels, autoLevels=False, levels=self._contrast.levels)
         if is_new_shape:
             self._placeholder.hide()
-            rows, columns = frame.pixels.shape
-            area = QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
-            self._image.setRect(area)
-            self._view.setRange(area)
+            self._image.setRect(self._area(frame))
+            self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
+            self.reset_zoom()
         self._show_clipped(frame)
         self._show_overlay()
+
+    def reset_zoom(self) -> None:
+        """Show the whole frame."""
+        if self._frame is not None:
+            self._view.setRange(self._area(self._frame))
 
     def update_text(self) -> None:
         """Update the brightness and the pixel under the pointer."""
@@ -191,8 +209,27 @@ class CameraPanel(QWidget):
             self.legend.setText(f"displacement \N{MULTIPLICATION SIGN} {magnification:g}")
             self.legend.adjustSize()
 
+    def _area(self, frame: Frame) -> QRectF:
+        rows, columns = frame.pixels.shape
+        return QRectF(-0.5, -0.5, columns, rows)  # pixel centres are at integers
+
+    def _keep_in_sight(self) -> None:
+        """Keep the frame at the middle of the view, and at no less than half its size."""
+        if self._frame is None:
+            return
+        area, seen = self._area(self._frame), self._view.viewRect()
+        if min(seen.width() / area.width(), seen.height() / area.height()) > _FARTHEST:
+            self.reset_zoom()
+            return
+        middle = seen.center()
+        x = min(max(middle.x(), area.left()), area.right()) - middle.x()
+        y = min(max(middle.y(), area.top()), area.bottom()) - middle.y()
+        if x or y:
+            self._view.translateBy(x=x, y=y)
+
     def _place_legend(self, *_: object) -> None:
-        """Keep the legend in the corner of the image, or of the view if the image is larger."""
+        """Keep the image in sight, and the legend in its corner, or in that of the view if the image is larger."""
+        self._keep_in_sight()
         corner = self._view.mapViewToScene(QPointF(-0.5, -0.5))
         self.legend.move(max(round(corner.x()), 0) + 4, max(round(corner.y()), 0) + 4)
 
@@ -215,7 +252,7 @@ class CameraPanel(QWidget):
             if displacement is None or lattice is None
             else lenslet_at(lattice, displacement.outcome.shape, pointer.x(), pointer.y())
         )
-        self._graphics.setToolTip("Wheel: zoom; drag: move; click: inspect the lenslet")
+        self._graphics.setToolTip("Wheel: zoom; drag: move; double click or 0: whole frame; click: inspect the lenslet")
         if displacement is None or lenslet is None:
             return text
         name, reason = "row {}, column {}".format(*lenslet), LOST_REASONS[Outcome(int(displacement.outcome[lenslet]))]

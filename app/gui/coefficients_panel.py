@@ -4,15 +4,7 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QGuiApplication, QKeyEvent, QKeySequence
-from PyQt6.QtWidgets import (
-    QAbstractItemView,
-    QComboBox,
-    QHeaderView,
-    QStackedWidget,
-    QTableWidget,
-    QTableWidgetItem,
-    QWidget,
-)
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTableWidget, QTableWidgetItem, QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
@@ -20,7 +12,7 @@ from app.gui.colours import diverging
 from app.gui.plot import Plot
 from app.gui.presentation import number, signed
 from app.gui.view_grid import Maps, ViewGrid
-from app.gui.widgets import column, row, toggle
+from app.gui.widgets import Choice, column, row, toggle
 from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_names
 from app.results.shown_wavefront import Unit
 from reconstruction.settings import PupilBasis
@@ -40,17 +32,17 @@ class CoefficientsPanel(QWidget):
         self._mapped: int | None = None
         self._unit, self._per_rad = Unit.RAD, 1.0
         self._scale, self._map_scale = AdaptiveScale(RANGES), AdaptiveScale(RANGES)
-        self.basis = QComboBox()
+        self.basis = Choice()
         for text, basis in _BASES:
             self.basis.addItem(text, basis)
         self.basis.setToolTip("Modes of the bars; over the lattice (Legendre) or its inscribed circle (Zernike)")
         self.basis.currentIndexChanged.connect(lambda: self.pin(None))
-        self.of = QComboBox()
+        self.of = Choice()
         self.of.addItem("Selected view", None)
         self.of.setToolTip("The selected view as shown, or the coefficients e_pq of one field mode")
         self.of.currentIndexChanged.connect(lambda: self.pin(None))
         for choice in (self.of, self.basis):
-            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+            choice.setSizeAdjustPolicy(Choice.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(10)
         self.table_toggle = toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
         self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.00")

@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from PyQt6.QtCore import QBuffer, QStandardPaths, pyqtBoundSignal
+from PyQt6.QtCore import QStandardPaths, pyqtBoundSignal
 from PyQt6.QtGui import QPixmap
 
 from app.acquisition.instrument import Instrument, Status
@@ -19,8 +19,10 @@ from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
+from app.gui.device_commands import CameraModes, set_running
 from app.gui.message_strip import MessageStrip
 from app.gui.pending_commands import PendingCommands
+from app.gui.picture_file import default_picture, write_picture
 from app.gui.recording_panel import RecordingPanel
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
@@ -32,7 +34,8 @@ from reconstruction.lattice.search import Survey
 T = TypeVar("T")
 
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
-_CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it; the light is on until then
+_CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
+_CLOSING_POLL_S = 0.04
 
 
 class Controller:
@@ -60,6 +63,7 @@ class Controller:
         self.pending = PendingCommands(messages)
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
+        self._light_off: Future[None] | None = None  # the request to switch it off that is under way
         self.is_stuck = False  # whether a device kept the worker from ending on `close`
         self._survey: Survey | None = None  # the proposed lattice
         self._reported: set[Path] = set()  # recordings whose end was shown
@@ -92,11 +96,30 @@ class Controller:
         self.acquisition.start()
         self.pending.restart(self._begin(self.acquisition))
 
-    def close(self) -> None:
-        """Turn the light off and close the devices."""
-        if self.acquisition is not None:
-            self.acquisition.close(timeout_s=_CLOSING_S)
-            self.is_stuck = self.acquisition.is_alive
+    def close(self, meanwhile: Callable[[], object]) -> None:
+        """Turn the light off at once and close the devices; wait for the worker, calling `meanwhile` at 25 Hz."""
+        if self.acquisition is None:
+            return
+        self.acquisition.begin_close()
+        deadline_s = time.monotonic() + _CLOSING_S
+        while self.acquisition.is_alive and time.monotonic() < deadline_s:
+            self.acquisition.close(timeout_s=_CLOSING_POLL_S)
+            meanwhile()
+        self.is_stuck = self.acquisition.is_alive
+
+    @property
+    def is_switching_off(self) -> bool:
+        """True while the light is being switched off."""
+        return self._light_off is not None
+
+    def poll_light(self) -> bool:
+        """Return whether a request to switch off has ended since the last call; raise an alarm if it failed."""
+        if self._light_off is None or not self._light_off.done():
+            return False
+        error, self._light_off = self._light_off.exception(), None
+        if error is not None:
+            self._messages.alarm(f"the light could not be switched off: {error}")
+        return True
 
     def check_background(self) -> None:
         """Compare the background with the dark."""
@@ -104,17 +127,9 @@ class Controller:
 
     def save_screenshot(self, picture: QPixmap, path: Path | None) -> bool:
         """Save a picture, by default in the user's picture folder; return whether that succeeded."""
-        if path is None:
-            folder = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation)
-            path = Path(folder or ".") / f"svwfs-{_time_of_day()}.png"
-        encoded = QBuffer()  # Qt does not notice a full disk
-        encoded.open(QBuffer.OpenModeFlag.WriteOnly)
-        if not picture.save(encoded, path.suffix.lstrip(".") or "png"):
-            self._messages.warn(f"{path} cannot be written: give a name that ends in .png or .jpg")
-            return False
         try:
-            with atomic_write(path) as temporary:
-                temporary.write_bytes(encoded.data().data())
+            path = path or default_picture()
+            write_picture(path, picture)
         except RunError as error:
             self._messages.warn(str(error))
             return False
@@ -158,18 +173,22 @@ class Controller:
 
     def _connect_settings(self, controls: ControlsPanel) -> None:
         commands: tuple[tuple[pyqtBoundSignal, Callable[[Devices, Any], object]], ...] = (
-            (controls.running_requested, _set_running),
+            (controls.running_requested, set_running),
             (controls.exposure_requested, lambda devices, exposure_s: devices.camera.set_exposure(exposure_s)),
-            (controls.amplifier_requested, _set_amplifier),
-            (controls.readout_speed_requested, _set_readout_speed),
             (controls.em_gain_requested, lambda devices, em_gain: devices.camera.set_em_gain(em_gain)),
-            (controls.light_requested, lambda devices, on: devices.light.set_on(on)),
             (controls.current_requested, lambda devices, current_a: devices.light.set_current(current_a)),
             (controls.sample_requested, lambda devices, sample_in: devices.stage.note_sample(sample_in)),
             (controls.mask_requested, lambda devices, mask: devices.stage.set_mask(mask)),
         )
         for intent, command in commands:
             intent.connect(self._device_command(command))
+        modes = CameraModes()
+        for intent, set_mode in (
+            (controls.amplifier_requested, modes.set_amplifier),
+            (controls.readout_speed_requested, modes.set_readout_speed),
+        ):
+            intent.connect(self._device_command(set_mode, self._messages.warn))
+        controls.light_requested.connect(self._switch_light)
         controls.setting_requested.connect(self._change_setting)
 
     def _connect_routines(self, controls: ControlsPanel) -> None:
@@ -198,9 +217,20 @@ class Controller:
         if self.acquisition is not None:
             self.pending.add(submit(self.acquisition), then)
 
-    def _device_command(self, command: Callable[[Devices, Any], object]) -> Callable[[Any], None]:
-        """Return a slot that sends a command with the requested value."""
-        return lambda value: self._send(lambda to: to.submit(lambda instrument: command(instrument.devices, value)))
+    def _device_command(
+        self, command: Callable[[Devices, Any], T], then: Callable[[T], object] | None = None
+    ) -> Callable[[Any], None]:
+        """Return a slot that sends a command with the requested value; `then` receives its result."""
+        return lambda value: self._send(
+            lambda to: to.submit(lambda instrument: command(instrument.devices, value)), then
+        )
+
+    def _switch_light(self, on: bool) -> None:
+        if on:
+            self._send(lambda to: to.submit(lambda instrument: instrument.devices.light.set_on(True)))
+        elif self.acquisition is not None:
+            self._messages.clear_notice()
+            self._light_off = self.acquisition.switch_light_off()
 
     def _change_setting(self, section: str, key: str, value: object) -> None:
         def change(bench: Bench) -> Bench:
@@ -263,25 +293,4 @@ class Controller:
             self.acquisition.stop_recording()
 
     def _new_folder(self, suffix: str = "") -> Path:
-        return self.recordings_folder / f"{_time_of_day()}{suffix}"
-
-
-def _time_of_day() -> str:
-    return f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-
-
-def _set_running(devices: Devices, running: bool) -> None:
-    if running and not devices.camera.is_running:
-        devices.camera.start()
-    elif not running:
-        devices.camera.stop()
-
-
-def _set_amplifier(devices: Devices, amplifier: str) -> None:
-    with devices.camera.paused() as camera:
-        camera.set_amplifier(amplifier)
-
-
-def _set_readout_speed(devices: Devices, readout_speed: int) -> None:
-    with devices.camera.paused() as camera:
-        camera.set_readout_speed(readout_speed)
+        return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"

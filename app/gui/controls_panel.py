@@ -2,22 +2,26 @@
 
 from typing import get_args
 
-from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtCore import pyqtBoundSignal, pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
 
-from app.acquisition.instrument import Status, Validity
+from app.acquisition.instrument import Status
+from app.acquisition.validity import Validity
 from app.bench.config import AUTOMATIC
 from app.gui import theme
 from app.gui.number_field import NumberField
-from app.gui.widgets import Slot, button, label, row, toggle
+from app.gui.widgets import Choice, Slot, button, label, row, toggle
 from app.measurement.routines.averages import AVERAGED_FRAMES
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
 
 _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
 _PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest stands for automatic
-_LAMPS: dict[Validity, QColor] = {"missing": theme.LINE, "doubtful": theme.AMBER, "good": theme.GREEN}
+_LAMPS: dict[Validity, QColor] = {"missing": theme.DIM, "doubtful": theme.AMBER, "good": theme.GREEN}
+_STATES: dict[Validity, str] = {"missing": "Missing", "doubtful": "Stale", "good": "Good"}
+_DARK_TIP = "Average frames with the light off: the background of all frames (D)"
+_REFERENCE_TIP = "Average frames without the sample: zero point of the displacements (R)"
 
 
 class ControlsPanel(QFrame):
@@ -60,9 +64,11 @@ class ControlsPanel(QFrame):
             "Choose the sensor region and the binning (P)",
             self.sensor_region_requested,
         )
-        self.exposure = NumberField(unit=1e-3, suffix=" ms", decimals=3, tool_tip="Exposure time in force (E)")
+        self.exposure = NumberField(name="Exposure", unit="ms", decimals=3, tool_tip="Exposure time in force (E)")
         self.exposure.entered.connect(self.exposure_requested)
-        self.em_gain = NumberField(decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise")
+        self.em_gain = NumberField(
+            name="Gain", decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise"
+        )
         self.em_gain.setPrefix("\N{MULTIPLICATION SIGN} ")
         self.em_gain.entered.connect(self.em_gain_requested)
         self.amplifier = _choice("Output amplifier; a change restarts the camera", self.amplifier_requested)
@@ -75,9 +81,9 @@ class ControlsPanel(QFrame):
         self._add_section("Camera", _pair(self.start, self.sensor_region), ("Exposure", self.exposure), gain)
 
     def _make_bench(self) -> None:
-        self.light = toggle("Light off", "Switch the light (L)", self.light_requested)
+        self.light = toggle("Light off", "Switch the light (L)", self._request_light)
         self.sample = toggle("Sample out", "Move the sample into or out of the beam (S)", self.sample_requested)
-        self.current = NumberField(unit=1e-3, suffix=" mA", decimals=1, tool_tip="Current of the light while on (C)")
+        self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
         self.current.entered.connect(self.current_requested)
         self.mask_choice = _choice(
             "Mask in front of the light; a new mask needs a new reference (R)", self.mask_requested
@@ -86,18 +92,10 @@ class ControlsPanel(QFrame):
         self._add_section("Light and stage", switches, ("Current", self.current), ("Mask", self.mask_choice))
 
     def _make_calibration(self, frames: int) -> None:
-        self.frames = NumberField(tool_tip="Number of frames averaged into a dark or a reference")
+        self.frames = NumberField(name="Frames", tool_tip="Number of frames averaged into a dark or a reference")
         self.frames.show_value(frames, _FRAMES_RANGE)
-        self.dark = button(
-            "Dark",
-            "Average frames with the light off: the background of all frames (D)",
-            lambda: self.dark_requested.emit(round(self.frames.value())),
-        )
-        self.reference = button(
-            "Reference",
-            "Average frames without the sample: zero point of the displacements (R)",
-            lambda: self.reference_requested.emit(round(self.frames.value())),
-        )
+        self.dark = button("Dark", _DARK_TIP, lambda: self._request_average(self.dark_requested))
+        self.reference = button("Reference", _REFERENCE_TIP, lambda: self._request_average(self.reference_requested))
         self.lattice = button(
             "Lattice", "Find the lenslets in the reference and propose a lattice (N)", self.lattice_requested
         )
@@ -129,6 +127,7 @@ class ControlsPanel(QFrame):
             "Polynomials of the modal method: legendre for a square pupil, zernike for a circular one",
         )
         self.pupil_modes = NumberField(
+            name="Modes",
             tool_tip="Number of pupil modes that the modal method fits;\n"
             "automatic: as many as the lattice supports, smoothed according to the noise",
             lowest=AUTOMATIC,
@@ -148,12 +147,21 @@ class ControlsPanel(QFrame):
             ("Modes", _pair(self.pupil_modes, self.refine)),
         )
 
-    def _setting(self, key: str, tool_tip: str) -> QComboBox:
+    def _setting(self, key: str, tool_tip: str) -> Choice:
         """Make a choice for a setting of the bench."""
         return _choice(tool_tip, lambda value: self._request(key, None if value == AUTOMATIC else value))
 
     def _request(self, key: str, value: object) -> None:
         self.setting_requested.emit(*key.split("."), value)
+
+    def _request_average(self, request: pyqtBoundSignal) -> None:
+        if self.frames.commit():  # the button does not take the focus from it
+            request.emit(round(self.frames.value()))
+
+    def _request_light(self, on: bool) -> None:
+        if not on:
+            self.show_switching_off()
+        self.light_requested.emit(on)
 
     def _toggle_running(self) -> None:
         self.running_requested.emit(not self._is_running)
@@ -178,6 +186,10 @@ class ControlsPanel(QFrame):
             grid.addWidget(label(line[0], "dim"), index, 0)
             grid.addLayout(row((line[1], 1)), index, 1)
         self._layout.addLayout(grid, 2 if title == "Reconstruction" else 1)  # it has the longest texts
+
+    def show_switching_off(self) -> None:
+        """Show that the light is being switched off."""
+        self.light.setText("Switching off \N{HORIZONTAL ELLIPSIS}")
 
     def show_status(self, status: Status, *, is_settled: bool) -> None:
         """Show the status; a focused field changes only when all commands are finished (`is_settled`)."""
@@ -213,8 +225,13 @@ class ControlsPanel(QFrame):
             shown.setText(texts[is_on])
             shown.setChecked(is_on)
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
-        for taken, validity in ((self.dark, status.dark), (self.reference, status.reference)):
-            taken.setIcon(theme.lamp(_LAMPS[validity]))
+        for taken, validity, tool_tip, note in (
+            (self.dark, status.dark, _DARK_TIP, status.dark_note),
+            (self.reference, status.reference, _REFERENCE_TIP, status.reference_note),
+        ):
+            is_missing = validity == "missing"
+            taken.setIcon(theme.validity_lamp(_LAMPS[validity], is_good=validity == "good", is_missing=is_missing))
+            taken.setToolTip(f"{tool_tip}\n\n{_STATES[validity]}: {note}")
 
 
 def _uses_warp(registration: RegistrationSettings) -> bool:
@@ -227,8 +244,8 @@ def _pair(left: QWidget, right: QWidget) -> QHBoxLayout:
     return row((left, 1), (right, 1))
 
 
-def _choice(tool_tip: str, chosen: Slot) -> QComboBox:
-    choice = QComboBox()
+def _choice(tool_tip: str, chosen: Slot) -> Choice:
+    choice = Choice()
     choice.textActivated.connect(chosen)
     choice.setToolTip(tool_tip)
     choice.setMinimumWidth(64)
@@ -236,7 +253,7 @@ def _choice(tool_tip: str, chosen: Slot) -> QComboBox:
     return choice
 
 
-def _show_choice(choice: QComboBox, allowed: tuple[str, ...], chosen: str) -> None:
+def _show_choice(choice: Choice, allowed: tuple[str, ...], chosen: str) -> None:
     if tuple(choice.itemText(index) for index in range(choice.count())) != allowed:
         choice.clear()
         choice.addItems(allowed)

@@ -4,12 +4,11 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QFileDialog, QMainWindow, QSplitter, QWidget
+from PyQt6.QtWidgets import QApplication, QFileDialog, QMainWindow, QSplitter, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, start_up
@@ -21,13 +20,15 @@ from app.gui.controller import Controller
 from app.gui.controls_panel import ControlsPanel
 from app.gui.menu import fill_menus
 from app.gui.message_strip import MessageStrip
+from app.gui.number_field import NumberField
 from app.gui.recording_panel import RecordingPanel
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.status_line import StatusLine
 from app.gui.wavefront_panel import WavefrontPanel
 from app.gui.widgets import column
-from app.gui.wording import advice, warning
-from app.results.view_analysis import Quantity
+from app.gui.window_menus import window_menus
+from app.gui.window_state import fit_to_screen, restore_state, save_state
+from app.gui.wording import advice, stale, warning
 from app.timing import Timings
 
 _REFRESH_INTERVAL_MS = 40
@@ -45,12 +46,18 @@ class MainWindow(QMainWindow):
         make_acquisition: Callable[[], Acquisition],
         *,
         begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
+        settings: QSettings | None = None,
     ) -> None:
-        """Make an empty window; `connect_devices` starts an acquisition and calls `begin` with it."""
+        """Make an empty window; `connect_devices` starts an acquisition and calls `begin` with it.
+
+        The window looks as saved in `settings`, and saves how it looks when it closes.
+        """
         super().__init__()
+        self._settings = settings
         self._measurement: Measurement | None = None
         self._status: Status | None = None
         self._failure = ""
+        self._is_closing = False
         self._refreshes = 0
         self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
 
@@ -79,7 +86,10 @@ class MainWindow(QMainWindow):
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
         self.camera_panel.statistics_changed.connect(self.tabs.histogram.show_statistics)
         self._lay_out()
-        self._fill_menus()
+        for field in self.findChildren(NumberField):
+            field.refused.connect(self.messages.refuse)
+        fill_menus(self, window_menus(self))
+        self._restore_state()
         self._timer = QTimer(self)
         self._timer.setInterval(_REFRESH_INTERVAL_MS)
         self._timer.timeout.connect(self.refresh)
@@ -96,7 +106,8 @@ class MainWindow(QMainWindow):
         acquisition = self.controller.acquisition
         if acquisition is None:
             return
-        if self.controller.pending.poll():
+        has_answers, has_switched = self.controller.pending.poll(), self.controller.poll_light()
+        if has_answers or has_switched:
             self._status = None  # shown again, so that a refused value gives way to the one in force
         self._failure = acquisition.failure  # read once: message and buttons must agree
         status = acquisition.status
@@ -135,7 +146,10 @@ class MainWindow(QMainWindow):
         self._status = status
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
         self.controls.show_status(status, is_settled=self.controller.pending.is_empty)
+        if self.controller.is_switching_off:
+            self.controls.show_switching_off()
         self.region_dialog.show_status(status)
+        self.wavefront_panel.show_stale(stale(status))
         self._analysis.use_settings(status.bench.reconstruction)
         self.camera_panel.show_running(is_running=status.is_running)
         self.camera_panel.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
@@ -182,23 +196,40 @@ class MainWindow(QMainWindow):
         return is_handled
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Turn the light off and close the devices."""
+        """Turn the light off at once; the window shows that it waits until the devices are closed."""
+        if self._is_closing and event is not None:
+            event.ignore()  # asked again while it waits
+            return
+        self._is_closing = True
+        if self._settings is not None:
+            save_state(self._settings, self, self._parts, self.controller.recordings_folder)
         self._timer.stop()
         self._analysis.close()
-        self.hide()
-        self.controller.close()
+        self.region_dialog.close()
+        self.controller.close(self._show_closing)
+        self._is_closing = False
         super().closeEvent(event)
+
+    def _show_closing(self) -> None:
+        """Paint what the window waits for, without taking any command."""
+        acquisition = self.controller.acquisition
+        for panel in (self.controls, self.recording_panel):
+            panel.setEnabled(False)
+        if acquisition is not None and acquisition.status is not None:
+            self.show_status(replace(acquisition.status, is_running=False))
+            self.messages.show_closing(is_light_on=acquisition.status.is_light_on)
+        QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
     def _lay_out(self) -> None:
         self.setWindowTitle("svwfs")
         self.resize(1440, 900)
-        left = QSplitter(Qt.Orientation.Vertical)
+        left = self._left = QSplitter(Qt.Orientation.Vertical)
         left.addWidget(self.camera_panel)
         left.addWidget(self.tabs)
         left.setSizes([1000, 450])
         left.setHandleWidth(10)
         left.setChildrenCollapsible(False)
-        images = QSplitter(Qt.Orientation.Horizontal)
+        images = self._images = QSplitter(Qt.Orientation.Horizontal)
         images.addWidget(left)
         images.addWidget(self.wavefront_panel)
         images.setSizes([1000, 1000])
@@ -213,55 +244,32 @@ class MainWindow(QMainWindow):
             bar.setNativeMenuBar(False)  # a native one has no corner
             bar.setCornerWidget(self.recording_panel)
 
-    def _fill_menus(self) -> None:
-        controls, camera, wavefront = self.controls, self.camera_panel, self.wavefront_panel
-        fill_menus(
-            self,
-            {
-                "&File": (
-                    ("Start or stop recording", "W", self.recording_panel.record.click),
-                    ("Save the last seconds", "K", self.recording_panel.keep.click),
-                    ("Choose the recordings folder", "Ctrl+O", self._choose_recordings_folder),
-                    ("Save the bench", "Ctrl+S", self.save_bench),
-                    ("Save a screenshot", "Ctrl+P", self.save_screenshot),
-                    ("Quit", "Ctrl+Q", self.close),
-                ),
-                "&Bench": (
-                    ("Start or stop the camera", "Space", controls.start.click),
-                    ("Switch the light", "L", controls.light.click),
-                    ("Move the sample in or out", "S", controls.sample.click),
-                    ("Take a dark", "D", controls.dark.click),
-                    ("Take a reference", "R", controls.reference.click),
-                    ("Find the lattice", "N", controls.lattice.click),
-                    ("Find the exposure", "X", controls.auto_exposure.click),
-                    ("Check the background", "B", self.controller.check_background),
-                    ("Accept the proposal", "Return", self.messages.enter),
-                    ("Cancel, discard or dismiss", "Esc", self.messages.escape),
-                    ("Toggle refinement", "F", controls.refine.click),
-                    ("Edit the exposure", "E", controls.exposure.edit),
-                    ("Edit the current", "C", controls.current.edit),
-                    ("Choose the sensor region", "P", controls.sensor_region.click),
-                    ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect.click),
-                ),
-                "&View": (
-                    ("Lattice", "G", camera.lattice_toggle.toggle),
-                    ("Arrows", "A", camera.arrows_toggle.toggle),
-                    ("Freeze the colour scale", "H", wavefront.freeze_scale.toggle),
-                    ("Enlarge the selected view", "V", wavefront.enlarge),
-                    ("Plots below the camera image", "I", self._toggle_analysis),
-                    ("Processing times", "T", self.status_line.timing_row.toggle),
-                    *(
-                        (f"{quantity} over the field", str(index + 1), partial(wavefront.choose, quantity))
-                        for index, quantity in enumerate(Quantity)
-                    ),
-                ),
-            },
-        )
+    def _restore_state(self) -> None:
+        self._parts: dict[str, QObject] = {
+            "window/left": self._left,
+            "window/images": self._images,
+            "window/analysis": self.tabs,
+            "window/times": self.status_line.timing_row,
+            "view/quantity": self.wavefront_panel.choice,
+            "camera/lattice": self.camera_panel.lattice_toggle,
+            "camera/arrows": self.camera_panel.arrows_toggle,
+            "camera/colours": self.camera_panel.colours,
+        }
+        if self._settings is not None:
+            folder = restore_state(self._settings, self, self._parts)
+            self.controller.recordings_folder = folder or self.controller.recordings_folder
+        fit_to_screen(self)
 
-    def _toggle_analysis(self) -> None:
+    def toggle_full_screen(self) -> None:
+        """Fill the screen, or return to the window."""
+        self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
+
+    def toggle_analysis(self) -> None:
+        """Show or hide the plots below the camera image."""
         self.tabs.setVisible(not self.tabs.isVisible())
 
-    def _choose_recordings_folder(self) -> None:
+    def choose_recordings_folder(self) -> None:
+        """Ask for the folder of later recordings."""
         before = str(self.controller.recordings_folder)
         if chosen := QFileDialog.getExistingDirectory(self, "Recordings folder", before):
             self.controller.use_recordings_folder(Path(chosen))

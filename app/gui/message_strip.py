@@ -4,7 +4,7 @@ import time
 
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QFrame, QProgressBar, QPushButton, QWidget
+from PyQt6.QtWidgets import QFrame, QProgressBar, QWidget
 
 from app.acquisition.worker import Activity
 from app.gui import theme
@@ -27,9 +27,11 @@ class MessageStrip(QFrame):
         self._alarm = self._question = ""
         self._shown: tuple[str, str] = ("", "")
         self.text = ElidedLabel()
-        self.reconnect = QPushButton("Reconnect")
-        self.reconnect.setToolTip("Open the devices again, take dark and reference, and start measuring (Ctrl+R)")
-        self.reconnect.clicked.connect(self.reconnect_requested)
+        self.reconnect = button(
+            "Reconnect",
+            "Open the devices again, take dark and reference, and start measuring (Ctrl+R)",
+            self.reconnect_requested,
+        )
         self.accept = button("Use it", "Accept the proposal (Return)", lambda: self._answer(is_accepted=True))
         self.discard = button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
         self.dismiss = button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
@@ -46,6 +48,10 @@ class MessageStrip(QFrame):
     def warn(self, text: str) -> None:
         """Show an amber notice: something was not done."""
         self._notify(text, theme.AMBER)
+
+    def refuse(self, text: str) -> None:
+        """Show a red notice: an entry cannot be used; empty text removes it."""
+        self._notify(text, theme.RED)
 
     def inform(self, text: str) -> None:
         """Show a green notice: something was done."""
@@ -110,6 +116,11 @@ class MessageStrip(QFrame):
             self._show(warning, theme.AMBER)
         else:
             self._show(advice, theme.DIM)
+
+    def show_closing(self, *, is_light_on: bool) -> None:
+        """Show that the window closes as soon as the devices have ended."""
+        light = "switching the light off" if is_light_on else "the light is off"
+        self._show(f"closing: {light}; waiting for the frame that is being processed", theme.AMBER)
 
     def _answer(self, *, is_accepted: bool) -> None:
         self._question = ""

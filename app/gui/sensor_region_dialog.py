@@ -1,11 +1,11 @@
 """Dialog for the sensor region and the binning; the measurement continues beside it."""
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QFormLayout, QWidget
 
 from app.acquisition.instrument import Status
 from app.gui.number_field import NumberField
-from app.gui.widgets import button, column, label, row
+from app.gui.widgets import Choice, button, column, label, row
 from app.measurement.sensor_region import SensorArea
 from drivers.interface import Range, Region
 
@@ -22,12 +22,12 @@ class SensorRegionDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Sensor region and binning")
         self._status: Status | None = None
-        self.top = NumberField(tool_tip=f"First row that is read out. {_STEPS}")
-        self.left = NumberField(tool_tip=f"First column that is read out. {_STEPS}")
-        self.rows = NumberField(tool_tip=f"Number of rows. {_STEPS}")
-        self.columns = NumberField(tool_tip=f"Number of columns. {_STEPS}")
+        self.top = NumberField(name="First row", tool_tip=f"First row that is read out. {_STEPS}")
+        self.left = NumberField(name="First column", tool_tip=f"First column that is read out. {_STEPS}")
+        self.rows = NumberField(name="Rows", tool_tip=f"Number of rows. {_STEPS}")
+        self.columns = NumberField(name="Columns", tool_tip=f"Number of columns. {_STEPS}")
         self._sides = (self.top, self.left, self.rows, self.columns)
-        self.binning = QComboBox()
+        self.binning = Choice()
         self.binning.setToolTip("Sensor pixels per frame pixel, along both axes")
         self.limits, self.in_force = label("", "dim"), label("", "dim")
         self.whole = button("Whole sensor", "Fill in the whole sensor", self._fill_whole)
@@ -100,4 +100,5 @@ class SensorRegionDialog(QDialog):
             self.fill(self._status.capabilities.sensor)
 
     def _request_area(self) -> None:
-        self.area_requested.emit(self.area)
+        if all(side.commit() for side in self._sides):
+            self.area_requested.emit(self.area)

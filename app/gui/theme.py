@@ -69,6 +69,18 @@ def lamp(colour: QColor) -> QIcon:
     return _icon(path, colour)
 
 
+def validity_lamp(colour: QColor, *, is_good: bool, is_missing: bool) -> QIcon:
+    """Return a lamp that shows a state by its shape, too: a disc, a triangle in doubt, an empty ring without."""
+    path = QPainterPath()
+    if is_good or is_missing:
+        path.addEllipse(5, 5, 22, 22)
+    else:
+        path.addPolygon(QPolygonF([QPointF(16, 4), QPointF(30, 28), QPointF(2, 28)]))
+    if is_missing:
+        path.addEllipse(9, 9, 14, 14)  # a hole: the fill rule is odd-even
+    return _icon(path, colour)
+
+
 def start_or_stop(*, is_running: bool) -> QIcon:
     """Return the icon of a button: a square stops, a triangle starts."""
     path = QPainterPath()

@@ -45,6 +45,7 @@ class ViewGrid(QWidget):
         self.empty = "no wavefront"  # shown without maps
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._number_width = 0  # px
+        self.is_stale = False  # whether the maps are grey, since dark or reference no longer fit
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
         self.setMinimumSize(260, 220)
@@ -90,7 +91,7 @@ class ViewGrid(QWidget):
                 painter.fillRect(tile, theme.RAISED)
                 painter.fillRect(tile, hatching)
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, maps.is_smooth and bool(is_known))
-            painter.drawImage(tile, _image(view))
+            painter.drawImage(tile, _greyed(_image(view)) if self.is_stale else _image(view))
         if self._has_captions():
             self._paint_captions(painter)
         self._paint_selection(painter)
@@ -203,6 +204,13 @@ class ViewGrid(QWidget):
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
             place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
             painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
+
+
+def _greyed(image: QImage) -> QImage:
+    """Return an image in dim grey, without its colours."""
+    grey = image.convertToFormat(QImage.Format.Format_Grayscale8).convertToFormat(QImage.Format.Format_ARGB32)
+    grey.setAlphaChannel(image.convertToFormat(QImage.Format.Format_Alpha8))
+    return grey
 
 
 def _image(pixels: Pixels) -> QImage:

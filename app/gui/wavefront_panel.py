@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QFileDialog, QWidget
+from PyQt6.QtWidgets import QFileDialog, QWidget
 
 from app.errors import InputError
+from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.display_menu import DisplayMenu
 from app.gui.enlarged_view import EnlargedView
 from app.gui.presentation import PRESENTATIONS, Presentation, place
 from app.gui.view_grid import Maps, ViewGrid
-from app.gui.widgets import ElidedLabel, button, column, label, row, toggle
+from app.gui.widgets import Choice, ElidedLabel, button, column, label, row, toggle
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
@@ -37,14 +38,13 @@ class WavefrontPanel(QWidget):
         self._limits = units
         self._reach_mrad = AdaptiveScale(RANGES)  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
-        self._choice = QComboBox()
-        self._choice.addItems(list(Quantity))
+        self.choice = Choice()
+        self.choice.addItems(list(Quantity))
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
-            self._choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
-        self._choice.setToolTip("Quantity shown for every view (keys 1 to 6)")
-        self._choice.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self._choice.currentIndexChanged.connect(self._redraw)
+            self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
+        self.choice.setToolTip("Quantity shown for every view (keys 1 to 6)")
+        self.choice.currentIndexChanged.connect(self._redraw)
         self._summary = ElidedLabel("dim")
         self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.freeze_scale = toggle("Freeze scale", "Freeze the colour scale (H)")
@@ -56,16 +56,19 @@ class WavefrontPanel(QWidget):
         self.display_button = button("Display", "Tilt, defocus, mean, unit, views", lambda: None)
         self.display_button.setMenu(self.menu)
         self.grid = ViewGrid()
+        self.stale = ElidedLabel()
+        self.stale.setStyleSheet(f"color: {theme.AMBER.name()};")
+        self.stale.hide()
         self.grid.opened.connect(self.enlarge)
         header = row(
-            self._choice, label("over the field", "title"), (self._summary, 1), self.display_button, self.freeze_scale
+            self.choice, label("over the field", "title"), (self._summary, 1), self.display_button, self.freeze_scale
         )
-        column(header, (self.grid, 1), parent=self)
+        column(header, self.stale, (self.grid, 1), parent=self)
 
     @property
     def quantity(self) -> Quantity:
         """The chosen quantity."""
-        return Quantity(self._choice.currentText())
+        return Quantity(self.choice.currentText())
 
     @property
     def reach_rad(self) -> float | None:
@@ -74,7 +77,16 @@ class WavefrontPanel(QWidget):
 
     def choose(self, quantity: Quantity) -> None:
         """Choose a quantity."""
-        self._choice.setCurrentText(quantity)
+        self.choice.setCurrentText(quantity)
+
+    def show_stale(self, reason: str) -> None:
+        """Show the maps in grey for this reason; empty if they are good."""
+        if reason != self.stale.text():
+            self.grid.is_stale = bool(reason)
+            self.stale.setText(reason)
+            self.stale.setToolTip(reason)
+            self.stale.setVisible(bool(reason))
+            self.grid.update()
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
         """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""

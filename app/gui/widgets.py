@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from typing import TypeVar
 
-from PyQt6.QtCore import QSize, Qt, pyqtBoundSignal
-from PyQt6.QtGui import QPainter, QPaintEvent
+from PyQt6.QtCore import QEvent, QSize, Qt, pyqtBoundSignal
+from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QWheelEvent
 from PyQt6.QtWidgets import (
     QAbstractScrollArea,
     QBoxLayout,
+    QComboBox,
     QHBoxLayout,
     QLabel,
     QLayout,
@@ -21,6 +22,7 @@ from PyQt6.QtWidgets import (
 Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
+ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
@@ -51,9 +53,47 @@ class ElidedLabel(QLabel):
             )
 
 
+class Button(QPushButton):
+    """A button that Space and Return press while it has the focus, although both are shortcuts of the window."""
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep both keys from the shortcuts."""
+        if isinstance(event, QKeyEvent) and event.key() in {Qt.Key.Key_Space, *ENTER}:
+            if event.type() == QEvent.Type.ShortcutOverride:
+                event.accept()
+                return True
+            if event.type() == QEvent.Type.KeyPress and event.key() in ENTER:
+                self.click()
+                return True
+        return super().event(event)
+
+
+class Choice(QComboBox):
+    """A choice that Space opens and the wheel changes only with the focus, which a click does not give."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep Space from the shortcuts."""
+        is_shortcut = isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride
+        if isinstance(event, QKeyEvent) and is_shortcut and event.key() == Qt.Key.Key_Space:
+            event.accept()
+            return True
+        return super().event(event)
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Ignore the wheel without the focus: scrolling past must not change a setting."""
+        if event is not None and not self.hasFocus():
+            event.ignore()
+        else:
+            super().wheelEvent(event)
+
+
 def button(text: str, tool_tip: str, clicked: Slot) -> QPushButton:
     """Make a button that does not take the focus when clicked."""
-    made = QPushButton(text)
+    made = Button(text)
     made.setToolTip(tool_tip)
     made.setIconSize(QSize(14, 14))
     made.setFocusPolicy(Qt.FocusPolicy.TabFocus)

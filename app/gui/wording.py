@@ -34,9 +34,12 @@ def warning(
 ) -> str:
     """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
 
-    A `problem` of the newest frame comes first, then its `quality`; subimages of its `wavefront` that rotate come last.
+    Without light, or with a reference for other frames, a `problem` of the newest frame is a consequence; else it comes
+    first, then its `quality`; subimages of its `wavefront` that rotate come last.
     """
-    if problem not in {"", status.warning}:
+    if problem and not status.is_light_on:
+        return "the light is off: switch it on (L)"
+    if problem not in {"", status.warning} and status.reference == "good":
         return problem
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
     keys = ", ".join(key for key, validity in stale if validity != "good")
@@ -47,6 +50,13 @@ def warning(
         rotation = rotation_of(wavefront)
         return ROTATES if rotation is not None and rotation.contradicts_layers else ""
     return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
+
+
+def stale(status: Status) -> str:
+    """Return why wavefronts are shown in grey; empty if dark and reference fit the frames."""
+    notes = ((status.dark, status.dark_note), (status.reference, status.reference_note))
+    reasons = [note.rpartition("\n")[2] for validity, note in notes if validity == "doubtful"]
+    return f"Stale: {'; '.join(reasons)}" if reasons else ""
 
 
 def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:

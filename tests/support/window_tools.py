@@ -11,7 +11,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
+from PyQt6.QtCore import QEvent, QPoint, QRect, QSettings, Qt
 from PyQt6.QtGui import QFont, QFontDatabase, QImage
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
@@ -54,10 +54,11 @@ def windows(application: QApplication) -> Iterator[MakeWindow]:
     """Yield a function that makes windows; close them afterwards and check that no widget survives."""
     made: list[MainWindow] = []
 
-    def make(*cameras: FakeCamera) -> MainWindow:
+    def make(*cameras: FakeCamera, settings: QSettings | None = None, resized: bool = True) -> MainWindow:
         spare = iter(cameras)
-        window = MainWindow(lambda: Acquisition(BENCH, opener(next(spare))))
-        window.resize(1000, 760)
+        window = MainWindow(lambda: Acquisition(BENCH, opener(next(spare))), settings=settings)
+        if resized:
+            window.resize(1000, 760)
         window.show()
         made.append(window)
         return window

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.interface import REFUSALS, DeviceError, Devices, Region
+from drivers.interface import REFUSALS, DeviceError, Devices, LightHeldOff, Region
 
 _SAME_EXPOSURE = 1e-3  # relative
 
@@ -30,7 +30,7 @@ class DeviceState:
         return cls(light.is_on, light.current_a, stage.is_sample_in, camera.is_running, camera.exposure_s)
 
     def restore(self, devices: Devices) -> None:
-        """Restore the devices; the light is turned off before anything moves, and on afterwards."""
+        """Restore the devices; the light is turned off before anything moves, and on afterwards if it still may."""
         camera, light, stage = devices.camera, devices.light, devices.stage
         if not self.is_light_on:
             light.set_on(False)
@@ -40,7 +40,8 @@ class DeviceState:
         if light.current_a != self.current_a:
             light.set_current(self.current_a)
         if self.is_light_on:
-            light.set_on(True)
+            with suppress(LightHeldOff):
+                light.set_on(True)
         if camera.exposure_s != self.exposure_s:
             camera.set_exposure(self.exposure_s)
         if self.is_running:

@@ -83,7 +83,7 @@ def test_frame_without_wavefront_shows_reason_and_no_old_wavefront(
 ) -> None:
     window, _ = live
     window.controls.light.click()
-    qtbot.waitUntil(lambda: "is the light on?" in window.messages.text.text())
+    qtbot.waitUntil(lambda: window.messages.text.text() == "The light is off: switch it on (L)")
     assert window.wavefront_panel.grid.maps is None
     assert window.status_line.valid.text() == "\N{EN DASH}"
 

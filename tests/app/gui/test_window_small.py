@@ -54,10 +54,12 @@ def place(widget: QWidget, window: QWidget) -> QRect:
 
 def assert_nothing_overlaps(window: MainWindow) -> None:
     """Neither panels nor texts lie over each other or reach beyond the window."""
-    panels = [window.camera_panel, window.analysis_panel, window.wavefront_panel, window.messages, window.controls]
+    panels: list[QWidget] = [window.camera_panel, window.analysis_panel, window.wavefront_panel, window.messages]
+    panels.append(window.controls)
     panels += [window.status_line, window.recording_panel]
     texts = [text for text in window.findChildren(QLabel) if text.isVisible() and text.property("role") != "on-image"]
-    for group in (panels, [*texts, window.camera_panel._graphics, window.wavefront_panel.grid]):
+    rest: list[QWidget] = [*texts, window.camera_panel._graphics, window.wavefront_panel.grid]
+    for group in (panels, rest):
         for one, other in combinations(group, 2):
             if one.isVisible() and other.isVisible() and not (one.isAncestorOf(other) or other.isAncestorOf(one)):
                 assert not place(one, window).intersects(place(other, window)), (one, other)

@@ -1,0 +1,48 @@
+"""Validity of a dark or a reference for the current frames."""
+
+from dataclasses import replace
+from datetime import datetime
+from typing import Literal
+
+from app.measurement.routines.averages import Average
+from app.measurement.routines.device_state import Circumstances
+
+Validity = Literal["missing", "doubtful", "good"]
+
+
+def as_averaged(now: Circumstances, average: Average) -> Circumstances:
+    """Circumstances of an average; what it does not store is assumed unchanged."""
+    return replace(now, exposure_s=average.exposure_s, em_gain=average.em_gain, amplifier=average.amplifier)
+
+
+def fits(taken: Circumstances | None, now: Circumstances) -> bool:
+    """True if an average covers the same pixels as the current frames."""
+    return taken is not None and taken.shows_same_pixels(now)
+
+
+def doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit: bool) -> str:
+    """Return why a dark or reference does not fit the current frames; empty if it does."""
+    if taken is None:
+        return f"no {what} yet: the background is a guess"
+    changed = taken.differs(now, is_lit=is_lit)
+    return f"the {what} was taken {changed}: take it again" if changed else ""
+
+
+def about(average: Average, taken: Circumstances) -> str:
+    """Time and settings of an average, for people."""
+    return (
+        f"{average.frames} frames at {datetime.now().astimezone():%H:%M:%S}: exposure {taken.exposure_s * 1e3:.4g} ms,"
+        f" amplifier {taken.amplifier}, gain {taken.em_gain:.4g}, mask {taken.mask}"
+    )
+
+
+def note(how: str, why: str) -> str:
+    """Return how an average was taken and, on a second line, why it is doubtful."""
+    return f"{how}\n{why}" if why else how
+
+
+def validity(average: Average | None, why: str) -> Validity:
+    """Return the validity of an average that is doubtful for this reason."""
+    if average is None:
+        return "missing"
+    return "doubtful" if why else "good"

@@ -1,0 +1,393 @@
+"""Safe controls: typed numbers, keys and wheel reach a device only as intended, and the light goes off at once."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QLocale, QPoint, QPointF, Qt
+from PyQt6.QtGui import QImage, QWheelEvent
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import part, picture, press
+
+from app.acquisition.instrument import Instrument, Reconstruction
+from app.gui import theme
+from app.gui.main_window import MainWindow
+from app.gui.number_field import NumberField
+from app.gui.wording import warning
+from app.results.view_analysis import Quantity
+from drivers.interface import Range
+
+
+def type_text(qtbot: QtBot, field: NumberField, text: str) -> None:
+    qtbot.keyClicks(field, text)  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
+
+
+def scroll(widget: QWidget) -> None:
+    middle = QPointF(widget.rect().center())
+    nothing, step = QPoint(), QPoint(0, 120)
+    event = QWheelEvent(
+        middle,
+        widget.mapToGlobal(middle),
+        nothing,
+        step,
+        Qt.MouseButton.NoButton,
+        Qt.KeyboardModifier.NoModifier,
+        Qt.ScrollPhase.NoScrollPhase,
+        False,
+    )
+    QApplication.sendEvent(widget, event)
+
+
+def says(window: MainWindow, text: str) -> bool:
+    return window.messages.text.text() == text
+
+
+@contextmanager
+def blocked_reconstruction(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """The worker hangs in a frame until the event is set, as with the slowest method."""
+    begun, release = threading.Event(), threading.Event()
+
+    def measure(*_: object) -> Reconstruction:
+        begun.set()
+        release.wait()
+        return Reconstruction(None, "slow")
+
+    monkeypatch.setattr(Instrument, "measure", measure)
+    assert begun.wait(30)
+    try:
+        yield release
+    finally:
+        release.set()
+
+
+@pytest.fixture
+def language(request: pytest.FixtureRequest) -> Iterator[None]:
+    before = QLocale()
+    QLocale.setDefault(QLocale(request.param))
+    yield
+    QLocale.setDefault(before)
+
+
+@pytest.fixture
+def current(qtbot: QtBot) -> Iterator[NumberField]:
+    """A field for 0 ... 1 A that shows 350 mA, edited as in the window."""
+    field = NumberField(name="Current", unit="mA", decimals=1, tool_tip="")
+    field.show_value(0.35, Range(0, 1))
+    field.show()
+    field.activateWindow()
+    field.edit()
+    qtbot.waitUntil(field.hasFocus)
+    yield field
+    field.deleteLater()
+
+
+@pytest.mark.parametrize("language", ["en_US", "de_DE"], indirect=True)
+@pytest.mark.usefixtures("language")
+@pytest.mark.parametrize(
+    ("typed", "current_a"),
+    [
+        ("27,5", 0.0275),
+        ("27.5", 0.0275),
+        ("27,5 mA", 0.0275),
+        ("0.65 A", 0.65),
+        ("0,45A", 0.45),
+        ("450 mA", 0.45),
+        ("2.5e2", 0.25),
+        ("500 uA", 0.0005),
+        ("1000", 1.0),
+    ],
+)
+def test_number_is_understood_in_any_notation(current: NumberField, qtbot: QtBot, typed: str, current_a: float) -> None:
+    sent = list[float]()
+    current.entered.connect(sent.append)
+    type_text(qtbot, current, typed)
+    assert not current.styleSheet()
+    press(qtbot, current, Qt.Key.Key_Return)
+    assert sent == [pytest.approx(current_a)]
+    assert current.text() == f"{1000 * current_a:.1f} mA"  # a point in every language
+    assert not current.hasFocus()
+
+
+@pytest.mark.parametrize("typed", ["9999", "1000.1", "1,001 A", "-1", "1,000.5", "350 ms", "350 kA", "abc", ""])
+@pytest.mark.parametrize("end", [Qt.Key.Key_Return, Qt.Key.Key_Tab])
+def test_impossible_number_is_refused_in_red_and_not_sent(
+    current: NumberField, qtbot: QtBot, typed: str, end: Qt.Key
+) -> None:
+    sent, refused = list[float](), list[str]()
+    current.entered.connect(sent.append)
+    current.refused.connect(refused.append)
+    press(qtbot, current, Qt.Key.Key_Backspace)
+    type_text(qtbot, current, typed)
+    assert theme.RED.name() in current.styleSheet()
+    if end == Qt.Key.Key_Return:
+        press(qtbot, current, end)
+        assert current.hasFocus()  # to be corrected
+        press(qtbot, current, Qt.Key.Key_Escape)
+    else:
+        current.clearFocus()
+    said = [why for why in refused if why][-1]
+    assert said.startswith(f"Current {typed}".strip())
+    assert "0 ... 1000 mA" in said
+    assert (refused[-1] == said) == (end == Qt.Key.Key_Tab)  # Esc needs no explanation
+    assert not current.hasFocus()
+    assert current.text() == "350.0 mA"
+    assert not current.styleSheet()
+    assert not sent
+
+
+def test_refused_number_is_explained_in_red_and_reaches_no_device(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, camera = live
+    window.activateWindow()
+    field = window.controls.current
+    press(qtbot, window, Qt.Key.Key_C)
+    qtbot.waitUntil(field.hasFocus)
+    type_text(qtbot, field, "9999")
+    press(qtbot, field, Qt.Key.Key_Return)
+    window.update_text()
+    text = window.messages.text
+    assert text.text() == "Current 9999 is outside the allowed range 0 ... 1000 mA: not changed"
+    assert theme.RED.name() in text.styleSheet()
+    press(qtbot, field, Qt.Key.Key_Escape)
+    window.controls.frames.edit()
+    qtbot.waitUntil(window.controls.frames.hasFocus)
+    type_text(qtbot, window.controls.frames, "20000")
+    window.controls.dark.click()  # does not take the focus
+    assert camera.light.current_a == 0.35
+    assert window.controller.pending.is_empty
+
+
+def test_typed_letters_and_space_are_no_shortcuts(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.activateWindow()
+    press(qtbot, window, Qt.Key.Key_E)
+    qtbot.waitUntil(window.controls.exposure.hasFocus)
+    type_text(qtbot, window.controls.exposure, "40 ms")
+    assert camera.is_running
+    assert camera.stage.is_sample_in
+    assert window.controller.pending.is_empty
+    press(qtbot, window.controls.exposure, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: camera.exposure_s == 0.04)
+    assert camera.is_running
+
+
+def test_escape_leaves_an_unchanged_field_and_digits_choose_the_view(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, camera = live
+    window.activateWindow()
+    press(qtbot, window, Qt.Key.Key_E)
+    qtbot.waitUntil(window.controls.exposure.hasFocus)
+    press(qtbot, window.controls.exposure, Qt.Key.Key_Escape)
+    assert not window.controls.exposure.hasFocus()
+    press(qtbot, window, Qt.Key.Key_2)
+    assert window.wavefront_panel.quantity is tuple(Quantity)[1]
+    assert camera.exposure_s == 0.02
+
+
+def test_status_does_not_replace_what_is_being_typed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    window.activateWindow()
+    field = window.controls.exposure
+    press(qtbot, window, Qt.Key.Key_E)
+    qtbot.waitUntil(field.hasFocus)
+    type_text(qtbot, field, "4")
+    field.show_value(0.03, Range(0.01, 10))  # for example after an automatic exposure
+    assert field.text() == "4 ms"
+    press(qtbot, field, Qt.Key.Key_Escape)
+    assert field.text() == "30.000 ms"
+
+
+def test_wheel_changes_a_field_or_choice_only_with_focus(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.activateWindow()
+    controls = window.controls
+    requests: list[tuple[str, str, object]] = []
+    controls.setting_requested.connect(lambda *request: requests.append(request))
+    for widget in (controls.exposure, controls.registration, controls.mask_choice):
+        scroll(widget)
+    assert controls.exposure.value() == 20
+    assert controls.registration.currentText() == "gauss_newton"
+    assert not requests
+    assert controls.mask_choice.currentText() == "square"
+    controls.exposure.setFocus()
+    qtbot.waitUntil(controls.exposure.hasFocus)
+    scroll(controls.exposure)
+    qtbot.waitUntil(lambda: camera.exposure_s > 0.02)
+
+
+@pytest.mark.parametrize("key", [Qt.Key.Key_Space, Qt.Key.Key_Return])
+def test_key_operates_the_focused_button_alone(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, key: Qt.Key) -> None:
+    window, camera = live
+    window.activateWindow()
+    window.controls.light.setFocus()
+    qtbot.waitUntil(window.controls.light.hasFocus)
+    press(qtbot, window.controls.light, key)
+    qtbot.waitUntil(lambda: not camera.light.shines)
+    assert camera.is_running
+
+
+def test_light_goes_off_while_a_frame_is_reconstructed(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, camera = live
+    light = window.controls.light
+    with blocked_reconstruction(monkeypatch):
+        light.click()
+        assert light.text().startswith("Switching off")
+        qtbot.waitUntil(lambda: not camera.light.shines)
+        qtbot.waitUntil(lambda: light.text() == "Light off" and not light.isChecked())
+    light.click()
+    qtbot.waitUntil(lambda: camera.light.shines and light.text() == "Light on")
+
+
+def test_light_that_does_not_go_off_raises_an_alarm(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, camera = live
+
+    def refuse(**_: object) -> None:
+        raise OSError("the cable is bad")
+
+    with blocked_reconstruction(monkeypatch), monkeypatch.context() as patch:
+        patch.setattr(camera.light, "_switch", refuse)
+        window.controls.light.click()
+        qtbot.waitUntil(lambda: "could not be switched off: the cable is bad" in window.messages.text.text())
+        assert window.controls.light.text() == "Light on"
+
+
+def test_closing_turns_the_light_off_and_waits_visibly(
+    live: tuple[MainWindow, FakeCamera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, camera = live
+    seen: list[tuple[bool, bool, str]] = []
+    with blocked_reconstruction(monkeypatch) as release:
+        show_closing = window.messages.show_closing
+
+        def note(*, is_light_on: bool) -> None:
+            show_closing(is_light_on=is_light_on)
+            seen.append((window.isVisible(), camera.light.shines, window.messages.text.text()))
+            if not is_light_on:
+                release.set()
+
+        monkeypatch.setattr(window.messages, "show_closing", note)
+        window.close()
+    is_visible, shines, text = seen[-1]
+    assert is_visible
+    assert not shines
+    assert text.startswith("Closing: the light is off; waiting for the frame")
+    assert camera.is_closed
+    assert not window.isVisible()
+
+
+@pytest.mark.parametrize(("routine", "shown"), [("dark", "Light off"), ("reference", "Sample out")])
+def test_indicators_show_the_state_during_a_routine(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, routine: str, shown: str
+) -> None:
+    window, camera = live
+    controls = window.controls
+    controls.frames.setValue(1000)
+    indicator = controls.light if routine == "dark" else controls.sample
+    getattr(controls, routine).click()
+    qtbot.waitUntil(lambda: indicator.text() == shown and not indicator.isChecked())
+    assert camera.light.shines == (routine == "reference")
+    assert window.messages.progress.isVisible()
+    press(qtbot, window, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: controls.light.text() == "Light on" and controls.sample.text() == "Sample in")
+
+
+def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    controls = window.controls
+    controls.frames.setValue(1000)
+    controls.reference.click()
+    controls.dark.click()
+    qtbot.waitUntil(lambda: window.messages.progress.value() > 2)
+    press(qtbot, window, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.shines)
+    qtbot.waitUntil(lambda: camera.stage.is_sample_in)  # the reference has ended
+    press(qtbot, window, Qt.Key.Key_Escape)  # the dark
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    assert camera.is_running
+    assert not camera.light.shines
+    assert controls.light.text() == "Light off"
+
+
+def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    """A frame that does not match is not blamed on the light if the light is on, nor the reverse."""
+    window, _ = live
+    status = window._status
+    assert status is not None
+    unmatched = "no lenslet of the frame could be matched with the reference: is the light on?"
+    for changes, text in (
+        ({"is_light_on": False}, "the light is off: switch it on (L)"),
+        (
+            {"is_light_on": False, "reference": "doubtful", "warning": "it is stale"},
+            "the light is off: switch it on (L)",
+        ),
+        (
+            {"reference": "doubtful", "warning": "it was taken with the mask stars"},
+            "it was taken with the mask stars  (R",
+        ),
+        ({}, unmatched),
+    ):
+        assert warning(replace(status, **changes), unmatched).startswith(text)
+    window.controls.mask_requested.emit("stars")
+    qtbot.waitUntil(lambda: "taken with the mask square" in window.messages.text.text())
+
+
+def test_amplifier_change_says_what_else_it_changed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    choose = camera._set_amplifier
+
+    def set_amplifier(amplifier: str) -> None:
+        choose(amplifier)
+        if amplifier == "normal":
+            camera._exposure, camera._gain = 0.421, 1.0
+
+    camera._set_amplifier = set_amplifier  # type: ignore[method-assign] # as a camera with slower readout
+    window.controls.em_gain.setValue(7)
+    for amplifier, text, state in (
+        ("normal", "Exposure changed from 20 to 421 ms, gain changed from 7 to 1", (0.421, 1.0)),
+        ("em", "Exposure changed from 421 to 20 ms, gain changed from 1 to 7", (0.02, 7.0)),
+    ):
+        window.controls.amplifier_requested.emit(amplifier)
+        qtbot.waitUntil(partial(says, window, text))
+        assert (camera.exposure_s, camera.em_gain) == state
+
+
+def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    panel, controls = window.wavefront_panel, window.controls
+
+    def colourfulness() -> int:
+        seen = picture(panel.grid).astype(int)
+        tile = part(seen, panel.grid.tile(0, 0).adjusted(3, 3, -3, -3))
+        return int(np.ptp(tile, axis=-1).max())
+
+    def lamp() -> bytes:
+        image = controls.reference.icon().pixmap(32, 32).toImage().convertToFormat(QImage.Format.Format_Alpha8)
+        return bytes(image.constBits().asarray(image.sizeInBytes()))
+
+    assert colourfulness() > 50
+    good = lamp()
+    assert "Good: 20 frames at" in controls.reference.toolTip()
+    assert "exposure 20 ms" in controls.reference.toolTip()
+    controls.exposure.setValue(30)
+    qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and panel.stale.isVisible())
+    assert panel.stale.text().startswith("Stale: the dark was taken at 20.0 ms")
+    assert colourfulness() == 0
+    assert lamp() != good  # another shape, whatever its colour
+    assert "the reference was taken at 20.0 ms" in controls.reference.toolTip()
+    controls.exposure.setValue(20)
+    qtbot.waitUntil(panel.stale.isHidden)
+    assert colourfulness() > 50

@@ -1,0 +1,134 @@
+"""State of the window: size, zoom, and what it remembers between two starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import QPoint, QPointF, QRect, QRectF, QSettings, QStandardPaths, Qt
+from PyQt6.QtGui import QScreen
+from PyQt6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+from support.gui_bench import make_measurement
+from support.window_tools import MakeWindow, dim_frame, press, views
+
+from app.gui.camera_panel import CameraPanel
+from app.gui.main_window import MainWindow
+from app.results.view_analysis import Quantity
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> QSettings:
+    return QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
+
+
+@pytest.fixture
+def small_screen(monkeypatch: pytest.MonkeyPatch) -> QRect:
+    """2560 x 1440 pixels at scale 2, with a panel along the top."""
+    free = QRect(0, 30, 1280, 690)
+    monkeypatch.setattr(QScreen, "availableGeometry", lambda _: free)
+    return free
+
+
+def test_window_opens_within_the_screen(make_window: MakeWindow, small_screen: QRect) -> None:
+    window = make_window(resized=False)
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    QApplication.processEvents()
+    assert small_screen.contains(window.frameGeometry())
+    for panel in (window.controls, window.status_line, window.recording_panel.record, window.wavefront_panel.grid):
+        place = QRect(panel.mapTo(window, QPoint()), panel.size())
+        assert window.rect().contains(place)
+
+
+def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings, tmp_path: Path) -> None:
+    first = make_window(settings=settings)
+    first.resize(1100, 700)  # wider than the screen of the tests
+    first.status_line.timing_row.show()
+    first.wavefront_panel.choose(Quantity.UNCERTAINTY)
+    first.camera_panel.arrows_toggle.setChecked(False)
+    first.camera_panel.colours.setCurrentText("inferno")
+    first.controller.use_recordings_folder(tmp_path)
+    QApplication.processEvents()
+    default = first._left.sizes()
+    first._left.setSizes([100, 1000])
+    chosen = first._left.sizes()
+    assert abs(chosen[0] - default[0]) > 20
+    first.close()
+    second = make_window(settings=settings, resized=False)
+    assert second.height() == 700
+    assert second.status_line.timing_row.isVisible()
+    assert second.wavefront_panel.quantity is Quantity.UNCERTAINTY
+    assert not second.camera_panel.arrows_toggle.isChecked()
+    assert second.camera_panel.lattice_toggle.isChecked()
+    assert second.camera_panel.colours.currentText() == "inferno"
+    assert second.controller.recordings_folder == tmp_path
+    QApplication.processEvents()
+    assert second._left.sizes() == pytest.approx(chosen, abs=3)
+
+
+def test_damaged_or_outdated_state_is_ignored(make_window: MakeWindow, settings: QSettings, tmp_path: Path) -> None:
+    settings.setValue("window/geometry", "nonsense")
+    settings.setValue("window/left", "nonsense")
+    settings.setValue("view/quantity", "a quantity of another version")
+    settings.setValue("folders/recordings", str(tmp_path / "removed"))
+    window = make_window(settings=settings)
+    assert window.wavefront_panel.quantity is Quantity.WAVEFRONT
+    assert window.controller.recordings_folder.name == "svwfs"
+
+
+def test_full_screen_and_back(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    press(qtbot, window, Qt.Key.Key_F11)
+    assert window.isFullScreen()
+    press(qtbot, window, Qt.Key.Key_F11)
+    assert not window.isFullScreen()
+
+
+def seen(panel: CameraPanel) -> QRectF:
+    return QRectF(panel._view.viewRect())
+
+
+def zoomed(window: MainWindow, factor: float) -> CameraPanel:
+    panel = window.camera_panel
+    panel._view.scaleBy((factor, factor), center=QPointF(40, 30))
+    return panel
+
+
+def test_camera_picture_cannot_be_lost(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    QApplication.processEvents()
+    whole = seen(window.camera_panel)
+    for _ in range(40):
+        panel = zoomed(window, 0.5)
+    assert seen(panel).width() >= 8
+    panel._view.translateBy(x=1e5, y=-1e5)
+    assert QRectF(-0.5, -0.5, 430, 300).contains(seen(panel).center())
+    press(qtbot, window, Qt.Key.Key_0)
+    assert seen(panel) == whole
+    for _ in range(40):
+        zoomed(window, 2)
+    assert seen(panel).width() <= 2.5 * whole.width()
+    zoomed(window, 0.3)
+    qtbot.mouseDClick(panel._graphics.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(100, 80))  # type: ignore[no-untyped-call]
+    assert seen(panel) == whole
+
+
+def test_screenshot_makes_a_missing_picture_folder(
+    make_window: MakeWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    folder = tmp_path / "Pictures"
+    monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(folder))
+    window = make_window()
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    press_with_control(qtbot, window)
+    assert len(list(folder.glob("svwfs-*.png"))) == 1
+
+
+def press_with_control(qtbot: QtBot, window: MainWindow) -> None:
+    qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call]
