@@ -124,6 +124,10 @@ class LightSource(Device):
                 self._switch(on=on)
                 self._note(on=on)
 
+    def note_light(self, on: bool) -> None:
+        """Switch the light, or without control record that a person has switched it."""
+        self.set_on(on)
+
     @property
     def lit_s(self) -> float:
         """Total time on since opening, in seconds."""

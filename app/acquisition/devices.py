@@ -13,6 +13,7 @@ from app.recording.recorded_devices import recorded_devices
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
+from drivers.manual_light import ManualLight, ManualLightSettings
 from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.stage import ManualStage
@@ -96,7 +97,9 @@ def open_camera(settings: CameraSettings) -> Camera:
 
 
 def open_light(settings: LightSettings) -> LightSource:
-    """Open a real light, switched off and set to the configured current."""
+    """Open a real light, switched off and set to the configured current; a manual one is as it is."""
+    if isinstance(settings, ManualLightSettings):
+        return ManualLight()
     light = _light(settings)
     if settings.current_a is not None:
         try:

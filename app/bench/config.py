@@ -22,6 +22,7 @@ from app.errors import InputError
 from app.files import in_words
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
+from drivers.manual_light import ManualLightSettings
 from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights.settings import DC2200Settings
@@ -42,7 +43,9 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 CameraSettings: TypeAlias = (
     SimulatedCameraSettings | DcamSettings | GenicamSettings | MicroManagerSettings | RecordingSettings
 )
-LightSettings: TypeAlias = SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings
+LightSettings: TypeAlias = (
+    SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings | ManualLightSettings
+)
 
 AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
@@ -94,6 +97,11 @@ class Bench:
     def has_manual_stage(self) -> bool:
         """True if the user moves the sample, because the devices are real and there is no motor."""
         return not isinstance(self.camera, SimulatedCameraSettings | RecordingSettings)
+
+    @property
+    def has_manual_light(self) -> bool:
+        """True if the user switches the light, because nothing controls it."""
+        return isinstance(self.light, ManualLightSettings)
 
     @property
     def camera_model(self) -> SimulatedCameraSettings:

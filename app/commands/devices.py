@@ -160,6 +160,8 @@ def _configured(bench: Bench, name: str) -> CameraSettings | LightSettings:
     if name == "camera":
         return bench.camera
     if name == "light":
+        if bench.has_manual_light:
+            raise InputError("the light of this bench is manual: there is nothing to check")
         return bench.light
     raise InputError(f"{name}: with --bench, --check takes camera or light")
 

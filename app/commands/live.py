@@ -10,6 +10,7 @@ from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.commands.display import use_display
+from app.commands.prompt import LIGHT_BY_HAND, remind
 from app.errors import InputError
 from app.files import check_outputs, make_folder
 from app.recording.folder import FRAME_LINES
@@ -56,7 +57,10 @@ def live_window(
 
         begin = start_up if player is None else player.begin
         if seconds is None:
-            return run_window(make, begin=begin)
+            status = run_window(make, begin=begin)
+            if bench.has_manual_light:
+                remind(LIGHT_BY_HAND)
+            return status
         make_folder(out)
         status = run_window(make, offscreen_s=seconds, screenshot=picture, on_finish=finish, begin=begin)
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")

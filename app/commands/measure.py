@@ -12,7 +12,7 @@ from app.acquisition.start_up import FRAMES, calibrate, watch_sample
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.commands.prompt import ask
+from app.commands.prompt import LIGHT_BY_HAND, ask, remind
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_outputs
 from app.progress import Progress
@@ -55,6 +55,8 @@ def measure(
             fault = str(acquisition.error or error)
         finally:
             acquisition.close()
+            if bench.has_manual_light:
+                remind(LIGHT_BY_HAND)
     if isinstance(acquisition.error, InputError):
         raise acquisition.error
     state = acquisition.recording
@@ -85,7 +87,10 @@ def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: P
     """
     if bench.has_manual_stage:
         ask(f"take the sample out of the beam, put the mask {bench.simulation.source.mask} in")
-    _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, progress)
+    if bench.has_manual_light:
+        _calibrate_by_hand(acquisition, average, progress, auto_expose=auto_expose)
+    else:
+        _wait(calibrate(acquisition, average, auto_expose=auto_expose), acquisition, progress)
     while problem := acquisition.submit(_problem).result():
         sentence = f"the reference is unusable: {problem}"
         if not bench.has_manual_stage:
@@ -94,6 +99,22 @@ def _calibrate(acquisition: Acquisition, bench: Bench, average: int, progress: P
         _wait([acquisition.take_reference(average)], acquisition, progress)
     if bench.has_manual_stage:
         ask("put the sample into the beam")
+
+
+def _calibrate_by_hand(acquisition: Acquisition, average: int, progress: Progress, *, auto_expose: bool) -> None:
+    """Take dark and reference while the user switches the light."""
+
+    def switch(word: str) -> None:
+        ask(f"switch the light {word}")
+        acquisition.submit(lambda instrument: instrument.devices.light.note_light(word == "on")).result()
+
+    if auto_expose:
+        switch("on")
+        _wait([acquisition.auto_expose()], acquisition, progress)
+    switch("off")
+    _wait([acquisition.take_dark(average)], acquisition, progress)
+    switch("on")
+    _wait([acquisition.take_reference(average)], acquisition, progress)
 
 
 def _problem(instrument: Instrument) -> str:

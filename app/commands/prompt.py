@@ -4,6 +4,13 @@ import sys
 
 from app.errors import InputError
 
+LIGHT_BY_HAND = "the light is manual: make sure that it is off"
+
+
+def remind(sentence: str) -> None:
+    """Print what a person must not forget."""
+    sys.stderr.write(f"{sentence}\n")
+
 
 def ask(request: str) -> None:
     """Print a request and wait for Enter; `InputError` if no terminal is attached."""

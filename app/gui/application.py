@@ -85,7 +85,9 @@ def run_window(
     if window.controller.failure:  # may have come while closing
         raise window.controller.error
     if signals:
-        raise Interrupted("interrupted: the light is off")
+        status_at_end = window.controller.status
+        is_by_hand = status_at_end is not None and status_at_end.bench.has_manual_light
+        raise Interrupted(f"interrupted: {'switch the light off by hand' if is_by_hand else 'the light is off'}")
     if watch is not None:
         watch.check()
     return status

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +21,7 @@ from app.files import atomic_write
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
 from app.gui.device_commands import CameraModes, set_running
+from app.gui.light_control import LightControl
 from app.gui.message_strip import MessageStrip
 from app.gui.pending_commands import PendingCommands
 from app.gui.picture_file import default_picture, write_picture
@@ -29,6 +31,7 @@ from app.gui.wording import area_taken, exposure_found, lattice_found, recording
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
 from drivers.interface import Devices
+from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
 T = TypeVar("T")
@@ -63,11 +66,11 @@ class Controller:
         self.pending = PendingCommands(messages)
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
-        self._light_off: Future[None] | None = None  # the request to switch it off that is under way
         self.is_stuck = False  # whether a device kept the worker from ending on `close`
-        self._survey: Survey | None = None  # the proposed lattice
+        self._on_accept: Callable[[], object] | None = None  # what an accepted question leads to
         self._reported: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
+        self.light = LightControl(lambda: self.acquisition, self._send, self._ask, controls=controls, messages=messages)
         self._connect_settings(controls)
         self._connect_routines(controls)
 
@@ -106,20 +109,6 @@ class Controller:
             self.acquisition.close(timeout_s=_CLOSING_POLL_S)
             meanwhile()
         self.is_stuck = self.acquisition.is_alive
-
-    @property
-    def is_switching_off(self) -> bool:
-        """True while the light is being switched off."""
-        return self._light_off is not None
-
-    def poll_light(self) -> bool:
-        """Return whether a request to switch off has ended since the last call; raise an alarm if it failed."""
-        if self._light_off is None or not self._light_off.done():
-            return False
-        error, self._light_off = self._light_off.exception(), None
-        if error is not None:
-            self._messages.alarm(f"the light could not be switched off: {error}")
-        return True
 
     def check_background(self) -> None:
         """Compare the background with the dark."""
@@ -188,12 +177,9 @@ class Controller:
             (controls.readout_speed_requested, modes.set_readout_speed),
         ):
             intent.connect(self._device_command(set_mode, self._messages.warn))
-        controls.light_requested.connect(self._switch_light)
         controls.setting_requested.connect(self._change_setting)
 
     def _connect_routines(self, controls: ControlsPanel) -> None:
-        controls.dark_requested.connect(lambda frames: self._send(lambda to: to.take_dark(frames)))
-        controls.reference_requested.connect(lambda frames: self._send(lambda to: to.take_reference(frames)))
         controls.auto_exposure_requested.connect(
             lambda: self._send(Acquisition.auto_expose, lambda found: self._messages.inform(exposure_found(found)))
         )
@@ -209,7 +195,7 @@ class Controller:
         self._recording_panel.keep_requested.connect(
             lambda: self._send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
         )
-        self._messages.answered.connect(self._decide_on_lattice)
+        self._messages.answered.connect(self._decide)
         self._messages.cancel_requested.connect(self._cancel)
 
     def _send(self, submit: Callable[[Acquisition], Future[T]], then: Callable[[T], object] | None = None) -> None:
@@ -225,13 +211,6 @@ class Controller:
             lambda to: to.submit(lambda instrument: command(instrument.devices, value)), then
         )
 
-    def _switch_light(self, on: bool) -> None:
-        if on:
-            self._send(lambda to: to.submit(lambda instrument: instrument.devices.light.set_on(True)))
-        elif self.acquisition is not None:
-            self._messages.clear_notice()
-            self._light_off = self.acquisition.switch_light_off()
-
     def _change_setting(self, section: str, key: str, value: object) -> None:
         def change(bench: Bench) -> Bench:
             changed: dict[str, Any] = {section: replace(getattr(bench, section), **{key: value})}
@@ -244,22 +223,28 @@ class Controller:
             self.acquisition.cancel()
 
     def _propose(self, survey: Survey | None) -> None:
-        self._survey = survey
         self._camera_panel.propose(survey)
         if survey is not None:
-            self._messages.ask(lattice_found(survey))
+            self._ask(lattice_found(survey), partial(self._use_lattice, survey.lattice))
 
-    def _decide_on_lattice(self, is_accepted: bool) -> None:
-        survey = self._survey
+    def _ask(self, question: str, act: Callable[[], object], accept: str = "Use it", discard: str = "Discard") -> None:
+        """Ask the user, and act if the answer is yes."""
+        self._on_accept = act
+        self._messages.ask(question, accept=accept, discard=discard)
+
+    def _decide(self, is_accepted: bool) -> None:
+        act, self._on_accept = self._on_accept, None
         self._propose(None)
-        if survey is not None and is_accepted:
-            lattice = survey.lattice
-            self._send(
-                lambda to: to.submit(
-                    lambda instrument: instrument.change_settings(lambda bench: replace(bench, lattice=lattice))
-                ),
-                lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
-            )
+        if act is not None and is_accepted:
+            act()
+
+    def _use_lattice(self, lattice: Lattice) -> None:
+        self._send(
+            lambda to: to.submit(
+                lambda instrument: instrument.change_settings(lambda bench: replace(bench, lattice=lattice))
+            ),
+            lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
+        )
 
     def _show_background(self, check: BackgroundCheck) -> None:
         (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)

@@ -81,7 +81,7 @@ class ControlsPanel(QFrame):
         self._add_section("Camera", _pair(self.start, self.sensor_region), ("Exposure", self.exposure), gain)
 
     def _make_bench(self) -> None:
-        self.light = toggle("Light off", "Switch the light (L)", self._request_light)
+        self.light = toggle("Light off", "Switch the light (L)", self.light_requested)
         self.sample = toggle("Sample out", "Move the sample into or out of the beam (S)", self.sample_requested)
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
         self.current.entered.connect(self.current_requested)
@@ -158,11 +158,6 @@ class ControlsPanel(QFrame):
         if self.frames.commit():  # the button does not take the focus from it
             request.emit(round(self.frames.value()))
 
-    def _request_light(self, on: bool) -> None:
-        if not on:
-            self.show_switching_off()
-        self.light_requested.emit(on)
-
     def _toggle_running(self) -> None:
         self.running_requested.emit(not self._is_running)
 
@@ -205,6 +200,7 @@ class ControlsPanel(QFrame):
         ):
             if is_settled or not field.hasFocus():
                 field.show_value(value, interval)
+        self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
         _show_choice(self.amplifier, allowed.amplifiers, status.amplifier)
         _show_choice(self.readout_speed, tuple(map(str, allowed.readout_speeds)), str(status.readout_speed))
@@ -219,7 +215,7 @@ class ControlsPanel(QFrame):
         for choice in (self.basis, self.pupil_modes):
             choice.setEnabled(reconstruction.method == "modal")
         for shown, texts, is_on, colour in (
-            (self.light, ("Light off", "Light on"), status.is_light_on, theme.AMBER),
+            (self.light, _light_texts(status), status.is_light_on, theme.AMBER),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
         ):
             shown.setText(texts[is_on])
@@ -232,6 +228,11 @@ class ControlsPanel(QFrame):
             is_missing = validity == "missing"
             taken.setIcon(theme.validity_lamp(_LAMPS[validity], is_good=validity == "good", is_missing=is_missing))
             taken.setToolTip(f"{tool_tip}\n\n{_STATES[validity]}: {note}")
+
+
+def _light_texts(status: Status) -> tuple[str, str]:
+    """Texts for a light that is off and on; of a manual one only what a person has said is known."""
+    return ("Light noted off", "Light by hand") if status.bench.has_manual_light else ("Light off", "Light on")
 
 
 def _uses_warp(registration: RegistrationSettings) -> bool:

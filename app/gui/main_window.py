@@ -28,7 +28,7 @@ from app.gui.wavefront_panel import WavefrontPanel
 from app.gui.widgets import column
 from app.gui.window_menus import window_menus
 from app.gui.window_state import fit_to_screen, restore_state, save_state
-from app.gui.wording import advice, stale, warning
+from app.gui.wording import advice, light_when_closing, stale, warning
 from app.timing import Timings
 
 _REFRESH_INTERVAL_MS = 40
@@ -106,13 +106,14 @@ class MainWindow(QMainWindow):
         acquisition = self.controller.acquisition
         if acquisition is None:
             return
-        has_answers, has_switched = self.controller.pending.poll(), self.controller.poll_light()
+        has_answers, has_switched = self.controller.pending.poll(), self.controller.light.poll()
         if has_answers or has_switched:
             self._status = None  # shown again, so that a refused value gives way to the one in force
         self._failure = acquisition.failure  # read once: message and buttons must agree
         status = acquisition.status
         if status is not None and self._failure:
-            status = replace(status, is_running=False, is_light_on=False)  # the state of failed devices
+            is_light_on = status.is_light_on and status.bench.has_manual_light
+            status = replace(status, is_running=False, is_light_on=is_light_on)  # the state of failed devices
         if status is not None and status != self._status:
             self.show_status(status)
         is_ready = self._status is not None and not self._failure
@@ -146,7 +147,7 @@ class MainWindow(QMainWindow):
         self._status = status
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
         self.controls.show_status(status, is_settled=self.controller.pending.is_empty)
-        if self.controller.is_switching_off:
+        if self.controller.light.is_switching_off:
             self.controls.show_switching_off()
         self.region_dialog.show_status(status)
         self.wavefront_panel.show_stale(stale(status))
@@ -167,10 +168,23 @@ class MainWindow(QMainWindow):
         activity = Activity() if acquisition is None else acquisition.activity
         is_live = status is not None and status.is_running and not activity.text
         live = measurement if is_live else None
+<<<<<<< HEAD
         alarm = ""
         if status is not None and not activity.text:
             alarm = warning(status) if live is None else warning(status, live.problem, live.wavefront, live.quality)
         self.messages.show_state(failure=self._failure, warning=alarm, advice=advice(status, activity, measurement))
+=======
+        problem, wavefront = ("", None) if live is None else (live.problem, live.wavefront)
+        is_by_hand = status is not None and status.bench.has_manual_light
+        self.messages.show_state(
+            shut_down="the devices are shut down, but not the light"
+            if is_by_hand
+            else "light and devices are shut down",
+            failure=self._failure,
+            warning="" if status is None or activity.text else warning(status, problem, wavefront),
+            advice=advice(status, activity, measurement),
+        )
+>>>>>>> 4e14437 (Add a light that a person switches)
 
     def save_screenshot(self, path: Path | None = None) -> bool:
         """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""
@@ -197,8 +211,10 @@ class MainWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off at once; the window shows that it waits until the devices are closed."""
-        if self._is_closing and event is not None:
-            event.ignore()  # asked again while it waits
+        if event is not None and (self._is_closing or event.spontaneous()):
+            event.ignore()
+            if not self._is_closing:
+                self.quit()  # by the user
             return
         self._is_closing = True
         if self._settings is not None:
@@ -217,7 +233,7 @@ class MainWindow(QMainWindow):
             panel.setEnabled(False)
         if acquisition is not None and acquisition.status is not None:
             self.show_status(replace(acquisition.status, is_running=False))
-            self.messages.show_closing(is_light_on=acquisition.status.is_light_on)
+            self.messages.show_closing(light_when_closing(acquisition.status))
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
 
     def _lay_out(self) -> None:
@@ -259,6 +275,11 @@ class MainWindow(QMainWindow):
             folder = restore_state(self._settings, self, self._parts)
             self.controller.recordings_folder = folder or self.controller.recordings_folder
         fit_to_screen(self)
+
+    def quit(self) -> None:
+        """Close the window; if a person switches the light, ask for that first."""
+        if not self.controller.light.ask_off(lambda: QTimer.singleShot(0, self.close)):
+            self.close()
 
     def toggle_full_screen(self) -> None:
         """Fill the screen, or return to the window."""

@@ -32,7 +32,7 @@ class MessageStrip(QFrame):
             "Open the devices again, take dark and reference, and start measuring (Ctrl+R)",
             self.reconnect_requested,
         )
-        self.accept = button("Use it", "Accept the proposal (Return)", lambda: self._answer(is_accepted=True))
+        self.accept = button("Use it", "Accept (Return)", lambda: self._answer(is_accepted=True))
         self.discard = button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
         self.dismiss = button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
         self.cancel = button("Cancel", "Stop, and restore the devices (Esc)", self.cancel_requested)
@@ -65,9 +65,11 @@ class MessageStrip(QFrame):
         """Show an error until the user dismisses it; empty text removes it."""
         self._alarm = text
 
-    def ask(self, question: str) -> None:
-        """Show a question; `answered` emits the decision."""
+    def ask(self, question: str, *, accept: str = "Use it", discard: str = "Discard") -> None:
+        """Show a question with the texts of its buttons; `answered` emits the decision."""
         self._question = question
+        self.accept.setText(accept)
+        self.discard.setText(discard)
 
     def escape(self) -> None:
         """Dismiss the alarm, discard the proposal, or request to cancel."""
@@ -92,8 +94,8 @@ class MessageStrip(QFrame):
             self.progress.setValue(round(activity.progress * 1000))
             self.progress.setToolTip(f"{activity.text}: Esc cancels")
 
-    def show_state(self, *, failure: str, warning: str, advice: str) -> None:
-        """Show the message of highest priority."""
+    def show_state(self, *, failure: str, warning: str, advice: str, shut_down: str) -> None:
+        """Show the message of highest priority; `shut_down` tells what follows from a failure."""
         self.reconnect.setVisible(bool(failure))
         if failure:
             self._question = ""  # no device is left to apply it
@@ -105,7 +107,7 @@ class MessageStrip(QFrame):
         ):
             widget.setVisible(is_shown)
         if failure:
-            self._show(f"{failure}  \N{EM DASH}  light and devices are shut down: reconnect (Ctrl+R)", theme.RED)
+            self._show(f"{failure}  \N{EM DASH}  {shut_down}: reconnect (Ctrl+R)", theme.RED)
         elif self._alarm:
             self._show(self._alarm, theme.RED)
         elif self._question:
@@ -117,9 +119,8 @@ class MessageStrip(QFrame):
         else:
             self._show(advice, theme.DIM)
 
-    def show_closing(self, *, is_light_on: bool) -> None:
-        """Show that the window closes as soon as the devices have ended."""
-        light = "switching the light off" if is_light_on else "the light is off"
+    def show_closing(self, light: str) -> None:
+        """Show that the window closes as soon as the devices have ended; `light` tells what becomes of it."""
         self._show(f"closing: {light}; waiting for the frame that is being processed", theme.AMBER)
 
     def _answer(self, *, is_accepted: bool) -> None:

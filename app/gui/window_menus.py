@@ -28,7 +28,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Choose the recordings folder", "Ctrl+O", window.choose_recordings_folder),
             ("Save the bench", "Ctrl+S", window.save_bench),
             ("Save a screenshot", "Ctrl+P", window.save_screenshot),
-            ("Quit", "Ctrl+Q", window.close),
+            ("Quit", "Ctrl+Q", window.quit),
         ),
         "&Bench": (
             ("Start or stop the camera", "Space", controls.start.click),

@@ -75,6 +75,13 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     return "F1 shows keys and conventions"
 
 
+def light_when_closing(status: Status) -> str:
+    """Return what becomes of the light while the window closes."""
+    if status.bench.has_manual_light:
+        return "switch the light off by hand" if status.is_light_on else "you noted that the light is off"
+    return "switching the light off" if status.is_light_on else "the light is off"
+
+
 def lattice_found(survey: Survey) -> str:
     """Describe a proposed lattice."""
     lattice, lit = survey.lattice, survey.illuminated

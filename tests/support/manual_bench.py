@@ -22,6 +22,6 @@ class Person:
         return True
 
     def readline(self) -> str:
-        self.saw.append((self._camera.light.shines, self._camera.stage.is_sample_in))
+        self.saw.append((self._camera.light.is_on, self._camera.stage.is_sample_in))
         self._presses -= 1
         return "\n" if self._presses >= 0 else ""

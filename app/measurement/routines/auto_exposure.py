@@ -13,6 +13,7 @@ from app.measurement.routines.device_state import restored
 from app.measurement.routines.exposure_search import MOST_FRAMES, SATURATED, Reach, Shot, next_light
 from app.measurement.routines.frames import FrameProgress, RoutineError, ShouldStop, next_frame
 from drivers.interface import BadValue, Devices, Range
+from drivers.manual_light import ManualLight
 
 FILL = 0.70  # of full scale
 TOLERANCE = 0.05  # of full scale
@@ -85,6 +86,9 @@ class _LightControl:
         self._devices = devices
         self._exposures_s: Range = devices.camera.capabilities.exposure_range_s
         allowed = devices.light.current_range_a
+        self._is_fixed = isinstance(devices.light, ManualLight)
+        if self._is_fixed:
+            allowed, initial_current_a = Range(1.0, 1.0), 1.0  # without a current, the exposure alone is the light
         if not allowed.maximum > 0:
             raise RoutineError("the allowed current is zero: raise limit_a, or check the LED head")
         least_a = max(allowed.minimum, _LEAST_CURRENT * allowed.maximum)
@@ -107,12 +111,13 @@ class _LightControl:
         nearest = min(max(light, reach.lowest), reach.highest)
         is_tried = any(abs(shot.light / nearest - 1) < _EXACT for shot in shots)
         if light < reach.lowest / _HOPELESS or (light <= reach.lowest and is_tried):
+            current = "" if self._is_fixed else f", and the least current, {self._currents_a.minimum:g} A"
             raise RoutineError(
-                f"too bright even at the shortest exposure, {self._exposures_s.minimum:g} s, and the least current,"
-                f" {self._currents_a.minimum:g} A: put a filter before the camera, or lower the gain"
+                f"too bright even at the shortest exposure, {self._exposures_s.minimum:g} s{current}:"
+                " put a filter before the camera, or lower the gain"
             )
-        limits = f"the longest exposure, {self._exposures_s.maximum:g} s, and the highest current,"
-        limits += f" {self._currents_a.maximum:g} A"
+        limits = f"the longest exposure, {self._exposures_s.maximum:g} s"
+        limits += "" if self._is_fixed else f", and the highest current, {self._currents_a.maximum:g} A"
         if light == math.inf:
             raise RoutineError(f"no light detected, even at {limits}: check the lamp and the beam path")
         if light > reach.highest * _HOPELESS or (light >= reach.highest and is_tried):
@@ -131,6 +136,8 @@ class _LightControl:
             1 - _EXACT
         ):  # one exposure step too short at the maximum current
             exposure_s = camera.set_exposure(_within(self._exposures_s, _LONGER * wanted_s))
+        if self._is_fixed:
+            return exposure_s
         if abs(exposure_s * current_a / light - 1) > _EXACT:
             current_a = _within(self._currents_a, light / exposure_s)
         return exposure_s * lamp.set_current(current_a)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from app.acquisition.worker import Acquisition
 from app.commands.measure import measure
 from app.errors import InputError, RunError
 from drivers.interface import Stage, WrongState
+from drivers.manual_light import ManualLight, ManualLightSettings
 from drivers.stage import ManualStage
 
 
@@ -64,6 +66,28 @@ def test_measure_asks_for_manual_steps(
     assert person.saw[1] == (True, False)  # after dark and reference
     asked = capsys.readouterr().err.splitlines()
     assert [line.split(",")[0] for line in asked] == ["take the sample out of the beam", "put the sample into the beam"]
+
+
+def test_measure_asks_for_a_manual_light(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, camera: FakeCamera
+) -> None:
+    light = ManualLight()
+    camera.light = light  # type: ignore[assignment] # the camera sees whether it is on
+    person = Person(camera, presses=4)
+    monkeypatch.setattr("sys.stdin", person)
+    monkeypatch.setattr("app.commands.measure.open_devices", opener(camera))
+    bench = replace(MANUAL, light=ManualLightSettings())
+    measured = measure(bench, 3, tmp_path / "m", lambda *_: None)
+    assert measured.reconstructed == 3
+    assert [is_on for is_on, _ in person.saw] == [True, True, False, True]
+    asked = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
+    assert asked == [
+        "take the sample out of the beam",
+        "switch the light off",
+        "switch the light on",
+        "put the sample into the beam",
+        "the light is manual: make sure that it is off",
+    ]
 
 
 class Mender(Person):

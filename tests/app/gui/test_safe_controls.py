@@ -273,10 +273,10 @@ def test_closing_turns_the_light_off_and_waits_visibly(
     with blocked_reconstruction(monkeypatch) as release:
         show_closing = window.messages.show_closing
 
-        def note(*, is_light_on: bool) -> None:
-            show_closing(is_light_on=is_light_on)
+        def note(light: str) -> None:
+            show_closing(light)
             seen.append((window.isVisible(), camera.light.shines, window.messages.text.text()))
-            if not is_light_on:
+            if light == "the light is off":
                 release.set()
 
         monkeypatch.setattr(window.messages, "show_closing", note)

@@ -1,0 +1,107 @@
+"""Control of the light, and of the averages that need it on or off; a person is asked to switch a manual one."""
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Protocol
+
+from app.acquisition.instrument import Instrument
+from app.acquisition.worker import Acquisition
+from app.gui.controls_panel import ControlsPanel
+from app.gui.message_strip import MessageStrip
+
+
+class _Send(Protocol):
+    def __call__(
+        self, submit: Callable[[Acquisition], Future[None]], then: Callable[[None], object] | None
+    ) -> None: ...
+
+
+class LightControl:
+    """Switches the light and takes dark and reference as the controls request."""
+
+    def __init__(
+        self,
+        acquisition: Callable[[], Acquisition | None],
+        send: _Send,
+        ask: Callable[[str, Callable[[], object], str, str], None],
+        *,
+        controls: ControlsPanel,
+        messages: MessageStrip,
+    ) -> None:
+        """`send` queues a command for the acquisition; `ask` takes a question, what a yes leads to, and two texts."""
+        self._acquisition, self._send, self._ask = acquisition, send, ask
+        self._controls, self._messages = controls, messages
+        self._switching_off: Future[None] | None = None
+        controls.light_requested.connect(self._switch)
+        controls.dark_requested.connect(self._take_dark)
+        controls.reference_requested.connect(self._take_reference)
+
+    @property
+    def is_switching_off(self) -> bool:
+        """True while the light is being switched off."""
+        return self._switching_off is not None
+
+    def poll(self) -> bool:
+        """Return whether a request to switch off has ended since the last call; raise an alarm if it failed."""
+        if self._switching_off is None or not self._switching_off.done():
+            return False
+        error, self._switching_off = self._switching_off.exception(), None
+        if error is not None:
+            self._messages.alarm(f"the light could not be switched off: {error}")
+        return True
+
+    def ask_off(self, then: Callable[[], object]) -> bool:
+        """Return whether a person must switch the light off first; then ask for that, and call `then` afterwards."""
+        acquisition = self._acquisition()
+        if acquisition is None or not acquisition.is_alive or not self._must_ask(on=False):
+            return False
+        self._ask_by_hand(on=False, then=then)
+        return True
+
+    def _switch(self, on: bool) -> None:
+        acquisition = self._acquisition()
+        if acquisition is None or acquisition.status is None:
+            return
+        if acquisition.status.bench.has_manual_light:
+            self._controls.light.setChecked(acquisition.status.is_light_on)  # until it is confirmed
+            self._ask_by_hand(on=on, then=lambda: None)
+        elif on:
+            self._send(lambda to: to.submit(lambda instrument: instrument.devices.light.set_on(True)), None)
+        else:
+            self._messages.clear_notice()
+            self._controls.show_switching_off()
+            self._switching_off = acquisition.switch_light_off()
+
+    def _take_dark(self, frames: int) -> None:
+        if self._must_ask(on=False):
+            self._ask_by_hand(on=False, then=lambda: self._take_dark(frames))
+        else:
+            self._send(lambda to: to.take_dark(frames), lambda _: self._light_again())
+
+    def _take_reference(self, frames: int) -> None:
+        if self._must_ask(on=True):
+            self._ask_by_hand(on=True, then=lambda: self._take_reference(frames))
+        else:
+            self._send(lambda to: to.take_reference(frames), None)
+
+    def _light_again(self) -> None:
+        if self._must_ask(on=True):
+            self._ask_by_hand(on=True, then=lambda: None)
+
+    def _must_ask(self, *, on: bool) -> bool:
+        acquisition = self._acquisition()
+        status = None if acquisition is None else acquisition.status
+        return status is not None and status.bench.has_manual_light and status.is_light_on != on
+
+    def _ask_by_hand(self, *, on: bool, then: Callable[[], object]) -> None:
+        """Ask a person to switch a manual light, and note it when that is confirmed."""
+
+        def note(instrument: Instrument) -> None:
+            instrument.devices.light.note_light(on)
+
+        self._ask(
+            f"switch the light {'on' if on else 'off'} by hand",
+            lambda: self._send(lambda to: to.submit(note), lambda _: then()),
+            "Done",
+            "Not now",
+        )
