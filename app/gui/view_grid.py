@@ -16,6 +16,7 @@ _GAP = 10
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
 _SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
 _MARGIN = 3  # px around all views, for the selection frame
+_STALE_OPACITY = 0.5
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
@@ -91,7 +92,9 @@ class ViewGrid(QWidget):
                 painter.fillRect(tile, theme.RAISED)
                 painter.fillRect(tile, hatching)
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, maps.is_smooth and bool(is_known))
-            painter.drawImage(tile, _greyed(_image(view)) if self.is_stale else _image(view))
+            painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
+            painter.drawImage(tile, self._dimmed(_image(view)))
+        painter.setOpacity(1.0)
         if self._has_captions():
             self._paint_captions(painter)
         self._paint_selection(painter)
@@ -125,6 +128,14 @@ class ViewGrid(QWidget):
         row, column = self.selection[0] + step[0], self.selection[1] + step[1]
         if 0 <= row < self.maps.values.shape[0] and 0 <= column < self.maps.values.shape[1]:
             self.selected.emit(row, column)
+
+    def _dimmed(self, image: QImage) -> QImage:
+        """Return an image without its colours if the maps are stale."""
+        if not self.is_stale:
+            return image
+        grey = image.convertToFormat(QImage.Format.Format_Grayscale8).convertToFormat(QImage.Format.Format_ARGB32)
+        grey.setAlphaChannel(image.convertToFormat(QImage.Format.Format_Alpha8))
+        return grey
 
     def _view_at(self, position: QPoint) -> tuple[int, int] | None:
         if self.maps is None:
@@ -194,7 +205,7 @@ class ViewGrid(QWidget):
         top, bottom = self.tile(0, view_columns - 1), self.tile(view_rows - 1, view_columns - 1)
         line = self.fontMetrics().height()
         bar = QRect(top.right() + _BAR_MARGIN, top.top() + line + 4, _BAR_WIDTH, bottom.bottom() - top.top() - line - 3)
-        painter.drawImage(bar, _image(maps.scale.bar[::-1, None]))
+        painter.drawImage(bar, self._dimmed(_image(maps.scale.bar[::-1, None])))
         painter.setPen(theme.TEXT)
         title = QRect(bar.left(), top.top(), self.width(), line)
         painter.drawText(title, Qt.AlignmentFlag.AlignVCenter, maps.scale.title)
@@ -204,13 +215,6 @@ class ViewGrid(QWidget):
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
             place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
             painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
-
-
-def _greyed(image: QImage) -> QImage:
-    """Return an image in dim grey, without its colours."""
-    grey = image.convertToFormat(QImage.Format.Format_Grayscale8).convertToFormat(QImage.Format.Format_ARGB32)
-    grey.setAlphaChannel(image.convertToFormat(QImage.Format.Format_Alpha8))
-    return grey
 
 
 def _image(pixels: Pixels) -> QImage:

@@ -385,7 +385,7 @@ def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWin
     controls.exposure.setValue(30)
     qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and panel.stale.isVisible())
     assert panel.stale.text().startswith("Stale: the dark was taken at 20.0 ms")
-    assert colourfulness() == 0
+    assert colourfulness() < 10  # a trace of the background
     assert lamp() != good  # another shape, whatever its colour
     assert "the reference was taken at 20.0 ms" in controls.reference.toolTip()
     controls.exposure.setValue(20)
