@@ -1,12 +1,12 @@
 """Strip charts of the recent minutes on a common time axis."""
 
 import numpy as np
-from PyQt6.QtWidgets import QComboBox, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.plot import Plot
 from app.gui.presentation import number
-from app.gui.widgets import ElidedLabel, column, row, toggle
+from app.gui.widgets import Choice, ElidedLabel, column, row, toggle
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, History
 
 _MINUTES = (1, 2, 5, 10, 20)
@@ -23,7 +23,7 @@ class HistoryPanel(QWidget):
         self._pinned = ""
         self.toggles = {name: toggle(name.split(" (")[0], f"Show {name}", self._arrange) for name in _ALWAYS}
         self.toggles[RMS].setChecked(True)
-        self.minutes = QComboBox()
+        self.minutes = Choice()
         for minutes in _MINUTES:
             self.minutes.addItem(f"{minutes} min", minutes)
         self.minutes.setCurrentIndex(1)

@@ -28,7 +28,7 @@ from app.gui.wavefront_panel import WavefrontPanel
 from app.gui.widgets import column
 from app.gui.window_menus import window_menus
 from app.gui.window_state import fit_to_screen, restore_state, save_state
-from app.gui.wording import advice, light_when_closing, stale, warning
+from app.gui.wording import advice, light_when_closing, shut_down, stale, warning
 from app.timing import Timings
 
 _REFRESH_INTERVAL_MS = 40
@@ -168,23 +168,15 @@ class MainWindow(QMainWindow):
         activity = Activity() if acquisition is None else acquisition.activity
         is_live = status is not None and status.is_running and not activity.text
         live = measurement if is_live else None
-<<<<<<< HEAD
         alarm = ""
         if status is not None and not activity.text:
             alarm = warning(status) if live is None else warning(status, live.problem, live.wavefront, live.quality)
-        self.messages.show_state(failure=self._failure, warning=alarm, advice=advice(status, activity, measurement))
-=======
-        problem, wavefront = ("", None) if live is None else (live.problem, live.wavefront)
-        is_by_hand = status is not None and status.bench.has_manual_light
         self.messages.show_state(
-            shut_down="the devices are shut down, but not the light"
-            if is_by_hand
-            else "light and devices are shut down",
             failure=self._failure,
-            warning="" if status is None or activity.text else warning(status, problem, wavefront),
+            shut_down=shut_down(status),
+            warning=alarm,
             advice=advice(status, activity, measurement),
         )
->>>>>>> 4e14437 (Add a light that a person switches)
 
     def save_screenshot(self, path: Path | None = None) -> bool:
         """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""

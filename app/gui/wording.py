@@ -75,6 +75,14 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     return "F1 shows keys and conventions"
 
 
+def shut_down(status: Status | None) -> str:
+    """Return what a failure has shut down: a manual light, only a person can."""
+    is_by_hand = status is not None and status.bench.has_manual_light
+    return (
+        "the devices are shut down, switch the light off by hand" if is_by_hand else "light and devices are shut down"
+    )
+
+
 def light_when_closing(status: Status) -> str:
     """Return what becomes of the light while the window closes."""
     if status.bench.has_manual_light:
