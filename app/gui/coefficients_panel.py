@@ -45,7 +45,7 @@ class CoefficientsPanel(QWidget):
             choice.setSizeAdjustPolicy(Choice.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(10)
         self.table_toggle = toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
-        self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.00")
+        self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.000")
         self.plot.setToolTip(_TIP)
         self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, brush=theme.ACCENT, pen=None)
         self.plot.view.addItem(self._bars)
@@ -101,7 +101,9 @@ class CoefficientsPanel(QWidget):
         self._errors.setData(np.repeat(index[known], 2).astype(float), ends[known].ravel())
         limit = self._scale.follow(1.1 * float(np.max(np.abs(np.nan_to_num(ends)), initial=1e-6)))
         self.plot.set_ranges((0, len(values)), (-limit, limit))
-        step = max(len(values) // 9, 1)
+        self.plot.axes["left"].setTicks([[(-limit, signed(-limit)), (0, "0"), (limit, signed(limit))]])
+        label_px = 1.5 * self.fontMetrics().horizontalAdvance("Z00")
+        step = max(round(label_px * len(values) / max(self.plot.graphics.width(), 1)), 1)
         self.plot.axes["bottom"].setTicks([[(at, names[at].split(" ")[0]) for at in index[::step]]])
         pinned = f": {self._described(found, self._mapped)}" if self._mapped is not None and found else ""
         self.title.setText(f"Coefficients ({self._unit}){pinned}")
@@ -172,6 +174,7 @@ class _Table(QTableWidget):
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         if (header := self.verticalHeader()) is not None:
             header.hide()
+            header.setDefaultSectionSize(self.fontMetrics().height() + 6)
         if (header := self.horizontalHeader()) is not None:
             header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
 

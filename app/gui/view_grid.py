@@ -209,7 +209,10 @@ class ViewGrid(QWidget):
         painter.setPen(theme.TEXT)
         title = QRect(bar.left(), top.top(), self.width(), line)
         painter.drawText(title, Qt.AlignmentFlag.AlignVCenter, maps.scale.title)
-        for fraction, text in maps.scale.ticks:
+        ticks = maps.scale.ticks
+        if len(ticks) * line > bar.height():  # both ends and the middle fit in any case
+            ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
+        for fraction, text in ticks:
             y = bar.top() + round((1 - fraction) * (bar.height() - 1))
             text_y = min(max(y - line // 2, bar.top() - 2), bar.bottom() + 2 - line)
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
