@@ -75,11 +75,11 @@ class CameraPanel(QWidget):
         self._graphics.setMinimumSize(220, 130)
         unfocused(self._graphics)
         self._image = pg.ImageItem(axisOrder="row-major")  # pyqtgraph's default is column-major
-        self._lines = _curve(self._view, theme.ACCENT, alpha=110)
+        self._lines = _curve(self._view, theme.ACCENT_ON_IMAGE, alpha=110)
         self._boxes = _curve(self._view, theme.RED, width=2)
         self._proposed_lines = _curve(self._view, theme.GREEN, width=2)
         self._proposed_boxes = _curve(self._view, theme.AMBER, width=2)  # lenslets without light
-        self._arrows = _curve(self._view, theme.AMBER)
+        self._arrows = _curve(self._view, theme.AMBER_ON_IMAGE)
         self._arrows.setShadowPen(pg.mkPen((0, 0, 0, 200), width=3))  # visible on black and on white
         self._inspected_box = _curve(self._view, theme.ACCENT, width=2)
         self._clipped = _clipped_item()

@@ -1,4 +1,4 @@
-"""Colours, style sheet and icons of the window, for a dark room."""
+"""Colours, style sheet and icons of the window: dark for a dark room, or light as the desktop."""
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
@@ -14,15 +14,35 @@ ACCENT = QColor("#4fa3e3")
 GREEN = QColor("#62c073")
 AMBER = QColor("#f0b64a")
 RED = QColor("#ff6a5f")
+DISABLED = QColor("#69727d")
+CHECKED = QColor("#22394c")
+ACCENT_ON_IMAGE, AMBER_ON_IMAGE = QColor(ACCENT), QColor(AMBER)  # an image is as dark in every theme
 
-_STYLE = f"""
+_LIGHT = (  # in place of the dark ones above
+    (BACKGROUND, "#eef0f3"),
+    (SURFACE, "#fafbfc"),
+    (RAISED, "#dfe4ea"),
+    (LINE, "#b4bdc8"),
+    (TEXT, "#1b2026"),
+    (DIM, "#525d69"),
+    (ACCENT, "#1668a8"),
+    (GREEN, "#1d7433"),
+    (AMBER, "#8a5600"),
+    (RED, "#c0281c"),
+    (DISABLED, "#8b949e"),
+    (CHECKED, "#c5dcef"),
+)
+
+
+def _style() -> str:
+    return f"""
 QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid {LINE.name()}; padding: 4px; }}
 QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
 QLabel[role="dim"] {{ color: {DIM.name()}; }}
-QLabel[role="on-image"] {{ color: {TEXT.name()}; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
+QLabel[role="on-image"] {{ color: #dde2e8; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
 QPushButton {{ padding: 3px 8px; }}
-QPushButton:checked {{ background: #22394c; border: 1px solid #2f6f9f; border-radius: 3px; }}
+QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
 QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
 QMenuBar::item:selected {{ background: {RAISED.name()}; }}
@@ -34,7 +54,11 @@ QProgressBar::chunk {{ background: #2f6f9f; }}
 
 
 def apply_theme(application: QApplication) -> None:
-    """Set the dark Fusion style for the whole application."""
+    """Set the Fusion style for the whole application, in the colours that the desktop prefers now."""
+    hints = application.styleHints()
+    if hints is not None and hints.colorScheme() is Qt.ColorScheme.Light:
+        for colour, name in _LIGHT:
+            colour.setNamedColor(name)  # the object that all parts of the window use
     application.setStyle("Fusion")
     palette = QPalette()
     roles = QPalette.ColorRole
@@ -54,11 +78,10 @@ def apply_theme(application: QApplication) -> None:
         (roles.PlaceholderText, DIM),
     ):
         palette.setColor(role, colour)
-    disabled = QColor("#69727d")
     for role in (roles.WindowText, roles.Text, roles.ButtonText):
-        palette.setColor(QPalette.ColorGroup.Disabled, role, disabled)
+        palette.setColor(QPalette.ColorGroup.Disabled, role, DISABLED)
     application.setPalette(palette)
-    application.setStyleSheet(_STYLE)
+    application.setStyleSheet(_style())
     application.setWindowIcon(_window_icon())
 
 
