@@ -30,6 +30,7 @@ from app.acquisition.devices import open_devices
 from app.bench.config import Bench, CameraSettings, LightSettings, load_bench, write_bench
 from app.cli.application import cli
 from app.errors import Interrupted, RunError
+from app.recording.writer import Record, RecordingWriter
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Devices, Frame
@@ -153,6 +154,25 @@ def test_measure_on_full_disk_names_folder_of_frames(
     said = capsys.readouterr().err.replace("\n", " ")
     assert "no space left" in said
     assert "3 frames are in" in said
+
+
+@pytest.mark.usefixtures("no_hurry")
+def test_measure_whose_list_of_frames_is_deleted_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    put = RecordingWriter.write
+
+    def delete(writer: RecordingWriter, record: Record) -> None:
+        put(writer, record)
+        if writer.frames == 2:
+            (tmp_path / "m" / "frames.jsonl").unlink()
+
+    monkeypatch.setattr(RecordingWriter, "write", delete)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "4", "--out", tmp_path / "m") == 1
+    lines = tmp_path / "m" / "frames.jsonl"
+    why = "was removed or renamed during the recording; svwfs recover finishes it"
+    assert capsys.readouterr().err == f"svwfs: {lines}: {why}\n"
+    assert not lines.exists()
 
 
 def test_measure_refines_every_frame(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import xarray as xr
 from support.command_line import run
 
 from app.files import write_image
@@ -95,3 +97,17 @@ def test_live_run_never_replaces_a_recording(
 ) -> None:
     assert run(monkeypatch, "live", "--seconds", "1", "--out", folder / "run", "--overwrite") == 2
     assert "run: holds a recording; choose another folder with --out" in capsys.readouterr().err
+
+
+def test_names_of_files_need_not_be_text(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path
+) -> None:
+    here = os.fsdecode(b"\xff")
+    assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", here) == 0
+    assert capsys.readouterr().out.endswith(" are in \\udcff\n")
+    shutil.copyfile("bench.toml", f"{here}/bench{here}.toml")
+    Path(here, "frame.tif").rename(f"{here}/frame{here}.tif")
+    inputs = ("--reference", f"{here}/reference.tif", "--bench", f"{here}/bench{here}.toml")
+    assert run(monkeypatch, "reconstruct", f"{here}/frame{here}.tif", *inputs, "--out", f"{here}/result.nc") == 0
+    with (folder / here / "result.nc").open("rb") as file, xr.open_dataset(file) as result:
+        assert result.attrs["frame"] == "frame?.tif"

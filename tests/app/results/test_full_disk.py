@@ -11,6 +11,7 @@ import h5netcdf
 import numpy as np
 import pytest
 import xarray as xr
+from support.paths import FOREIGN_FRAMES
 
 from app.results.hdf_file import HdfFile
 
@@ -97,3 +98,31 @@ def test_hdf_file_keeps_what_the_disk_refuses(tmp_path: Path, room: int) -> None
         file.close()
         with xr.open_dataset(path) as stored:
             np.testing.assert_array_equal(stored["a"], values)
+
+
+# A new user namespace may mount a disk of 64 kB.
+_ON_SMALL_DISK = """
+mount -t tmpfs -o size=64k disk "$0" && cd "$0" || exit 77
+"$@"
+status=$?
+ls -A
+exit $status
+"""
+_PROGRAM_OF_COMMANDS = "from app.cli import main; main()"
+
+
+@pytest.mark.parametrize("option", ["--out", "--plot"])
+def test_reconstruct_on_a_full_disk_is_one_line_and_no_file(tmp_path: Path, option: str) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    out, plot = (disk / "r.nc", None) if option == "--out" else (tmp_path / "r.nc", disk / "p.png")
+    frames = [str(FOREIGN_FRAMES / name) for name in ("square_frame.tif", "square_reference.tif", "bench.toml")]
+    command = [sys.executable, "-c", _PROGRAM_OF_COMMANDS, "reconstruct", frames[0], "--reference", frames[1]]
+    command += ["--bench", frames[2], "--set", "registration.warp=affine", "--out", str(out)]
+    command += [] if plot is None else ["--plot", str(plot)]
+    isolated = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", _ON_SMALL_DISK, str(disk), *command]
+    done = subprocess.run(isolated, capture_output=True, text=True, check=False)  # noqa: S603 - our own program
+    if done.returncode == 77 or "unshare:" in done.stderr:
+        pytest.skip("this system lets nobody mount a disk")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"svwfs: {out if plot is None else plot}: cannot be written: No space left on device\n"
