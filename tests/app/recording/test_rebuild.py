@@ -151,6 +151,7 @@ _DAMAGE: dict[str, Callable[[Path], object]] = {
     "variance is negative": lambda path: _save(path, variance=np.full((172, 240), -1, np.float32)),
     "frames = 0": lambda path: _save(path, frames=0),
     "frames = 'a'": lambda path: _save(path, frames="a"),
+    "em_gain = 0": lambda path: _save(path, em_gain=0.0),
     "exposure_s = nan": lambda path: _save(path, exposure_s=np.nan),
     "not a zip file": lambda path: path.write_bytes(b"no archive"),
     "variance is not a file in the archive": lambda path: np.savez(path, mean=np.zeros((172, 240))),
@@ -198,7 +199,7 @@ def test_everything_a_frame_needs_is_on_disk_before_its_line(
         writer.write(make_record(0, calibration, start=np.zeros((7, 9, 3, 2)), bias=np.zeros((7, 9, 3, 2))))
     metadata = [*folder.rglob("zarr.json")]
     files = [*folder.glob("*.*"), *folder.rglob("*.npy"), *folder.joinpath("calibrations").rglob("*")]
-    files += [*metadata, *(path.parent for path in metadata)]
+    files += [*metadata, *(path.parent for path in metadata), tmp_path, folder / "calibrations"]
     lost = [path for path in files if path.stat().st_ino not in synced and path.name != "frames.jsonl"]
     assert not lost
     assert len(files) >= 15
