@@ -1,6 +1,7 @@
 """Bench settings of a camera behind Micro-Manager: `[camera]` with driver "micro_manager"."""
 
 import math
+import re
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -32,6 +33,10 @@ class MicroManagerSettings:
             for key, value in (("pixel_pitch_m", self.pixel_pitch_m), ("exposure_s", self.exposure_s))
         } | {
             "adapter and device must be named": bool(self.adapter and self.device),
+            # with a slash, a library anywhere on the disk would be loaded
+            "adapter must be a name of letters, digits, '_', '.' and '-'": re.fullmatch(
+                r"[A-Za-z0-9_.-]+", self.adapter
+            ),
             "full_scale must be 1 ... 65535": self.full_scale is None or 1 <= self.full_scale <= 65535,
             "binning must be 1 ... 64": 1 <= self.binning <= 64,
             "ring_frames must be 4 ... 10000": 4 <= self.ring_frames <= 10000,
