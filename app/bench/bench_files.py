@@ -32,7 +32,7 @@ def read_bench_text(path: Path) -> str:
     """Return the text of a bench file; `InputError` if it cannot be read."""
     check_readable(path)
     try:
-        return path.read_text("utf-8")
+        return path.read_text("utf-8-sig")  # Notepad on Windows writes a byte order mark
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file") from error
     except OSError as error:

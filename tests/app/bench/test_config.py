@@ -30,6 +30,12 @@ def test_documented_bench_is_read() -> None:
     assert (bench.reconstruction.method, bench.reconstruction.pupil_modes) == ("modal", 66)
 
 
+def test_byte_order_mark_of_notepad_is_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.encode())
+    assert load_bench(path) == parse_bench(MINIMAL, "bench.toml")
+
+
 def test_integer_is_accepted_as_float() -> None:
     assert parse_bench(MINIMAL.replace("center_x_px = 255.5", "center_x_px = 255"), "b").lattice is not None
 
