@@ -85,6 +85,11 @@ class Reconstructor:
         self._reconstruction = reconstruction
         self._reference_frames = reference_frames
         light, _ = self._light(reference, "reference")
+        if not np.mean(light) > 0:
+            raise ReconstructionError(
+                "the reference is no brighter than the dark: was the light on for the dark, or off for the reference?",
+                image="reference",
+            )
         self._bad = find_bad_pixels(reference, dark)
         self.subimages = self._cut(light)
         with one_blas_thread():  # so that results repeat

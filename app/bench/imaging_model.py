@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _POINTS_PER_BLUR = 2.8  # source points per lambda f / D; fewer would be resolved
 _MARGIN_POINTS = 1  # on every side of the field: blur of its edge is modelled as source
 _SAMPLES_PER_BLUR = 1.35  # pupil samples per lambda f / D of the cell; below 1 its edge is aliased
+_LEAST_SAMPLES = 4  # that the forward model accepts
 
 
 def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
@@ -105,4 +106,4 @@ def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image
 
 
 def _pupil_samples(reference: ReferenceSubimages) -> int:
-    return 2 * math.ceil(_SAMPLES_PER_BLUR * reference.pitch_px / reference.blur_px / 2)
+    return max(_LEAST_SAMPLES, 2 * math.ceil(_SAMPLES_PER_BLUR * reference.pitch_px / reference.blur_px / 2))

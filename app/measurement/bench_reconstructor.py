@@ -101,17 +101,20 @@ class BenchReconstructor:
 
 
 def _noise(sensor: Sensor, frame: Counts, reference: Counts, dark: Counts | None) -> tuple[CameraNoise | None, float]:
-    """Noise of a frame, None if it cannot be seen, and the number of frames averaged in the reference."""
+    """Noise of a frame, None if it cannot be seen, and the number of frames averaged in the reference.
+
+    Filtering or a gamma can hide the noise of a frame; then it is that of the reference.
+    """
     found = []
     if dark is not None and dark.shape != reference.shape:
         dark = None  # refused later
     bad = find_bad_pixels(reference, dark)
     for image in (frame, reference):
-        light = np.asarray(image - np.float32(np.min(image)) if dark is None else image - dark, np.float32)
+        light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
         found.append(image_noise(repaired(light, bad) if light.shape == bad.shape else light, sensor.blur_px))
     of_frame, of_reference = found
     if of_frame is None or of_reference is None:
-        return of_frame, np.inf
+        return of_frame or of_reference, np.inf if of_frame else 1.0
     return of_frame, max(of_frame.counts_per_electron / of_reference.counts_per_electron, 1.0)
 
 

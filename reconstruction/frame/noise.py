@@ -113,7 +113,7 @@ def image_noise(light: Image, blur_px: float) -> CameraNoise | None:
 def _line(light: Floats, noise: Floats, read_variance: float) -> CameraNoise | None:
     """Fit a line through the read noise to the variances of bins of light; each has the same relative error."""
     bright = light > np.max(light) / 10
-    if np.min(noise[bright]) <= read_variance:
+    if not bright.any() or np.min(noise[bright]) <= read_variance:
         return None
     weight = 1 / noise[bright] ** 2
     slope = float(

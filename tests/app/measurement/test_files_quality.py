@@ -1,0 +1,85 @@
+"""Verdicts on frames from image files: integer counts with a dark, whose noise is estimated from the images."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from app.bench.config import load_bench
+from app.evaluation.noise_free import NoiseFreeFrames
+from app.measurement.bench_reconstructor import BenchReconstructor
+from reconstruction.arrays import Image
+from reconstruction.errors import ReconstructionError
+from reconstruction.quality.verdict import Fault, Quality
+
+ELECTRONS, READ_NOISE, OFFSET = 4000.0, 5.0, 500.0  # in the brightest pixel; counts
+
+
+@cache
+def light() -> tuple[Image, Image]:
+    """Reference and frame without noise, counts."""
+    frames = NoiseFreeFrames(load_bench("small_demo"))
+    reference, frame = frames.reference("square"), frames.frame("square").photons
+    scale = np.float32(ELECTRONS / reference.max())
+    return reference * scale, frame * scale
+
+
+def exposed(photons: Image, seed: int) -> NDArray[np.uint16]:
+    generator = np.random.default_rng(seed)
+    counts = generator.poisson(photons) + generator.normal(OFFSET, READ_NOISE, photons.shape)
+    return np.rint(counts).astype(np.uint16)
+
+
+def dark() -> NDArray[np.uint16]:
+    """Averaged: half of the unlit pixels of an image are below it."""
+    return np.full(light()[0].shape, OFFSET, np.uint16)
+
+
+def measured(frame: NDArray[np.uint16]) -> tuple[Quality, float]:
+    """Verdict on a frame, and the median chi-square of its lenslets."""
+    bench = load_bench("small_demo")
+    reconstructor = BenchReconstructor(bench, exposed(light()[0], 1), dark=dark(), frame=frame)
+    wavefront = reconstructor(frame)
+    displacement = wavefront.displacement
+    return reconstructor.quality(frame, wavefront), float(np.median(displacement.chi_square[displacement.valid]))
+
+
+def test_right_integer_frame_is_explained_by_its_noise() -> None:
+    quality, chi_square = measured(exposed(light()[1], 2))
+    assert quality.faults == Fault(0), quality.sentence
+    assert 0.8 < chi_square < 1.5
+
+
+def test_reference_as_frame_is_right() -> None:
+    quality, _ = measured(exposed(light()[0], 3))
+    assert quality.faults == Fault(0), quality.sentence
+
+
+def test_doubled_integer_frame_is_flagged() -> None:
+    ghost = 0.9 * light()[1] + 0.1 * np.roll(light()[1], (9, 7), (0, 1))
+    quality, _ = measured(exposed(ghost, 2))
+    assert Fault.MISFIT in quality.faults
+
+
+@pytest.mark.parametrize("process", ["filtered", "gamma"])
+def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
+    above = exposed(light()[1], 2) - OFFSET
+    changed = ndimage.gaussian_filter(above, 1.5)
+    if process == "gamma":
+        changed = np.sqrt(np.maximum(above, 0) * above.max())
+    quality, _ = measured(np.rint(changed + OFFSET).clip(0, 65535).astype(np.uint16))
+    assert Fault.MISFIT in quality.faults
+
+
+def test_black_frame_is_refused() -> None:
+    with pytest.raises(ReconstructionError, match="is the light on"):
+        measured(dark())
+
+
+@pytest.mark.parametrize("counts", [3000, 65535])
+def test_dark_with_more_light_than_the_reference_is_refused(counts: int) -> None:
+    bright = np.full(light()[0].shape, counts, np.uint16)
+    with pytest.raises(ReconstructionError, match="the reference is no brighter than the dark"):
+        BenchReconstructor(load_bench("small_demo"), exposed(light()[0], 1), dark=bright)
