@@ -10,7 +10,7 @@ from pathlib import Path
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.recording.folder import FRAME_LINES, PIXELS, RESULTS, RUN, STORE, lock
-from app.recording.frame_array import FrameArray, is_array
+from app.recording.frame_array import METADATA, FrameArray, is_array
 from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
 from app.recording.rebuild import rebuild_arrays, rebuild_run
@@ -61,6 +61,7 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
     """
     path = folder / FRAME_LINES
     try:
+        _refuse_links(folder)
         rebuilt = [rebuild_run(folder)]
         recording = Recording(folder)
         if not path.exists():
@@ -82,6 +83,15 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
     except OSError as error:
         raise RunError(f"{error.filename or folder}: {error.strerror or error}") from error
     return found
+
+
+def _refuse_links(folder: Path) -> None:
+    """Raise `InputError` if anything that recovery changes is a symbolic link: the file it leads to is not ours."""
+    arrays = (f"{STORE}/{PIXELS}", f"{STORE}/{RESULTS.format('*')}/*")
+    changed = ("*", f"{STORE}/*", f"{STORE}/{RESULTS.format('*')}", *arrays, *(f"{each}/{METADATA}" for each in arrays))
+    for path in chain.from_iterable(map(folder.glob, changed)):
+        if path.is_symlink():
+            raise InputError(f"{path}: is a symbolic link; put the file or folder itself in its place")
 
 
 def _length(recording: Recording, lines: FoundLines) -> int:

@@ -47,6 +47,30 @@ def test_recovery_removes_a_half_line_and_can_be_repeated(tmp_path: Path, calibr
     assert "recovered" in Recording(tmp_path / "r").ended_early
 
 
+@pytest.mark.parametrize(
+    "name", ["frames.jsonl", "run.json", "frames.zarr", "frames.zarr/0/zarr.json", "frames.zarr/zarr.json"]
+)
+def test_nothing_is_changed_through_a_symbolic_link(tmp_path: Path, name: str) -> None:
+    write(tmp_path / "r", [make_record(index) for index in range(3)], finish=False)
+    link, elsewhere = tmp_path / "r" / name, tmp_path / "elsewhere"
+    link.rename(elsewhere)
+    link.symlink_to(elsewhere)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match=f"{name}: is a symbolic link"):
+        recover(tmp_path / "r")
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_text_behind_the_link_of_the_lines_is_kept(tmp_path: Path) -> None:
+    write(tmp_path / "r", [make_record(index) for index in range(3)], finish=False)
+    (tmp_path / "important.txt").write_text("important\n")
+    (tmp_path / "r" / "frames.jsonl").unlink()
+    (tmp_path / "r" / "frames.jsonl").symlink_to("../important.txt")
+    with pytest.raises(InputError, match="symbolic link"):
+        recover(tmp_path / "r")
+    assert (tmp_path / "important.txt").read_text() == "important\n"
+
+
 def test_recording_without_frames_is_recovered(tmp_path: Path) -> None:
     write(tmp_path / "r", [], finish=False)
     (tmp_path / "r" / "frames.jsonl").unlink()
