@@ -22,7 +22,8 @@ _OUT, _REQUEST_IN, _IN = 1, 2, 2  # transfer types: message, request for one, an
 _END_OF_MESSAGE = 1
 _HEADER = struct.Struct("<BBBxLB3x")
 _ABORT_OUT, _CHECK_ABORT_OUT, _ABORT_IN, _CHECK_ABORT_IN = 1, 2, 3, 4
-_CLEAR, _CHECK_CLEAR, _CAPABILITIES, _REMOTE = 5, 6, 7, 160  # the last is of the subclass USB488
+_CLEAR, _CHECK_CLEAR, _CAPABILITIES = 5, 6, 7
+_REMOTE, _LOCAL = 160, 161  # REN_CONTROL and GO_TO_LOCAL of the subclass USB488, which come together
 _OPENINGS = 3  # some instruments miss the first
 _INTERFACE, _ENDPOINT = 0xA1, 0xA2  # recipients of class requests
 _SUCCESS, _PENDING = 0x01, 0x02
@@ -81,6 +82,7 @@ class Usbtmc:
         self._device, self._what, self._timeout_ms = instrument.device, what, round(1000 * timeout_s)
         self._sleep = sleep
         self._tag = 0
+        self._is_remote = False
         self._detached: int | None = None  # interface that a kernel driver had
         for attempt in range(1, _OPENINGS + 1):
             try:
@@ -96,6 +98,7 @@ class Usbtmc:
         with _faults(self._what):
             self._claim()
         if self._require(_CAPABILITIES, 24, "report its capabilities")[14] & 2:  # it takes this request
+            self._is_remote = True  # even if its answer is lost
             self._control(_REMOTE, 1, 1)
         self.clear()
 
@@ -145,7 +148,11 @@ class Usbtmc:
         raise DeviceTimeout(f"{self._what} does not finish clearing its buffers; switch it off and on")
 
     def close(self) -> None:
-        """Release it, in any state, and give it back to the kernel driver that it was taken from."""
+        """Release it, in any state: to its front panel, and to the kernel driver that it was taken from."""
+        for request in (_LOCAL, _REMOTE) if self._is_remote else ():
+            with suppress(DeviceError):  # it may be gone
+                self._control(request, 0, 1)
+        self._is_remote = False
         detached, self._detached = self._detached, None
         with suppress(OSError, ValueError, NotImplementedError):
             usb.util.dispose_resources(self._device)

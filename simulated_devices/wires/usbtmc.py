@@ -59,8 +59,10 @@ class UsbtmcWire(ABC):
         self._is_out_halted = False
         self._out_tag = 0
         self.faults: deque[UsbFault] = deque()
-        self.is_unplugged = self.is_remote = False
-        self.can_remote = True  # by a request of the subclass USB488
+        self.is_unplugged = False
+        self.is_remote_enabled = self.is_remote = False  # allowed by the host; its front panel is locked
+        self.can_remote = True  # by requests of the subclass USB488
+        self.refuses_local = False
         self.missed_openings = 0  # until it answers
         self.transfers: list[bytes] = []  # all bulk-OUT transfers
         self.requests: list[tuple[int, int, int]] = []  # (request, value, index) on the control pipe
@@ -123,6 +125,7 @@ class UsbtmcWire(ABC):
             (0xA1, 5): self._clear,
             (0xA1, 6): self._check_clear,
             (0xA1, 160): self._set_remote,
+            (0xA1, 161): self._go_to_local,
             (0xA2, 3): self._abort_in,
             (0xA2, 4): self._check_abort_in,
             (0xA2, 1): self._abort_out,
@@ -151,7 +154,13 @@ class UsbtmcWire(ABC):
         return bytes([_SUCCESS, 0, 0x00, 0x01, 0x04, 0x01, *[0] * 8, 0x02 if self.can_remote else 0x00])
 
     def _set_remote(self, value: int) -> bytes:
-        self.is_remote = bool(value)
+        self.is_remote_enabled = self.is_remote = bool(value)
+        return bytes([_SUCCESS])
+
+    def _go_to_local(self, _value: int) -> bytes:
+        if self.refuses_local:
+            raise StalledError
+        self.is_remote = False
         return bytes([_SUCCESS])
 
     def _clear(self, _value: int) -> bytes:

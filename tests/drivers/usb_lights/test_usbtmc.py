@@ -59,11 +59,34 @@ def test_query_bytes_match_specification(wire: Echo, clock: ManualClock) -> None
 
 def test_instrument_without_remote_control_is_not_asked_for_it(wire: Echo, clock: ManualClock) -> None:
     wire.can_remote = False
-    assert connect(wire, clock).query("*IDN?") == "*IDN?"
+    echo = connect(wire, clock)
+    assert echo.query("*IDN?") == "*IDN?"
     assert not wire.is_remote
+    echo.close()
+    assert not {160, 161} & {request for request, _, _ in wire.requests}
     wire.can_remote = True
     connect(wire, clock)
     assert wire.is_remote
+
+
+@pytest.mark.parametrize("refuses_local", [False, True])
+def test_closing_gives_the_front_panel_back(wire: Echo, clock: ManualClock, *, refuses_local: bool) -> None:
+    wire.refuses_local = refuses_local
+    echo = connect(wire, clock)
+    assert wire.is_remote
+    echo.close()
+    assert not wire.is_remote
+    assert not wire.is_remote_enabled
+    assert wire.requests[-2:] == [(161, 0, 0), (160, 0, 0)]  # go to local, remote disabled
+    asked = len(wire.requests)
+    echo.close()
+    assert len(wire.requests) == asked
+
+
+def test_closing_an_unplugged_instrument_raises_nothing(wire: Echo, clock: ManualClock) -> None:
+    echo = connect(wire, clock)
+    wire.is_unplugged = True
+    echo.close()
 
 
 @pytest.mark.parametrize("missed", [1, 2, 3])
