@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from support.command_line import run
 from app.bench.config import Bench, load_bench
 from app.commands.trust import confirm_libraries
 from app.errors import InputError
+from drivers.micro_manager.settings import MicroManagerSettings
 
 BENCH = """
 [sensor]
@@ -60,6 +62,13 @@ def test_library_is_refused_without_terminal(bench: Bench, monkeypatch: pytest.M
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
     with pytest.raises(InputError, match=r"camera\.library = .*libevil\.so would run code: add --trust-library once"):
         confirm_libraries(bench, trust=False)
+
+
+def test_folder_of_adapters_is_confirmed_too(bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = MicroManagerSettings(adapter="DemoCamera", device="DCam", adapter_folder=str(library.parent))
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    with pytest.raises(InputError, match=r"camera\.adapter_folder = .* would run code"):
+        confirm_libraries(replace(bench, camera=camera), trust=False)
 
 
 @pytest.mark.parametrize("text", ["no\n", "\n", "", "y\n"])
