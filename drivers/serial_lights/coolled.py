@@ -23,7 +23,7 @@ from drivers.serial_lights.settings import CoolLEDSettings
 _DIALECT = Dialect("CoolLED", end=b"\r", baudrate=57600, timeout_s=0.5)
 _MODEL = r"XMODEL[:=\s]*(.*pE-(300|340|4000).*)"
 _STATE = r"CSS((?:[A-H][SX][NF][0-9]{3}){1,8})"  # E to H are those of an expansion box
-_LAMP = r"LAM:([A-D]):([0-9]{3,4})"
+_LAMP = r"LAM:([A-D]):([0-9]{3,4})"  # CoolLED documents no wavelengths of E to H
 _ATTEMPTS, _LOAD_POLLS, _PAUSE_S = 5, 20, 0.05
 
 

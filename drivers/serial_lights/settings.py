@@ -13,7 +13,7 @@ class CoolLEDSettings:
     serial_number: str = ""  # of its USB adapter, instead of the port
     channel: str = "A"  # A ... C of a pE-300, A ... D of a pE-4000, E ... H of its expansion box
     full_current_a: float = 1.0  # nominal current at 100 %
-    wavelength_nm: int | None = None  # to load into the channel; pE-4000 only
+    wavelength_nm: int | None = None  # to load into the channel; A ... D of a pE-4000 only
     current_a: float | None = None  # None keeps its value
     limit_a: float | None = None  # owner's limit, below that of the head
 
@@ -25,6 +25,10 @@ class CoolLEDSettings:
             raise ValueError("full_current_a must be positive, and at most 100")
         if self.wavelength_nm is not None and not 300 <= self.wavelength_nm <= 1000:
             raise ValueError("wavelength_nm must be 300 ... 1000")
+        if self.wavelength_nm is not None and self.channel in set("EFGH"):
+            raise ValueError(
+                "wavelength_nm can be loaded into channels A to D only: leave it out for the expansion box"
+            )
         if self.limit_a is not None and not 0 < self.limit_a <= 100:
             raise ValueError("limit_a must be positive, and at most 100")
 

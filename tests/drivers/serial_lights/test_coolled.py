@@ -136,6 +136,12 @@ def test_configured_wavelength_is_loaded_into_channel(device: CoolLEDWire, clock
         open_light(device, clock, channel="B", wavelength_nm=385)
 
 
+@pytest.mark.parametrize("channel", "EFGH")
+def test_no_wavelength_is_loaded_into_expansion_box(channel: str) -> None:
+    with pytest.raises(ValueError, match="into channels A to D only: leave it out for the expansion box"):
+        CoolLEDSettings(port="COM7", channel=channel, wavelength_nm=460)
+
+
 @pytest.mark.parametrize("channel", ["D", "E", "H"])
 def test_channels_of_expansion_box_are_used(clock: ManualClock, channel: str) -> None:
     device = CoolLEDWire(has_expansion_box=True)
