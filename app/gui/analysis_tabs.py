@@ -28,6 +28,7 @@ class AnalysisTabs(QTabWidget):
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         if (bar := self.tabBar()) is not None:
             bar.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+            bar.setDrawBase(False)
             bar.setToolTip("What is shown below the camera image")
         for panel, title in (
             (self.quality, "Quality"),

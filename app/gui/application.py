@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QApplication
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
-from app.gui.main_window import MainWindow
+from app.gui.main_window import WINDOW_SIZE, MainWindow
 from app.gui.theme import apply_theme
 from app.gui.window_state import settings_file
 from app.signals import ended_by
@@ -76,6 +76,8 @@ def run_window(
     with ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
+            if offscreen_s is not None:
+                window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             window.connect_devices()
             status = application.exec()
         finally:

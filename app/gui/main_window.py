@@ -6,7 +6,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication, QFileDialog, QMainWindow, QSplitter, QWidget
 
@@ -31,6 +31,7 @@ from app.gui.window_state import fit_to_screen, restore_state, save_state
 from app.gui.wording import advice, light_when_closing, shut_down, stale, warning
 from app.timing import Timings
 
+WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 _MIN_WIDTH = 900  # px; captions and plots need it
@@ -230,7 +231,7 @@ class MainWindow(QMainWindow):
 
     def _lay_out(self) -> None:
         self.setWindowTitle("svwfs")
-        self.resize(1440, 900)
+        self.resize(WINDOW_SIZE)
         left = self._left = QSplitter(Qt.Orientation.Vertical)
         left.addWidget(self.camera_panel)
         left.addWidget(self.tabs)
