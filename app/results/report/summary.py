@@ -1,5 +1,6 @@
 """Statistics of a recording, from its lines and from frames that are reconstructed again."""
 
+import os
 from collections import Counter
 from dataclasses import dataclass
 
@@ -53,8 +54,8 @@ class Summary:
 
     @property
     def name(self) -> str:
-        """Name of the recording's folder."""
-        return self.recording.folder.resolve().name
+        """Name of the recording's folder; bytes that are no text are shown as codes."""
+        return os.fsencode(self.recording.folder.resolve().name).decode("utf-8", "backslashreplace")
 
     @property
     def bench(self) -> Bench:

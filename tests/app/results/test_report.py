@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import os
 import re
 import shutil
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -306,6 +308,18 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
         reported(recording.folder, out, overwrite=True)
     assert out.read_bytes() == first
     assert [path.name for path in out.parent.iterdir()] == ["r.PDF"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names of files are text")
+@pytest.mark.parametrize("suffix", ["pdf", "png"])
+def test_folder_may_have_a_name_that_is_no_text(
+    monkeypatch: pytest.MonkeyPatch, mine: Recording, tmp_path: Path, suffix: str
+) -> None:
+    folder = mine.folder.rename(mine.folder.with_name(os.fsdecode(b"caf\xe9")))
+    assert summarise(Recording(folder), ":1", lambda *_: None).name == r"caf\xe9"
+    out = tmp_path / f"r.{suffix}"
+    assert run(monkeypatch, "report", folder, "--beside", folder, "--out", out) == 0
+    assert out.stat().st_size
 
 
 def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
