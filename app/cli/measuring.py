@@ -133,11 +133,11 @@ def devices(
     """List the connected cameras and lights.
 
     Each is shown with its section of a bench file and with what is missing to use it. Listing switches nothing on. See
-    docs/hardware.md for how to connect each.
+    docs/hardware.md for how to connect each. The devices of the presets are simulated: check those of your own bench.
 
     Example: svwfs devices
 
-    Example: svwfs devices --check light --bench live_demo
+    Example: svwfs devices --check light --bench bench.toml
     """
     from app.commands.devices import check_and_print, print_devices
     from app.commands.trust import confirm_libraries

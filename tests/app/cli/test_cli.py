@@ -28,6 +28,7 @@ from support.pictures import assert_drawn
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
 from app.bench.config import Bench, CameraSettings, LightSettings, load_bench, write_bench
+from app.bench.presets import PRESETS
 from app.cli.application import cli
 from app.errors import Interrupted, RunError
 from app.recording.writer import Record, RecordingWriter
@@ -358,6 +359,13 @@ def test_help_of_command_has_valid_examples(
         words = shlex.split(example)
         assert " ".join(words).startswith(name)
         command.make_context(name, words[len(name.split()) :])  # exits if it cannot be parsed
+
+
+def test_no_example_checks_the_simulated_device_of_a_preset() -> None:
+    words = shlex.split(str(dict(commands())["svwfs devices"].help))
+    benches = [after for word, after in itertools.pairwise(words) if word == "--bench"]
+    assert benches
+    assert not set(benches) & set(PRESETS)
 
 
 REAL_DEVICES: list[tuple[CameraSettings, LightSettings]] = [
