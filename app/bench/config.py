@@ -123,9 +123,8 @@ class Bench:
         reference_frames: float = math.inf,
     ) -> Reconstructor:
         """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
-        # Reading a bench must not load Numba.
-        from app.bench.imaging_model import lenslet_model  # noqa: PLC0415
-        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415
+        from app.bench.imaging_model import lenslet_model  # noqa: PLC0415 - reading a bench must not load Numba
+        from reconstruction.pipeline import Reconstructor  # noqa: PLC0415 - reading a bench must not load Numba
 
         return Reconstructor(
             reference,

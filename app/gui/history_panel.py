@@ -1,6 +1,7 @@
 """Strip charts of the recent minutes on a common time axis."""
 
 import numpy as np
+from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
@@ -68,9 +69,9 @@ class HistoryPanel(QWidget):
             newest = number(float(values[-1])) if known.size and known[-1] else number(float("nan"))
             chart.title.setText(f"{name}: {newest}")
 
-    def showEvent(self, event: object) -> None:  # noqa: N802 - Qt's name
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
         """Draw what has come while hidden."""
-        super().showEvent(event)  # type: ignore[arg-type]
+        super().showEvent(event)
         self.refresh()
 
     def _arrange(self) -> None:

@@ -30,7 +30,7 @@ def warning(
     status: Status,
     problem: str = "",
     wavefront: Wavefront | None = None,
-    quality: Quality = Quality(),  # noqa: B008
+    quality: Quality = Quality(),  # noqa: B008 - immutable
 ) -> str:
     """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
 
