@@ -92,7 +92,7 @@ def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: p
 def test_every_searched_driver_exists_in_bench() -> None:
     for kind in KINDS:
         assert all(device.driver == kind.driver for device in kind.discover()[0])
-    real = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {"simulated", "recording"}
+    real = {*drivers_of(CameraSettings), *drivers_of(LightSettings)} - {"simulated", "recording", "manual"}
     assert real == {kind.driver for kind in KINDS}
     bench = load_bench("live_demo")
     with pytest.raises(InputError, match="has no device of its own"):
