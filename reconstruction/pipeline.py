@@ -138,7 +138,7 @@ class Reconstructor:
         light, saturated = self._light(frame, "frame")
         displacement = self._register(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
-            is_dark = light.std() < _DARK_CONTRAST * self.subimages.light.std()
+            is_dark = light.std(dtype=np.float64) < _DARK_CONTRAST * self.subimages.light.std()
             why = "is the light on?" if is_dark else _why_lost(displacement.outcome)
             raise ReconstructionError(
                 f"no lenslet of the frame could be matched with the reference: {why}", image="frame"

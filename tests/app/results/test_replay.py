@@ -362,9 +362,9 @@ FAULTS: dict[str, tuple[Callable[[Recording], object], str]] = {
     "no recording": (lambda mine: (mine.folder / "run.json").unlink(), "holds no recording"),
     "half a frame": (_truncate, "is damaged"),
     "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
-    "a reference of another size": (_cut_average, "the dark has 172 x 240 pixels, but the reference has 100 x 240"),
+    "a reference of another size": (_cut_average, "reference.npz: cannot be read: variance has another size"),
     "a bias of other lenslets": (_misshape_bias, "bias 0 has other lenslets"),
-    "a bias that is not there": (lambda mine: edit_line(mine, 1, bias=7), "7.npy: cannot be read"),
+    "a bias that is not there": (lambda mine: edit_line(mine, 1, bias=7), "7.npy: no such file"),
 }
 
 
