@@ -87,7 +87,7 @@ class Reconstructor:
         light, _ = self._light(reference, "reference")
         if not np.mean(light) > 0:
             raise ReconstructionError(
-                "the reference is no brighter than the dark: was the light on for the dark, or off for the reference?",
+                "the reference shows no light above the dark: was the light on for the dark, or off for the reference?",
                 image="reference",
             )
         self._bad = find_bad_pixels(reference, dark)

@@ -72,7 +72,7 @@ class CameraPanel(QWidget):
         self._graphics = _Picture(self.reset_zoom, background=theme.BACKGROUND)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
-        self._graphics.setMinimumSize(220, 130)
+        self._graphics.setMinimumSize(220, 120)
         unfocused(self._graphics)
         self._image = pg.ImageItem(axisOrder="row-major")  # pyqtgraph's default is column-major
         self._lines = _curve(self._view, theme.ACCENT_ON_IMAGE, alpha=110)

@@ -44,7 +44,7 @@ def warning(
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
     keys = ", ".join(key for key, validity in stale if validity != "good")
     own = "" if status.warning in quality.sentence else status.warning
-    if quality.reasons:
+    if quality.reasons and not keys:
         return "; ".join(filter(None, (quality.sentence, own)))
     if not status.warning and wavefront is not None:
         rotation = rotation_of(wavefront)

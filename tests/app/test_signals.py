@@ -18,18 +18,19 @@ from simulated_devices.wires.pseudo_terminal import PtyServer
 # A command that keeps the light on; it runs as any other, but its terminal closes early.
 LIT = """
 import sys, time, typer
-from app import cli
+from app.cli import main
+from app.cli.application import cli
 from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 
-@cli.cli.command()
+@cli.command()
 def shine(port: str) -> None:
     with ThorlabsDC4100(DC4100Settings(port=port)) as light:
         light.set_on(True)
         print("lit", flush=True)
         time.sleep(60)
 
-cli.main()
+main()
 """
 
 

@@ -128,38 +128,3 @@ def test_refinement_is_off_by_default() -> None:
     state = RefinementState()
     assert state.stage == "off"
     assert math.isnan(state.age_s)
-
-
-def test_bias_that_worsens_the_misfit_is_rejected(
-    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A model that answers every wavefront with another, unrelated one."""
-
-    class Wild:
-        sample_x_m, sample_y_m = small_bench.model.sample_x_m, small_bench.model.sample_y_m
-        asked = 0
-
-        def __init__(self, *_: object) -> None:
-            pass
-
-        def image(self, phase: object) -> NDArray[np.float32]:
-            if phase is None:
-                return small_bench.reference
-            self.asked += 1
-            return bowl(small_bench, 1.05 if self.asked % 2 else 0.85)
-
-    monkeypatch.setattr("app.measurement.live_refinement.BenchModel", Wild)
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
-    try:
-        frame = bowl(small_bench, 1.0)
-        until(refinement, reconstructor, frame, "worse")
-        displacement = reconstructor.register(frame)
-        for _ in range(10):  # it stays rejected
-            time.sleep(0.05)
-            wavefront, state = refinement.refine(displacement, time.monotonic())
-            assert state.stage == "worse"
-            assert state.bias is None
-        np.testing.assert_array_equal(wavefront.views, reconstructor.solve(displacement).views)
-        until(refinement, reconstructor, bowl(small_bench, -1.0), "moved")
-    finally:
-        refinement.close()

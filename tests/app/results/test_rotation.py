@@ -104,7 +104,7 @@ def test_measure_prints_the_rotation(
 class Good:
     """The part of a status that the warning depends on, when all is well."""
 
-    warning, dark, reference = "", "good", "good"
+    warning, dark, reference, is_light_on = "", "good", "good", True
 
 
 class NoDark(Good):
