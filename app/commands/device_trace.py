@@ -1,4 +1,4 @@
-"""What a device was asked and what it answered, without its serial numbers, for `svwfs devices --check`."""
+"""Trace of the calls to a device and its answers, without serial numbers, for `svwfs devices --check`."""
 
 import re
 import time

@@ -33,7 +33,7 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class ModeChoice:
-    """Which coefficients to compute."""
+    """Selection of the coefficients to compute."""
 
     basis: PupilBasis
     field_mode: int | None  # e_pq of this field mode q; None: the modes of the selected view

@@ -54,7 +54,7 @@ def test_bad_input_is_one_line(
 
 
 def fault_of(attempt: Attempt, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> str:
-    """What is wrong with the end of an attempt; empty if nothing is."""
+    """Faults in how an attempt ended; empty if there are none."""
     attempt.prepare(folder)
     begin_s = time.process_time()
     try:
