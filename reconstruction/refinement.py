@@ -7,7 +7,7 @@ be coarse. A round is kept if it brings the modelled displacements closer to the
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -46,14 +46,9 @@ class Bias:
     modelled: Floats  # displacements of the model's image, px, as `displacement`; NaN where lost
     views: Floats  # the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column)
 
-    def explains(self, displacement: Displacement) -> bool:
-        """True if measured displacements are closer to the modelled than to the expected ones.
-
-        `displacement` is that of the bias's wavefront, before any bias was subtracted.
-        """
-        known = _known(displacement, self)
-        expected = replace(self, modelled=self.modelled - self.displacement)
-        return _misfit_px(displacement, self, known) < _misfit_px(displacement, expected, known)
+    def misfit_px(self, displacement: Displacement) -> float:
+        """RMS difference of the wavefront's measured displacements, before any bias, and the modelled ones."""
+        return _misfit_px(displacement, self, _known(displacement, self))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,8 +1,8 @@
 """Live refinement: a low-priority thread estimates the bias, and the newest bias corrects every frame.
 
 A round takes some tenths of a second. If the wavefront has changed much meanwhile, the old bias would do harm: frames
-stay uncorrected until the next one is found. So they do near a wavefront at which the corrected displacements, modelled
-again, did not come closer to the measured ones.
+stay uncorrected until the next one is found. So they do near a wavefront whose correction worsened the misfit of the
+modelled displacements.
 """
 
 import math
@@ -23,6 +23,8 @@ from reconstruction.wavefront import Wavefront
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
+_HARM = 1.2  # rise of the misfit by a harmful correction; noise and a growing wavefront stay below
+_HARM_PX = 0.003  # added, for a misfit of nearly 0
 _NICENESS = 10
 _WAIT_S = 0.2
 
@@ -111,7 +113,7 @@ class LiveRefinement:
         if sys.platform == "linux":  # threads have their own priority only here
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         try:
-            refinement = Refinement(self._reconstructor, model)
+            refinement, uncorrected_px = Refinement(self._reconstructor, model), math.inf
             while not self._closing.is_set():
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
@@ -120,8 +122,10 @@ class LiveRefinement:
                         continue
                     try:
                         bias = refinement.bias(newest.wavefront)
-                        helps = newest.stage != "applied" or bias.explains(newest.measured)
-                        self._bias = _Found(bias, newest.time_s, helps)
+                        misfit_px = bias.misfit_px(newest.measured)
+                        if newest.stage != "applied":
+                            uncorrected_px = misfit_px
+                        self._bias = _Found(bias, newest.time_s, misfit_px <= _HARM * uncorrected_px + _HARM_PX)
                     except ReconstructionError as error:  # the next wavefront may succeed
                         self._problem = str(error)
         except Exception as error:

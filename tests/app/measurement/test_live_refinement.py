@@ -15,6 +15,7 @@ from support.patience import HANG_S, wait_until
 from app.bench.config import Bench
 from app.measurement.live_refinement import LiveRefinement, RefinementState
 from reconstruction.pipeline import Reconstructor
+from reconstruction.refinement import PointPhase
 from reconstruction.wavefront import rms
 
 
@@ -128,3 +129,58 @@ def test_refinement_is_off_by_default() -> None:
     state = RefinementState()
     assert state.stage == "off"
     assert math.isnan(state.age_s)
+
+
+def test_bias_that_worsens_the_misfit_is_rejected(
+    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model that is nearly right for the first wavefront and wrong for its correction."""
+
+    class Wild:
+        sample_x_m, sample_y_m = small_bench.model.sample_x_m, small_bench.model.sample_y_m
+        first_rad = math.nan
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def image(self, phase: PointPhase | None) -> NDArray[np.float32]:
+            if phase is None:
+                return small_bench.reference
+            rms_rad = float(np.std(phase(0.0, 0.0)))
+            if math.isnan(self.first_rad):
+                self.first_rad = rms_rad
+            return bowl(small_bench, 1.05 if abs(rms_rad / self.first_rad - 1) < 0.01 else 0.85)
+
+    monkeypatch.setattr("app.measurement.live_refinement.BenchModel", Wild)
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    try:
+        frame = bowl(small_bench, 1.0)
+        until(refinement, reconstructor, frame, "worse")
+        displacement = reconstructor.register(frame)
+        for _ in range(10):  # it stays rejected
+            time.sleep(0.05)
+            wavefront, state = refinement.refine(displacement, time.monotonic())
+            assert state.stage == "worse"
+            assert state.bias is None
+        np.testing.assert_array_equal(wavefront.views, reconstructor.solve(displacement).views)
+        until(refinement, reconstructor, bowl(small_bench, -1.0), "moved")
+    finally:
+        refinement.close()
+
+
+def test_helpful_bias_in_noise_is_kept(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
+    """Rounds at one strong wavefront, each frame with noise of its own."""
+    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    random, clean = np.random.default_rng(0), bowl(small_bench, 1.0)
+    try:
+        until(refinement, reconstructor, clean, "applied")
+        ages_s = []
+        for _ in range(40):
+            frame = clean + random.normal(0, 0.02 * clean.max(), clean.shape).astype(np.float32)
+            _, state = refinement.refine(reconstructor.register(frame), time.monotonic())
+            assert state.stage == "applied"
+            ages_s.append(state.age_s)
+            time.sleep(0.05)
+        assert np.sum(np.diff(ages_s) < 0) >= 2  # rounds that were judged
+    finally:
+        refinement.close()
