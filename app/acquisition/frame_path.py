@@ -35,7 +35,10 @@ class FramePath:
 
     def acquire(self, instrument: Instrument, light: LightState | None) -> None:
         """Read one frame, reconstruct it and pass it on; `Cancelled` if the wait was stopped."""
-        frame = self._newest_frame(instrument, light)
+        self.process(self._newest_frame(instrument, light), instrument, light)
+
+    def process(self, frame: Frame, instrument: Instrument, light: LightState | None) -> None:
+        """Reconstruct a frame and pass it on."""
         made = instrument.measure(frame)
         if made.wavefront is not None:
             self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)

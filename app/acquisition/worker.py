@@ -59,6 +59,15 @@ class Acquisition(AcquisitionLoop):
 
         return self.submit(command)
 
+    def show_single(self, choose: Callable[[Instrument], Frame]) -> Future[None]:
+        """Stop the camera, and reconstruct and publish the frame that `choose` returns, as if it came from there."""
+
+        def command(instrument: Instrument) -> None:
+            instrument.devices.camera.stop()
+            self._path.process(choose(instrument), instrument, self._light())
+
+        return self.submit(command)
+
     def start_recording(
         self, folder: Path, *, command: str = "live", frames: int | None = None, may_rename: bool = False
     ) -> Future[None]:

@@ -57,12 +57,12 @@ def live_window(
 
         begin = start_up if player is None else player.begin
         if seconds is None:
-            status = run_window(make, begin=begin)
+            status = run_window(make, begin=begin, player=player)
             if bench.has_manual_light:
                 remind(LIGHT_BY_HAND)
             return status
         make_folder(out)
-        status = run_window(make, offscreen_s=seconds, screenshot=picture, on_finish=finish, begin=begin)
+        status = run_window(make, offscreen_s=seconds, screenshot=picture, on_finish=finish, begin=begin, player=player)
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status
 

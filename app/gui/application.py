@@ -14,7 +14,9 @@ from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
 from app.gui.main_window import WINDOW_SIZE, MainWindow
 from app.gui.theme import apply_theme
+from app.gui.tour import offer_tour
 from app.gui.window_state import settings_file
+from app.results.replay.player import Player
 from app.signals import ended_by
 
 _HOPELESS_FRAMES = 20
@@ -29,6 +31,7 @@ def run_window(
     on_finish: Callable[[Measurement], None] | None = None,
     until: Callable[[], bool] | None = None,
     begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
+    player: Player | None = None,
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
@@ -46,6 +49,8 @@ def run_window(
         Polled at 10 Hz; the window closes when it returns True. Its errors are raised here.
     begin
         First commands of each acquisition.
+    player
+        Opens the devices of these acquisitions; the window moves it through its recording.
 
     Raises
     ------
@@ -63,7 +68,7 @@ def run_window(
     application.setApplicationName("svwfs")
     apply_theme(application)
     settings = settings_file() if offscreen_s is None else None  # an unattended run always looks the same
-    window = MainWindow(make_acquisition, begin=begin, settings=settings)
+    window = MainWindow(make_acquisition, begin=begin, settings=settings, player=player)
     if offscreen_s is not None:
         until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).is_done
     watch = None if until is None else _Watch(window, until)
@@ -78,6 +83,8 @@ def run_window(
             window.show()
             if offscreen_s is not None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
+            if settings is not None:
+                offer_tour(window, settings)
             window.connect_devices()
             status = application.exec()
         finally:

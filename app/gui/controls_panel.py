@@ -4,7 +4,16 @@ from typing import get_args
 
 from PyQt6.QtCore import pyqtBoundSignal, pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QSizePolicy, QWidget
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QComboBox,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QSizePolicy,
+    QWidget,
+)
 
 from app.acquisition.instrument import Status
 from app.acquisition.validity import Validity
@@ -185,6 +194,13 @@ class ControlsPanel(QFrame):
     def show_switching_off(self) -> None:
         """Show that the light is being switched off."""
         self.light.setText("Switching off \N{HORIZONTAL ELLIPSIS}")
+
+    def disable_devices(self) -> None:
+        """Leave only the reconstruction and the start button enabled: a recording plays in place of the devices."""
+        reconstruction = {self.registration, self.warp, self.method, self.basis, self.pupil_modes, self.refine}
+        for control in self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox)):
+            if control not in {*reconstruction, self.start}:
+                control.setEnabled(False)
 
     def show_status(self, status: Status, *, is_settled: bool) -> None:
         """Show the status; a focused field changes only when all commands are finished (`is_settled`)."""

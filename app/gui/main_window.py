@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QApplication, QFileDialog, QMainWindow, QSplitter, QWidget
+from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, start_up
@@ -18,10 +18,13 @@ from app.gui.background_analysis import BackgroundAnalysis
 from app.gui.camera_panel import CameraPanel
 from app.gui.controller import Controller
 from app.gui.controls_panel import ControlsPanel
+from app.gui.help_menu import help_entries
 from app.gui.menu import fill_menus
+from app.gui.message_log import MessageLog
 from app.gui.message_strip import MessageStrip
 from app.gui.number_field import NumberField
 from app.gui.recording_panel import RecordingPanel
+from app.gui.replay_bar import ReplayBar
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.status_line import StatusLine
 from app.gui.wavefront_panel import WavefrontPanel
@@ -29,6 +32,7 @@ from app.gui.widgets import column
 from app.gui.window_menus import window_menus
 from app.gui.window_state import fit_to_screen, restore_state, save_state
 from app.gui.wording import advice, light_when_closing, shut_down, stale, warning
+from app.results.replay.player import Player
 from app.timing import Timings
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
@@ -48,10 +52,12 @@ class MainWindow(QMainWindow):
         *,
         begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
         settings: QSettings | None = None,
+        player: Player | None = None,
     ) -> None:
         """Make an empty window; `connect_devices` starts an acquisition and calls `begin` with it.
 
         The window looks as saved in `settings`, and saves how it looks when it closes.
+        A `player` opens the devices and can be moved.
         """
         super().__init__()
         self._settings = settings
@@ -68,7 +74,9 @@ class MainWindow(QMainWindow):
         self.analysis_panel = self.tabs.quality
         self.controls = ControlsPanel(FRAMES)
         self.recording_panel = RecordingPanel()
+        self.replay = ReplayBar(player, self.controls)
         self.messages = MessageStrip()
+        self.log = MessageLog(self.messages, self)
         self.region_dialog = SensorRegionDialog(self)
         self.status_line = StatusLine()
         self.controller = Controller(
@@ -83,13 +91,14 @@ class MainWindow(QMainWindow):
         self.messages.reconnect_requested.connect(self._reconnect)
         self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self)
         self._analysis.failed.connect(self.messages.warn)
-        self.wavefront_panel.refused.connect(self.messages.warn)
+        for refused in (self.wavefront_panel.refused, self.replay.failed):
+            refused.connect(self.messages.warn)
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
         self.camera_panel.statistics_changed.connect(self.tabs.histogram.show_statistics)
         self._lay_out()
         for field in self.findChildren(NumberField):
             field.refused.connect(self.messages.refuse)
-        fill_menus(self, window_menus(self))
+        fill_menus(self, window_menus(self), help_entries(self))
         self._restore_state()
         self._timer = QTimer(self)
         self._timer.setInterval(_REFRESH_INTERVAL_MS)
@@ -119,7 +128,7 @@ class MainWindow(QMainWindow):
             self.show_status(status)
         is_ready = self._status is not None and not self._failure
         self.controls.setEnabled(is_ready)
-        self.recording_panel.setEnabled(is_ready)
+        self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
         self.messages.show_activity(acquisition.activity, may_cancel=is_ready and bool(acquisition.activity.text))
         measurement = acquisition.newest
         if measurement is not None and measurement is not self._measurement and not self.isMinimized():
@@ -150,6 +159,7 @@ class MainWindow(QMainWindow):
         self.controls.show_status(status, is_settled=self.controller.pending.is_empty)
         if self.controller.light.is_switching_off:
             self.controls.show_switching_off()
+        self.replay.show_status(status)
         self.region_dialog.show_status(status)
         self.wavefront_panel.show_stale(stale(status))
         self._analysis.use_settings(status.bench.reconstruction)
@@ -182,13 +192,6 @@ class MainWindow(QMainWindow):
     def save_screenshot(self, path: Path | None = None) -> bool:
         """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""
         return self.controller.save_screenshot(self.grab(), path)
-
-    def save_bench(self) -> None:
-        """Ask for a file and save the bench in force."""
-        if self._status is not None:
-            name, _ = QFileDialog.getSaveFileName(self, "Save the bench", "bench.toml", "Bench (*.toml)")
-            if name:
-                self.controller.save_bench(Path(name))
 
     def event(self, event: QEvent | None) -> bool:
         """Time the painting, which Qt does for the whole window at its event UpdateRequest."""
@@ -246,7 +249,9 @@ class MainWindow(QMainWindow):
         framed = column(images)
         framed.setContentsMargins(10, 8, 10, 6)  # a splitter's own margins do not count in its minimum size
         body = QWidget()
-        layout = column((framed, 1), self.messages, self.controls, self.status_line, spacing=4, parent=body)
+        layout = column(
+            (framed, 1), self.replay, self.messages, self.controls, self.status_line, spacing=4, parent=body
+        )
         layout.addStrut(_MIN_WIDTH)  # a larger font may need more
         self.setCentralWidget(body)
         if (bar := self.menuBar()) is not None:
@@ -281,12 +286,6 @@ class MainWindow(QMainWindow):
     def toggle_analysis(self) -> None:
         """Show or hide the plots below the camera image."""
         self.tabs.setVisible(not self.tabs.isVisible())
-
-    def choose_recordings_folder(self) -> None:
-        """Ask for the folder of later recordings."""
-        before = str(self.controller.recordings_folder)
-        if chosen := QFileDialog.getExistingDirectory(self, "Recordings folder", before):
-            self.controller.use_recordings_folder(Path(chosen))
 
     def _reconnect(self) -> None:
         if self.controller.failure:

@@ -31,14 +31,14 @@ _HELP_OF_SCREEN = 0.9
 Entries = tuple[tuple[str, str, Callable[[], object]], ...]  # text, key, action
 
 
-def fill_menus(window: QMainWindow, menus: Mapping[str, Entries]) -> None:
-    """Fill the menu bar, and add the help that lists all keys."""
+def fill_menus(window: QMainWindow, menus: Mapping[str, Entries], more_help: Entries = ()) -> None:
+    """Fill the menu bar, and add the help that lists all keys, followed by `more_help`."""
     bar = window.menuBar()
     if bar is None:
         return
     for title, entries in menus.items():
         _fill(bar.addMenu(title), entries)
-    _fill(bar.addMenu("&Help"), (("Shortcuts and conventions", "F1", lambda: _show_help(window, menus)),))
+    _fill(bar.addMenu("&Help"), (("Shortcuts and conventions", "F1", lambda: _show_help(window, menus)), *more_help))
 
 
 def _fill(menu: QMenu | None, entries: Entries) -> None:

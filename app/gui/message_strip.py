@@ -18,6 +18,7 @@ class MessageStrip(QFrame):
 
     reconnect_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
+    said = pyqtSignal(str)  # every message but the advice, and what is refused while it is typed
     answered = pyqtSignal(bool)  # whether the proposal is accepted
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -25,6 +26,7 @@ class MessageStrip(QFrame):
         self.setProperty("role", "strip")
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
         self._alarm = self._question = ""
+        self._standing: dict[str, str] = {}  # last failure and warning
         self._shown: tuple[str, str] = ("", "")
         self.text = ElidedLabel()
         self.reconnect = button(
@@ -48,6 +50,7 @@ class MessageStrip(QFrame):
     def warn(self, text: str) -> None:
         """Show an amber notice: something was not done."""
         self._notify(text, theme.AMBER)
+        self._say(text)
 
     def refuse(self, text: str) -> None:
         """Show a red notice: an entry cannot be used; empty text removes it."""
@@ -56,6 +59,7 @@ class MessageStrip(QFrame):
     def inform(self, text: str) -> None:
         """Show a green notice: something was done."""
         self._notify(text, theme.GREEN)
+        self._say(text)
 
     def clear_notice(self) -> None:
         """Remove the notice."""
@@ -64,10 +68,12 @@ class MessageStrip(QFrame):
     def alarm(self, text: str) -> None:
         """Show an error until the user dismisses it; empty text removes it."""
         self._alarm = text
+        self._say(text)
 
     def ask(self, question: str, *, accept: str = "Use it", discard: str = "Discard") -> None:
         """Show a question with the texts of its buttons; `answered` emits the decision."""
         self._question = question
+        self._say(question)
         self.accept.setText(accept)
         self.discard.setText(discard)
 
@@ -96,6 +102,10 @@ class MessageStrip(QFrame):
 
     def show_state(self, *, failure: str, warning: str, advice: str, shut_down: str) -> None:
         """Show the message of highest priority; `shut_down` tells what follows from a failure."""
+        for name, text in (("failure", failure), ("warning", warning)):
+            if self._standing.get(name) != text:
+                self._standing[name] = text
+                self._say(text)
         self.reconnect.setVisible(bool(failure))
         if failure:
             self._question = ""  # no device is left to apply it
@@ -130,10 +140,18 @@ class MessageStrip(QFrame):
     def _notify(self, text: str, colour: QColor) -> None:
         self._notice, self._notice_colour, self._notice_until_s = text, colour, time.monotonic() + _NOTICE_S
 
+    def _say(self, text: str) -> None:
+        if text:
+            self.said.emit(_sentence(text))
+
     def _show(self, text: str, colour: QColor) -> None:
-        sentence = text[:1].upper() + text[1:]
+        sentence = _sentence(text)
         if (sentence, colour.name()) != self._shown:
             self._shown = (sentence, colour.name())
             self.text.setText(sentence)
             self.text.setToolTip(sentence)
             self.text.setStyleSheet(f"color: {colour.name()};")
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -40,7 +40,10 @@ QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid
 QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
 QLabel[role="dim"] {{ color: {DIM.name()}; }}
 QLabel[role="on-image"] {{ color: #dde2e8; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
+QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
+QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
+QFrame[role="bubble"] QLabel {{ border: none; }}
 QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
+from app.gui.file_dialogs import choose_recordings_folder, save_bench
 from app.gui.menu import Entries
 from app.results.view_analysis import Quantity
 
@@ -25,8 +26,8 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
         "&File": (
             ("Start or stop recording", "W", window.recording_panel.record.click),
             ("Save the last seconds", "K", window.recording_panel.keep.click),
-            ("Choose the recordings folder", "Ctrl+O", window.choose_recordings_folder),
-            ("Save the bench", "Ctrl+S", window.save_bench),
+            ("Choose the recordings folder", "Ctrl+O", partial(choose_recordings_folder, window)),
+            ("Save the bench", "Ctrl+S", partial(save_bench, window)),
             ("Save a screenshot", "Ctrl+P", window.save_screenshot),
             ("Quit", "Ctrl+Q", window.quit),
         ),
@@ -54,6 +55,8 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Enlarge the selected view", "V", wavefront.enlarge),
             ("Plots below the camera image", "I", window.toggle_analysis),
             ("Whole camera image", "0", camera.reset_zoom),
+            ("Previous frame of a replay", ",", window.replay.back.click),
+            ("Next frame of a replay", ".", window.replay.forth.click),
             ("Full screen", "F11", window.toggle_full_screen),
             ("Processing times", "T", window.status_line.timing_row.toggle),
             *(

@@ -57,6 +57,7 @@ class RecordedCamera(Camera):
         self.line = recording.line(frames[0])  # of the recorded frame that was read last, or of the first
         self.is_lit = self.is_sample_in = False
         self.in_force: int | None = None  # number of the calibration in use; frames of another wait for theirs
+        self.speed = 1.0  # times the recorded rate
 
     @property
     def name(self) -> str:
@@ -67,6 +68,14 @@ class RecordedCamera(Camera):
     def next_frame(self) -> int:
         """Index of the next frame in the recording; at the end, of the last."""
         return self._frames[min(self._position, len(self._frames) - 1)]
+
+    def show(self, position: int) -> Frame:
+        """Return the frame at a position in the played range at once, also while stopped; playing continues after it.
+
+        `FrameLost` if it is damaged.
+        """
+        self._position, self._due_s = position, self._now()
+        return self._play()
 
     def see(self, *, is_lit: bool, is_sample_in: bool) -> None:
         """Set the light and the sample."""
@@ -142,7 +151,7 @@ class RecordedCamera(Camera):
         self._count += 1 + lost
         if self._pace == "own":
             self._due_s = max(self._due_s, self._now() - _LATE_S)
-        self._due_s += gap_s
+        self._due_s += gap_s / self.speed
         return present
 
     def _absence(self) -> str:

@@ -14,22 +14,28 @@ from app.recording.reader import Recording
 from app.recording.recorded_camera import RecordedCamera
 from app.recording.recorded_devices import recorded_devices
 from app.results.replay.run import change_of
-from drivers.interface import Devices
+from drivers.interface import Devices, Frame, WrongState
 
 
 class Player:
-    """Opens devices that play a recording, and sets the calibration of each frame."""
+    """Opens devices that play a recording, and sets the calibration of each frame.
+
+    `position` is that of the newest frame in `frames`, the played indices; None before the first. Any thread may call
+    `show_frame` and `set_speed`.
+    """
 
     def __init__(
         self, folder: Path, *, bench: str | None = None, settings: tuple[str, ...] = (), frames: str | None = None
     ) -> None:
         """Use another `bench`, or changed `settings` of the recorded one, if given."""
         self._recording = Recording(folder)
-        self._frames = self._recording.select(frames)
+        self.folder, self.frames = folder, self._recording.select(frames)
+        self.position: int | None = None
+        self._speed = 1.0
         self._change = change_of(bench, settings)
         self._camera: RecordedCamera | None = None
         self._acquisition: Acquisition | None = None
-        numbers = (self._recording.line(index).calibration for index in self._frames)
+        numbers = (self._recording.line(index).calibration for index in self.frames)
         first = next((number for number in numbers if number is not None), None)
         if first is None:
             raise InputError(f"{folder}: these frames have no calibration: there is nothing to reconstruct them with")
@@ -38,8 +44,10 @@ class Player:
 
     def open_devices(self, _bench: Bench, _progress: Callable[[float], None]) -> Devices:
         """Open the devices, at the first frame."""
-        devices = recorded_devices(self._recording, self._frames)
+        self.position = None
+        devices = recorded_devices(self._recording, self.frames)
         self._camera = devices.camera if isinstance(devices.camera, RecordedCamera) else None
+        self.set_speed(self._speed)
         return devices
 
     def begin(self, acquisition: Acquisition) -> tuple[Future[None], ...]:
@@ -55,22 +63,50 @@ class Player:
         """
         if self._camera is None or self._acquisition is None:
             return
+        self.position = self.frames.index(self._camera.line.index)
         number = self._recording.line(self._camera.next_frame).calibration
         if number is not None and number != self._asked:
             self._asked = number
             self._use(self._acquisition, number)
+
+    def show_frame(self, position: int) -> Future[None]:
+        """Stop, and show the frame at a position in `frames`."""
+
+        def choose(instrument: Instrument) -> Frame:
+            number = self._recording.line(self.frames[position]).calibration
+            if self._camera is None:
+                raise WrongState("the recording is not open")
+            if number is not None and number != self._camera.in_force:
+                self._asked = number
+                self._set(instrument, number)
+            return self._camera.show(position)
+
+        if self._acquisition is None:
+            raise WrongState("the recording is not open")
+        return self._acquisition.show_single(choose)
+
+    @property
+    def speed(self) -> float:
+        """Speed of the replay, times the recorded rate."""
+        return self._speed
+
+    def set_speed(self, speed: float) -> None:
+        """Play at a multiple of the recorded rate."""
+        self._speed = speed
+        if self._camera is not None:
+            self._camera.speed = speed
 
     def _calibration(self, number: int) -> Calibration:
         recorded = self._recording.calibration(number)
         return recorded if self._change is None else self._change(recorded)
 
     def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
-        def use(instrument: Instrument) -> None:
-            if self._camera is not None:
-                self._camera.in_force = number
-            instrument.use(self._calibration(number))
+        return acquisition.submit(lambda instrument: self._set(instrument, number))
 
-        return acquisition.submit(use)
+    def _set(self, instrument: Instrument, number: int) -> None:
+        if self._camera is not None:
+            self._camera.in_force = number
+        instrument.use(self._calibration(number))
 
 
 def _show(instrument: Instrument) -> None:

@@ -183,10 +183,10 @@ def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     bar = window.menuBar()
     assert bar is not None
     entries = [action for menu in bar.actions() if (inner := menu.menu()) is not None for action in inner.actions()]
-    keys = [entry.shortcut().toString() for entry in entries]
+    keys = [key for entry in entries if (key := entry.shortcut().toString())]
     assert len(set(keys)) == len(keys)
     assert {"Space", "L", "S", "D", "R", "Esc", "Ctrl+P"} <= set(keys)
-    entries[-1].trigger()
+    next(entry for entry in entries if entry.shortcut().toString() == "F1").trigger()
     dialog = window.findChildren(QWidget, "help")[0]
     assert dialog.isVisible()
     dialog.close()

@@ -1,0 +1,118 @@
+"""The replay bar: play, step, position and speed of a recording that is shown in place of the devices."""
+
+from concurrent.futures import CancelledError, Future
+
+from PyQt6.QtCore import Qt, QTimer, pyqtSignal
+from PyQt6.QtWidgets import QFrame, QSlider, QWidget
+
+from app.acquisition.instrument import Status
+from app.gui import theme
+from app.gui.controls_panel import ControlsPanel
+from app.gui.widgets import Choice, button, label, row
+from app.results.replay.player import Player
+from drivers.interface import DeviceError
+
+_SPEEDS = {"\N{VULGAR FRACTION ONE QUARTER}": 0.25, "\N{VULGAR FRACTION ONE HALF}": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
+_TIMES = "\N{MULTIPLICATION SIGN} "
+_POLL_MS = 40
+
+
+class ReplayBar(QFrame):
+    """Moves through the frames of a player; hidden without one.
+
+    A move stops the replay. While the slider is dragged, only the newest position is shown: reconstruction may be slow.
+    """
+
+    failed = pyqtSignal(str)  # why a frame cannot be shown
+
+    def __init__(self, player: Player | None, controls: ControlsPanel, parent: QWidget | None = None) -> None:
+        """Play and stop with the start button of the `controls`, whose devices are disabled."""
+        super().__init__(parent)
+        self.setProperty("role", "strip")
+        self._player, self._controls = player, controls
+        self._wanted: int | None = None
+        self._moving: Future[None] | None = None
+        self.badge = label("REPLAY", "badge")
+        self.play = button("Play", "Play or pause (Space)", controls.start.click)
+        self.back = button("\N{LEFTWARDS ARROW}", "Previous frame (,)", lambda: self._step(-1))
+        self.forth = button("\N{RIGHTWARDS ARROW}", "Next frame (.)", lambda: self._step(1))
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.slider.setToolTip("Position in the recording")
+        self.slider.valueChanged.connect(self._move)
+        self.text = label("")
+        self.speed = Choice()
+        self.speed.addItems([_TIMES + name for name in _SPEEDS])
+        self.speed.setCurrentText(f"{_TIMES}1")
+        self.speed.setToolTip("Speed beside that of the recording; a slow computer skips frames")
+        self.speed.textActivated.connect(self._set_speed)
+        row(
+            self.badge,
+            self.back,
+            self.play,
+            self.forth,
+            (self.slider, 1),
+            self.text,
+            label("Speed", "dim"),
+            self.speed,
+            parent=self,
+        ).setContentsMargins(10, 4, 6, 4)
+        self._timer = QTimer(self)
+        self._timer.setInterval(_POLL_MS)
+        self._timer.timeout.connect(self.refresh)
+        self.setVisible(player is not None)
+        if player is not None:
+            count = len(player.frames)
+            self.slider.setRange(0, count - 1)
+            self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {count} of {count}  "))
+            self._timer.start()
+
+    def show_status(self, status: Status) -> None:
+        """Show whether the recording plays; keep the controls of the devices disabled, which the status enables."""
+        if self._player is not None:
+            self._controls.disable_devices()
+            self.play.setText("Pause" if status.is_running else "Play")
+            self.play.setIcon(theme.start_or_stop(is_running=status.is_running))
+
+    def refresh(self) -> None:
+        """Show the position, and go to the wanted one as soon as the last move is done."""
+        player = self._player
+        if player is None:
+            return
+        if self._moving is not None:
+            if not self._moving.done():
+                return
+            moved, self._moving = self._moving, None
+            try:
+                moved.result()
+            except (CancelledError, DeviceError) as error:
+                self.failed.emit(str(error))
+        if self._wanted is not None:
+            wanted, self._wanted = self._wanted, None
+            self._moving = player.show_frame(wanted)
+        elif player.position is not None and not self.slider.isSliderDown():
+            self._show_position(player.position)
+
+    def _show_position(self, position: int) -> None:
+        self.slider.blockSignals(True)
+        self.slider.setValue(position)
+        self.slider.blockSignals(False)
+        self._write(position)
+
+    def _write(self, position: int) -> None:
+        if self._player is not None:
+            frames = self._player.frames
+            self.text.setText(f"frame {position + 1} of {len(frames)}")
+            self.text.setToolTip(f"Frame {frames[position]} of the recording, as --frames counts: from 0")
+
+    def _move(self, position: int) -> None:
+        if self._player is not None and self._player.position is not None:
+            self._wanted = position
+            self._write(position)
+
+    def _step(self, by: int) -> None:
+        self.slider.setValue(self.slider.value() + by)
+
+    def _set_speed(self, text: str) -> None:
+        if self._player is not None:
+            self._player.set_speed(_SPEEDS[text.removeprefix(_TIMES)])

@@ -1,0 +1,135 @@
+"""The help menu: message log, documentation, tour, citation and versions."""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import QSettings, QUrl
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.paths import ROOT
+from support.window_tools import MakeWindow
+
+from app.gui.help_menu import PAPER, documentation
+from app.gui.main_window import MainWindow
+from app.gui.text_dialog import TextDialog
+from app.gui.tour import Tour, offer_tour
+
+
+def choose(window: MainWindow, entry: str) -> None:
+    """Choose an entry of a menu."""
+    (action,) = (each for each in window.findChildren(QAction) if each.text() == entry)
+    action.trigger()
+
+
+def opened(window: MainWindow, name: str) -> TextDialog:
+    dialog = window.findChild(TextDialog, name)
+    assert dialog is not None
+    assert dialog.isVisible()
+    return dialog
+
+
+def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: Path) -> None:
+    window = make_window()
+    window.controller.use_recordings_folder(tmp_path)
+    window.messages.warn("it is Monday")
+    window.messages.warn("it is Monday")
+    choose(window, "Message log")
+    dialog = opened(window, "log")
+    first, second = dialog.view.toPlainText().splitlines()
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d  Recordings are saved in .*", first)
+    assert second.endswith("  It is Monday")
+    window.messages.show_state(failure="", warning="dark is stale", advice="", shut_down="")
+    window.messages.show_state(failure="", warning="dark is stale", advice="", shut_down="")
+    assert dialog.view.toPlainText().count("Dark is stale") == 1  # at once, not at every refresh
+    dialog.copy.click()
+    clipboard = QApplication.clipboard()
+    assert clipboard is not None
+    assert clipboard.text() == window.log.text == dialog.view.toPlainText()
+    dialog.close()
+    window.messages.inform("closed")  # must not reach the deleted dialog
+
+
+def test_log_tells_what_failed(make_window: MakeWindow, qtbot: QtBot) -> None:
+    camera = FakeCamera()
+    camera.fault = RuntimeError("smoke")
+    window = make_window(camera)
+    window.messages.show_state(failure="the camera was unplugged", warning="", advice="F1", shut_down="off")
+    qtbot.waitUntil(lambda: "The camera was unplugged" in window.log.text)
+    assert "F1" not in window.log.text
+
+
+def test_documentation_opens_and_its_links_lead_on(make_window: MakeWindow) -> None:
+    window = make_window()
+    choose(window, "Documentation")
+    dialog = opened(window, "documentation")
+    assert dialog.view.toPlainText().startswith("The window")
+    assert not dialog.back.isEnabled()
+    dialog.view.setSource(QUrl("experiment.md"))  # as a click on the link
+    assert "experiment" in dialog.view.toPlainText().splitlines()[0]
+    dialog.back.click()
+    assert dialog.view.toPlainText().startswith("The window")
+
+
+def test_missing_documentation_is_reported(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.__file__", "/nowhere/app/__init__.py")
+    assert documentation() is None
+    window = make_window()
+    choose(window, "Documentation")
+    assert "documentation is not installed" in window.log.text
+
+
+def test_citation_agrees_with_the_citation_file(make_window: MakeWindow) -> None:
+    window = make_window()
+    choose(window, "How to cite")
+    text = opened(window, "citation").view.toPlainText()
+    file = (ROOT / "CITATION.cff").read_text("utf-8")
+    for key in ("title: Space-variant", "doi: ", "journal: "):
+        value = next(line.partition(": ")[2] for line in file.splitlines() if line.strip().startswith(key))
+        assert value in text.replace("{Shack-Hartmann}", "Shack-Hartmann")
+    authors = re.findall(r"given-names: (\w+), family-names: (\w+)", file)
+    assert [family for _, family in authors] == re.findall(r"[A-Z]\. (\w+)", PAPER)
+    assert f"version: {version('svwfs')}" in file
+
+
+def test_about_names_version_and_libraries(make_window: MakeWindow) -> None:
+    window = make_window()
+    choose(window, "About svwfs")
+    text = opened(window, "about").view.toPlainText()
+    assert f"Version: {version('svwfs')}" in text
+    assert f"numpy: {version('numpy')}" in text
+
+
+def test_tour_is_offered_once_and_ends(make_window: MakeWindow, tmp_path: Path) -> None:
+    settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
+    window = make_window()
+    offer_tour(window, settings)
+    tour = window.findChild(Tour)
+    assert tour is not None
+    titles = []
+    for _ in range(5):
+        assert tour.isVisible()
+        assert window.rect().contains(tour.geometry())
+        titles.append(tour.title.text())
+        tour.next.click()
+    assert len(set(titles)) == 5
+    assert not tour.isVisible()
+    QApplication.sendPostedEvents(None, 52)  # deferred deletion
+    offer_tour(window, settings)
+    assert window.findChild(Tour) is None
+
+
+def test_tour_can_be_dismissed(make_window: MakeWindow) -> None:
+    window = make_window()
+    choose(window, "Tour of the window")
+    tour = window.findChild(Tour)
+    assert tour is not None
+    window.resize(900, 700)
+    assert window.rect().contains(tour.geometry())
+    tour.end.click()
+    assert not tour.isVisible()

@@ -1,0 +1,145 @@
+"""The replay bar, by clicks and keys, on a recording of the small simulated bench."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+from support.recordings import record
+from support.window_tools import press
+
+from app.acquisition.worker import Acquisition
+from app.gui.main_window import MainWindow
+from app.recording.reader import Recording
+from app.results.replay.player import Player
+
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+
+
+@pytest.fixture
+def window(qapp: QApplication, qtbot: QtBot, recording: Recording) -> Iterator[MainWindow]:
+    """A window that plays frames 2 to 7 of the recording."""
+    player = Player(recording.folder, frames="2:")
+
+    def make() -> Acquisition:
+        return Acquisition(player.bench, player.open_devices, (player.take,))
+
+    shown = MainWindow(make, begin=player.begin, player=player)
+    shown.resize(1200, 800)
+    shown.show()
+    shown.connect_devices()
+    qtbot.waitUntil(lambda: shown.status_line.valid.text() == "35 of 35")
+    yield shown
+    shown.close()
+    shown.deleteLater()
+    qapp.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+
+
+def shown_frame(window: MainWindow, recording: Recording) -> int | None:
+    """Index in the recording of the frame in the window."""
+    assert window.controller.acquisition is not None
+    newest = window.controller.acquisition.newest
+    if newest is None:
+        return None
+    pixels = newest.frame.pixels
+    return next((index for index in range(FRAMES) if np.array_equal(pixels, recording.pixels(index))), None)
+
+
+def pause(qtbot: QtBot, window: MainWindow) -> None:
+    qtbot.waitUntil(lambda: window.replay.play.text() == "Pause")
+    window.replay.play.click()
+    qtbot.waitUntil(lambda: window.replay.play.text() == "Play")
+    window.replay.slider.setValue(3)
+    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 4 of 6")
+
+
+def test_steps_show_the_frame_beside(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
+    pause(qtbot, window)
+    qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 3)
+    press(qtbot, window, Qt.Key.Key_Period)
+    qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 4)
+    assert window.replay.text.text() == "frame 5 of 6"
+    window.replay.back.click()
+    window.replay.back.click()
+    qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 2)
+    qtbot.waitUntil(lambda: window.replay.slider.value() == 2)
+    assert window.replay.play.text() == "Play"
+
+
+def test_replay_continues_behind_the_chosen_frame(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
+    pause(qtbot, window)
+    qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 3)
+    seen: list[int | None] = []
+    window.measurement_shown.connect(lambda _: seen.append(shown_frame(window, recording)))
+    press(qtbot, window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: len(seen) > 2)
+    assert window.replay.play.text() == "Pause"
+    assert seen[0] in {2 + 4, 2 + 5}  # a slow computer may show every second frame
+
+
+def test_wavefront_of_a_chosen_frame_is_the_recorded_one(
+    window: MainWindow, qtbot: QtBot, recording: Recording
+) -> None:
+    """Up to the starting point of the registration."""
+    pause(qtbot, window)
+    qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 3)
+    newest = window.controller.acquisition.newest if window.controller.acquisition else None
+    assert newest is not None
+    assert newest.registered is not None
+    expected = recording.displacement(2 + 3)
+    assert expected is not None
+    np.testing.assert_allclose(newest.registered.coefficients, expected, atol=2e-3)
+
+
+def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbot: QtBot) -> None:
+    pause(qtbot, window)
+    controls = window.controls
+    devices: tuple[QWidget, ...] = (
+        controls.light,
+        controls.sample,
+        controls.dark,
+        controls.reference,
+        controls.exposure,
+        controls.auto_exposure,
+        controls.current,
+        controls.sensor_region,
+        window.recording_panel.record,
+    )
+    assert [widget.isEnabled() for widget in devices] == [False] * len(devices)
+    assert controls.method.isEnabled()
+    assert window.replay.badge.isVisible()
+    press(qtbot, window, Qt.Key.Key_L)  # the light
+    press(qtbot, window, Qt.Key.Key_Period)
+    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 5 of 6")
+    assert window.controller.status is not None
+    assert window.controller.status.is_light_on
+
+
+def test_speed_multiplies_the_recorded_rate(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
+    qtbot.waitUntil(lambda: window.replay.play.text() == "Pause")
+    window.replay.speed.setCurrentIndex(0)
+    window.replay.speed.textActivated.emit(window.replay.speed.currentText())
+    times_s: list[float] = []
+    window.measurement_shown.connect(lambda measurement: times_s.append(measurement.frame.camera_time_s))
+    qtbot.waitUntil(lambda: len(times_s) >= 6)
+    recorded_s = np.diff([recording.line(index).host_time_s for index in range(2, FRAMES)])
+    shortest_s = min(recorded_s.min(), recording.line(0).exposure_s)  # at the repeat the exposure takes its place
+    assert np.diff(times_s[1:]).min() >= 0.999 * 4 * shortest_s  # the first may have been scheduled before
+
+
+def test_bar_is_hidden_at_live_devices(live: tuple[MainWindow, object], qtbot: QtBot) -> None:
+    window, _ = live
+    assert not window.replay.isVisible()
+    press(qtbot, window, Qt.Key.Key_Period)
+    assert window.controls.light.isEnabled()
+    assert window.recording_panel.record.isEnabled()
