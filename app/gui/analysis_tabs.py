@@ -1,7 +1,7 @@
 """Tabs below the camera image: quality, coefficients, history, histogram, lenslet. Hidden ones compute nothing."""
 
-from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QTabWidget, QWidget
+from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtWidgets import QWidget
 
 from app.gui.analysis_panel import AnalysisPanel
 from app.gui.coefficients_panel import CoefficientsPanel
@@ -14,30 +14,30 @@ from app.results.history import sample
 from app.results.view_analysis import Analysis
 
 
-class AnalysisTabs(QTabWidget):
-    """Shows one of the panels."""
+class AnalysisTabs(QObject):
+    """The panels; each computes nothing while it is hidden."""
 
-    def __init__(self, wavefront_panel: WavefrontPanel, parent: QWidget | None = None) -> None:
+    panel_requested = pyqtSignal(QWidget)
+
+    def __init__(self, wavefront_panel: WavefrontPanel, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._wavefront_panel = wavefront_panel
         self._measurement: Measurement | None = None
         self.quality, self.coefficients, self.history = AnalysisPanel(), CoefficientsPanel(), HistoryPanel()
         self.histogram, self.lenslet = HistogramPanel(), LensletPanel()
         self.coefficients.pinned.connect(self.history.pin)
-        self.setDocumentMode(True)
-        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        if (bar := self.tabBar()) is not None:
-            bar.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            bar.setDrawBase(False)
-            bar.setToolTip("What is shown below the camera image")
-        for panel, title in (
-            (self.quality, "Quality"),
-            (self.coefficients, "Coefficients"),
-            (self.history, "History"),
-            (self.histogram, "Histogram"),
-            (self.lenslet, "Lenslet"),
-        ):
-            self.addTab(panel, title)
+        self.panels: dict[str, QWidget] = {
+            "Quality": self.quality,
+            "Coefficients": self.coefficients,
+            "History": self.history,
+            "Histogram": self.histogram,
+            "Lenslet": self.lenslet,
+        }
+
+    @property
+    def is_visible(self) -> bool:
+        """Whether any panel is visible."""
+        return any(panel.isVisible() for panel in self.panels.values())
 
     def show_analysis(self, analysis: Analysis) -> None:
         """Show what was computed for the visible tab."""
@@ -52,8 +52,7 @@ class AnalysisTabs(QTabWidget):
     def inspect(self, row: int, column: int) -> None:
         """Show a lenslet in its tab."""
         self.lenslet.select((row, column))
-        self.setCurrentWidget(self.lenslet)
-        self.show()
+        self.panel_requested.emit(self.lenslet)
 
     def show_nothing(self) -> None:
         """Clear the tabs: there is no wavefront."""

@@ -107,7 +107,7 @@ class BackgroundAnalysis(QObject):
         wavefront, view = self._wavefront, self._selected_view()
         if wavefront is None:
             self._tabs.show_nothing()
-        self._wavefront_panel.grid.select(view if self._tabs.isVisible() else None)
+        self._wavefront_panel.grid.select(view if self._tabs.is_visible else None)
         if wavefront is None or view is None or self._settings is None:
             return
         lenslet = self._tabs.lenslet.wanted()

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QWidget
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
 from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
-from app.gui.widgets import Choice, ElidedLabel, column, label, row, toggle, unfocused
+from app.gui.widgets import Choice, ElidedLabel, column, label, row_of, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics, frame_statistics
 from drivers.interface import Frame
@@ -93,9 +93,11 @@ class CameraPanel(QWidget):
         self.legend = label("", "on-image", self._graphics)
         self.caption = ElidedLabel("dim")
         self._title = label("Camera", "title")
+        self.header = row_of(
+            (self._title, 1), self.lattice_toggle, self.arrows_toggle, self._contrast_choice, self.colours
+        )
+        column(self.header, (self._graphics, 1), self.caption, parent=self)
         self._placeholder = label("no frame yet", "dim")
-        header = row((self._title, 1), self.lattice_toggle, self.arrows_toggle, self._contrast_choice, self.colours)
-        column(header, (self._graphics, 1), self.caption, parent=self)
         column(self._placeholder, parent=self._graphics).setAlignment(Qt.AlignmentFlag.AlignCenter)
 
     def show_running(self, *, is_running: bool) -> None:

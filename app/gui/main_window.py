@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QWidget
+from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, start_up
@@ -23,6 +23,7 @@ from app.gui.menu import fill_menus
 from app.gui.message_log import MessageLog
 from app.gui.message_strip import MessageStrip
 from app.gui.number_field import NumberField
+from app.gui.panel_docks import Dock, PanelDocks
 from app.gui.recording_panel import RecordingPanel
 from app.gui.replay_bar import ReplayBar
 from app.gui.sensor_region_dialog import SensorRegionDialog
@@ -70,7 +71,7 @@ class MainWindow(QMainWindow):
 
         self.camera_panel = CameraPanel()
         self.wavefront_panel = WavefrontPanel()
-        self.tabs = AnalysisTabs(self.wavefront_panel)
+        self.tabs = AnalysisTabs(self.wavefront_panel, self)
         self.analysis_panel = self.tabs.quality
         self.controls = ControlsPanel(FRAMES)
         self.recording_panel = RecordingPanel()
@@ -235,34 +236,26 @@ class MainWindow(QMainWindow):
     def _lay_out(self) -> None:
         self.setWindowTitle("svwfs")
         self.resize(WINDOW_SIZE)
-        left = self._left = QSplitter(Qt.Orientation.Vertical)
-        left.addWidget(self.camera_panel)
-        left.addWidget(self.tabs)
-        left.setSizes([1000, 450])
-        left.setHandleWidth(10)
-        left.setChildrenCollapsible(False)
-        images = self._images = QSplitter(Qt.Orientation.Horizontal)
-        images.addWidget(left)
-        images.addWidget(self.wavefront_panel)
-        images.setSizes([1000, 1000])
-        images.setHandleWidth(16)
-        framed = column(images)
-        framed.setContentsMargins(10, 8, 10, 6)  # a splitter's own margins do not count in its minimum size
-        body = QWidget()
-        layout = column(
-            (framed, 1), self.replay, self.messages, self.controls, self.status_line, spacing=4, parent=body
+        below = QWidget()
+        column(self.replay, self.messages, self.status_line, spacing=4, parent=below)
+        if (status_bar := self.statusBar()) is not None:
+            status_bar.setSizeGripEnabled(False)
+            status_bar.addPermanentWidget(below, 1)
+            status_bar.setMinimumWidth(_MIN_WIDTH)  # the controls may need more
+        self.docks = PanelDocks(
+            self,
+            Dock("Camera", self.camera_panel, self.camera_panel.header),
+            Dock("Wavefronts", self.wavefront_panel, self.wavefront_panel.header),
+            self.tabs.panels,
+            Dock("Controls", self.controls, is_strip=True),
         )
-        layout.addStrut(_MIN_WIDTH)  # a larger font may need more
-        self.setCentralWidget(body)
+        self.tabs.panel_requested.connect(self.docks.show_panel)
         if (bar := self.menuBar()) is not None:
             bar.setNativeMenuBar(False)  # a native one has no corner
             bar.setCornerWidget(self.recording_panel)
 
     def _restore_state(self) -> None:
         self._parts: dict[str, QObject] = {
-            "window/left": self._left,
-            "window/images": self._images,
-            "window/analysis": self.tabs,
             "window/times": self.status_line.timing_row,
             "view/quantity": self.wavefront_panel.choice,
             "camera/lattice": self.camera_panel.lattice_toggle,
@@ -282,10 +275,6 @@ class MainWindow(QMainWindow):
     def toggle_full_screen(self) -> None:
         """Fill the screen, or return to the window."""
         self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
-
-    def toggle_analysis(self) -> None:
-        """Show or hide the plots below the camera image."""
-        self.tabs.setVisible(not self.tabs.isVisible())
 
     def _reconnect(self) -> None:
         if self.controller.failure:

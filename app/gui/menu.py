@@ -3,8 +3,18 @@
 from collections.abc import Callable, Mapping
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtGui import QKeySequence
-from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QMainWindow, QMenu, QScrollArea, QVBoxLayout, QWidget
+from PyQt6.QtGui import QAction, QKeySequence
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QDialog,
+    QFrame,
+    QLabel,
+    QMainWindow,
+    QMenu,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
 
 from app.gui.widgets import button
 
@@ -28,7 +38,8 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 _HELP_WIDTH = 660  # px
 _HELP_OF_SCREEN = 0.9
 
-Entries = tuple[tuple[str, str, Callable[[], object]], ...]  # text, key, action
+Act = Callable[[], object] | QAbstractButton | QMenu  # a button lends its entry tick and greying
+Entries = tuple[tuple[str, str, Act] | None, ...]  # text, key and action, or a separator
 
 
 def fill_menus(window: QMainWindow, menus: Mapping[str, Entries], more_help: Entries = ()) -> None:
@@ -44,11 +55,37 @@ def fill_menus(window: QMainWindow, menus: Mapping[str, Entries], more_help: Ent
 def _fill(menu: QMenu | None, entries: Entries) -> None:
     if menu is None:
         return
-    for text, key, act in entries:
-        action = menu.addAction(text)
-        if action is not None:
+    buttons: list[tuple[QAction, QAbstractButton]] = []
+    for entry in entries:
+        if entry is None:
+            menu.addSeparator()
+            continue
+        text, key, act = entry
+        if isinstance(act, QMenu):
+            act.setTitle(text)
+            menu.addMenu(act)
+        elif (action := menu.addAction(text)) is not None:
+            if isinstance(act, QAbstractButton):
+                buttons.append((action, act))
+                act = act.click
             action.setShortcut(QKeySequence(key))
             action.triggered.connect(lambda _=False, act=act: act())
+    menu.aboutToShow.connect(lambda: _follow(buttons))
+    menu.aboutToHide.connect(lambda: _enable(buttons))
+
+
+def _follow(buttons: list[tuple[QAction, QAbstractButton]]) -> None:
+    """Tick and grey the entries as their buttons."""
+    for action, one in buttons:
+        action.setEnabled(one.isEnabled() and not one.isHidden())
+        action.setCheckable(one.isCheckable())
+        action.setChecked(one.isChecked())
+
+
+def _enable(buttons: list[tuple[QAction, QAbstractButton]]) -> None:
+    """Enable the keys of a closed menu; a button refuses by itself."""
+    for action, _ in buttons:
+        action.setEnabled(True)
 
 
 def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
@@ -77,5 +114,9 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
 
 
 def _key_table(title: str, entries: Entries) -> str:
-    rows = "".join(f"<tr><td><b>{key}</b>&nbsp;</td><td>{name}&nbsp; &nbsp;</td></tr>" for name, key, _ in entries)
+    rows = "".join(
+        f"<tr><td><b>{key}</b>&nbsp;</td><td>{name}&nbsp; &nbsp;</td></tr>"
+        for name, key, _ in filter(None, entries)
+        if key
+    )
     return f"<h3>{title.replace('&', '')}</h3><table cellspacing='0'>{rows}</table>"

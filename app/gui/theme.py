@@ -49,7 +49,9 @@ QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; 
 QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
 QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
 QMenuBar::item:selected {{ background: {RAISED.name()}; }}
-QSplitter::handle {{ background: {BACKGROUND.name()}; }}
+QMainWindow::separator {{ background: {BACKGROUND.name()}; width: 6px; height: 6px; }}
+QMainWindow::separator:hover {{ background: {LINE.name()}; }}
+QStatusBar::item {{ border: none; }}
 QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center; color: {TEXT.name()};
                background: {BACKGROUND.name()}; }}
 QProgressBar::chunk {{ background: #2f6f9f; }}

@@ -16,7 +16,7 @@ from app.gui.display_menu import DisplayMenu
 from app.gui.enlarged_view import EnlargedView
 from app.gui.presentation import PRESENTATIONS, Presentation, place
 from app.gui.view_grid import Maps, ViewGrid
-from app.gui.widgets import Choice, ElidedLabel, button, column, label, row, toggle
+from app.gui.widgets import Choice, ElidedLabel, button, column, label, row_of, toggle
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
@@ -60,10 +60,10 @@ class WavefrontPanel(QWidget):
         self.stale.setStyleSheet(f"color: {theme.AMBER.name()};")
         self.stale.hide()
         self.grid.opened.connect(self.enlarge)
-        header = row(
+        self.header = row_of(
             self.choice, label("over the field", "title"), (self._summary, 1), self.display_button, self.freeze_scale
         )
-        column(header, self.stale, (self.grid, 1), parent=self)
+        column(self.header, self.stale, (self.grid, 1), parent=self)
 
     @property
     def quantity(self) -> Quantity:

@@ -113,6 +113,13 @@ def row(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QHBoxL
     return _filled(QHBoxLayout(parent), items, spacing)
 
 
+def row_of(*items: Item) -> QWidget:
+    """Make a widget of items from left to right."""
+    made = QWidget()
+    row(*items, parent=made)
+    return made
+
+
 def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVBoxLayout:
     """Arrange widgets and layouts from top to bottom, without margins."""
     return _filled(QVBoxLayout(parent), items, spacing)

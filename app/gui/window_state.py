@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from PyQt6.QtCore import QByteArray, QObject, QRect, QSettings, QSize
-from PyQt6.QtWidgets import QAbstractButton, QComboBox, QMainWindow, QSplitter, QWidget
+from PyQt6.QtWidgets import QAbstractButton, QComboBox, QMainWindow, QWidget
 
+_LAYOUT = 1  # changes with the set of panels; a state of another layout is ignored
 _FRAME = QSize(10, 40)  # px; window managers add it only when the window is shown
 
 
@@ -14,8 +15,9 @@ def settings_file() -> QSettings:
 
 
 def save_state(settings: QSettings, window: QMainWindow, parts: dict[str, QObject], recordings_folder: Path) -> None:
-    """Save the window and its parts: splitters, choices, toggles, and widgets that can be hidden, by their keys."""
+    """Save the window and its parts: panels, choices, toggles, and widgets that can be hidden, by their keys."""
     settings.setValue("window/geometry", window.saveGeometry())
+    settings.setValue("window/panels", window.saveState(_LAYOUT))
     settings.setValue("folders/recordings", str(recordings_folder))
     for key, part in parts.items():
         settings.setValue(key, _state(part))
@@ -26,6 +28,8 @@ def restore_state(settings: QSettings, window: QMainWindow, parts: dict[str, QOb
     """Restore what was saved; return the recordings folder if it still exists."""
     if isinstance(geometry := settings.value("window/geometry"), QByteArray):
         window.restoreGeometry(geometry)
+    if isinstance(panels := settings.value("window/panels"), QByteArray):
+        window.restoreState(panels, _LAYOUT)
     for key, part in parts.items():
         if settings.contains(key):
             _restore(part, settings.value(key))
@@ -47,8 +51,6 @@ def fit_to_screen(window: QMainWindow) -> None:
 
 def _state(part: QObject) -> object:
     match part:
-        case QSplitter():
-            return part.saveState()
         case QComboBox():
             return part.currentText()
         case QAbstractButton():
@@ -61,13 +63,9 @@ def _state(part: QObject) -> object:
 def _restore(part: QObject, value: object) -> None:
     is_on = str(value) == "1"  # an INI file stores text
     match part:
-        case QSplitter() if isinstance(value, QByteArray):
-            part.restoreState(value)
         case QComboBox():
             part.setCurrentText(str(value))  # ignored if there is no such item
         case QAbstractButton():
             part.setChecked(is_on)
-        case QSplitter():
-            pass  # damaged
         case QWidget():
             part.setVisible(is_on)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt6.QtCore import QEvent, QPoint, QRect, QSettings, Qt
 from PyQt6.QtGui import QFont, QFontDatabase, QImage
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication, QTabBar, QWidget
 from pytestqt.qtbot import QtBot
 
 from app.acquisition.worker import Acquisition
@@ -84,6 +84,15 @@ def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
 
 def click(qtbot: QtBot, widget: QWidget, at: QPoint) -> None:
     qtbot.mouseClick(widget, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call] # pytest-qt again
+
+
+def tab(window: MainWindow, title: str) -> tuple[QTabBar, QPoint]:
+    """Find a panel's tab: its bar, and its middle there."""
+    QApplication.processEvents()
+    bars = [bar for bar in window.findChildren(QTabBar) if window.rect().intersects(bar.geometry())]  # Qt keeps others
+    places = [(bar, index) for bar in bars for index in range(bar.count()) if bar.tabText(index) == title]
+    (bar, index) = places[0]
+    return bar, bar.tabRect(index).center()
 
 
 def picture(widget: QWidget) -> NDArray[np.uint8]:

@@ -86,7 +86,7 @@ def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow) -> No
     window.show_measurement(make_measurement(pixels, views()))
     window.camera_panel.update_text()
     assert panel.curve.getData()[1].size == 1  # hidden: nothing is drawn
-    window.tabs.setCurrentWidget(panel)
+    window.docks.show_panel(panel)
     QApplication.processEvents()
     window.camera_panel.update_text()
     level, logarithm = panel.curve.getData()
@@ -106,7 +106,8 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     window.show_measurement(shown(inspected()))
     assert panel.wanted() is None
     click_lenslet(window.camera_panel, 4, 7)
-    assert window.tabs.currentWidget() is panel
+    assert panel.isVisible()
+    assert not window.tabs.quality.isVisible()
     qtbot.waitUntil(lambda: bool(panel.numbers.text()))
     assert panel.title.text() == "Lenslet row 4, column 7: converged"
     assert panel.numbers.text().startswith(

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, make_measurement
 from support.wavefronts import modal
-from support.window_tools import MakeWindow, click, dim_frame, views
+from support.window_tools import MakeWindow, click, dim_frame, tab, views
 
 from app.gui.coefficients_panel import CoefficientsPanel
 from app.gui.main_window import MainWindow
@@ -28,12 +28,8 @@ def measurement(defocus: float) -> Measurement:
 
 
 def open_tab(window: MainWindow, title: str) -> None:
-    bar = window.tabs.tabBar()
-    assert bar is not None
-    index = next(index for index in range(bar.count()) if bar.tabText(index) == title)
-    QApplication.processEvents()
-    click_at = bar.tabRect(index).center()
-    QtBot.mouseClick(bar, Qt.MouseButton.LeftButton, pos=click_at)  # type: ignore[no-untyped-call]
+    bar, at = tab(window, title)
+    QtBot.mouseClick(bar, Qt.MouseButton.LeftButton, pos=at)  # type: ignore[no-untyped-call]
 
 
 @pytest.fixture

@@ -1,0 +1,150 @@
+"""Dockable panels of the window: the default layout, and what a user may change in it."""
+
+from collections.abc import Mapping
+
+from PyQt6.QtCore import QSize, Qt, QTimer
+from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabWidget, QToolButton, QWidget
+
+from app.gui.widgets import Slot, column, label, row
+
+_OPTIONS = QMainWindow.DockOption
+_MARGIN = 8  # px between the contents of a panel and its edge
+_BUTTON = 18  # px
+
+
+class Dock(QDockWidget):
+    """A panel that can be moved, floated and closed; a header moves it, among tabs the tab."""
+
+    def __init__(self, title: str, panel: QWidget, header: QWidget | None = None, *, is_strip: bool = False) -> None:
+        """Put a panel below its header, or its title; the handle of a strip stands at its left."""
+        super().__init__(title)
+        self.setObjectName(title)  # its key in a saved state
+        self.panel = panel
+        body = QWidget()
+        column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN, 0, _MARGIN, 4))
+        if is_strip:
+            self.setFeatures(self.features() | self.DockWidgetFeature.DockWidgetVerticalTitleBar)
+            body.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self.setWidget(body)
+        self.bar = _TitleBar(self, header or label("" if is_strip else title, "title"), is_strip=is_strip)
+        self.setTitleBarWidget(self.bar)
+        policy = panel.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)
+        panel.setSizePolicy(policy)
+        self.visibilityChanged.connect(panel.setVisible)  # Qt calls a panel behind another tab visible
+
+
+class _TitleBar(QWidget):
+    """A header with two buttons: float and close."""
+
+    def __init__(self, dock: Dock, header: QWidget, *, is_strip: bool) -> None:
+        super().__init__(dock)
+        self._is_compact = False
+        buttons = (
+            _tool_button("\N{NORTH EAST ARROW}", "Float as a window, or dock again", lambda: _float(dock)),
+            _tool_button("\N{MULTIPLICATION SIGN}", "Close; View > Panels opens it again", dock.close),
+        )
+        if is_strip:
+            column(*buttons, spacing=0, parent=self).addStretch()
+        else:
+            row((header, 1), *buttons, spacing=2, parent=self).setContentsMargins(_MARGIN, 4, 0, 4)
+
+    def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return no size below a tab, which has the title."""
+        return QSize(0, 0) if self._is_compact else super().sizeHint()
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return no size below a tab."""
+        return QSize(0, 0) if self._is_compact else super().minimumSizeHint()
+
+    def show_compact(self, *, is_compact: bool) -> None:
+        """Take no room, or that of the header."""
+        if is_compact != self._is_compact:
+            self._is_compact = is_compact
+            self.setVisible(not is_compact)
+            self.updateGeometry()
+
+
+class PanelDocks:
+    """The docks of a window."""
+
+    def __init__(
+        self, window: QMainWindow, camera: Dock, wavefronts: Dock, analysis: Mapping[str, QWidget], controls: Dock
+    ) -> None:
+        """Dock all panels in the default layout; those of the `analysis` are tabs, by title."""
+        self._window, self._camera, self._wavefronts, self._controls = window, camera, wavefronts, controls
+        self._analysis = [Dock(title, panel) for title, panel in analysis.items()]
+        self._closed: list[Dock] = []  # by `toggle_analysis`
+        self.docks = (camera, wavefronts, *self._analysis, controls)
+        window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
+        window.setDocumentMode(True)  # flat tabs
+        window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
+        self._settle = QTimer(window)  # after all the signals of a change
+        self._settle.setSingleShot(True)
+        self._settle.timeout.connect(self._show_titles)
+        for dock in self.docks:
+            for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
+                changed.connect(lambda *_: self._settle.start(0))
+        self._dock_all()
+        self._default = window.saveState()
+        self.restore_default()
+
+    def restore_default(self) -> None:
+        """Camera above the tabs of the analysis, wavefronts beside them, controls below; all are open."""
+        window, first = self._window, self._analysis[0]
+        window.restoreState(self._default)
+        first.raise_()
+        window.resizeDocks([self._camera, self._wavefronts], [1000, 1000], Qt.Orientation.Horizontal)
+        window.resizeDocks([self._camera, first], [1000, 450], Qt.Orientation.Vertical)
+        self._show_titles()
+
+    def _dock_all(self) -> None:
+        window, first = self._window, self._analysis[0]
+        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, self._camera)
+        window.splitDockWidget(self._camera, self._wavefronts, Qt.Orientation.Horizontal)
+        window.splitDockWidget(self._camera, first, Qt.Orientation.Vertical)
+        for before, dock in zip(self._analysis, self._analysis[1:], strict=False):
+            window.tabifyDockWidget(before, dock)
+        window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._controls)
+
+    def toggle_analysis(self) -> None:
+        """Close the open panels of the analysis, or open those closed last."""
+        is_open = [dock for dock in self._analysis if not dock.isHidden()]
+        for dock in is_open or self._closed or self._analysis:
+            dock.setVisible(not is_open)
+        self._closed = is_open
+
+    def show_panel(self, panel: QWidget) -> None:
+        """Open a panel, in front of the other tabs."""
+        for dock in self.docks:
+            if dock.panel is panel:
+                dock.show()
+                dock.raise_()
+
+    def menu(self) -> QMenu:
+        """Return a menu that opens and closes the panels."""
+        made = QMenu(self._window)
+        for dock in self.docks:
+            made.addAction(dock.toggleViewAction())
+        return made
+
+    def _show_titles(self) -> None:
+        """Show the header of each panel that has no tab."""
+        for dock in self.docks:
+            tabs = (other for other in self._window.tabifiedDockWidgets(dock) if not other.isHidden())
+            dock.bar.show_compact(is_compact=not dock.isFloating() and any(tabs))
+
+
+def _float(dock: Dock) -> None:
+    dock.setFloating(not dock.isFloating())
+
+
+def _tool_button(text: str, tool_tip: str, clicked: Slot) -> QToolButton:
+    made = QToolButton()
+    made.setText(text)
+    made.setToolTip(tool_tip)
+    made.setAutoRaise(True)
+    made.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    made.setFixedSize(_BUTTON, _BUTTON)
+    made.clicked.connect(clicked)
+    return made
