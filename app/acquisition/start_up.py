@@ -3,10 +3,17 @@
 from concurrent.futures import Future
 from typing import Any
 
+from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
+from app.bench.config import Bench
 
 FRAMES = 20  # default number averaged into the dark, and into the reference
+
+
+def acquisition_of(bench: Bench) -> Acquisition:
+    """Make the acquisition of a bench; its results are not published."""
+    return Acquisition(bench, open_devices)
 
 
 def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:

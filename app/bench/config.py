@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args, ge
 import cattrs
 import tomli_w
 
+from app.bench.bench_error import BenchError, line_of_setting, line_of_syntax
 from app.bench.bench_files import bench_file, read_bench_text
 from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
@@ -173,13 +174,14 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
 
     Raises
     ------
-    InputError
-        One sentence that names the key and what is allowed.
+    BenchError
+        One sentence that names the key and what is allowed, with the line.
     """
     try:
         tree = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{name}: not valid TOML: {in_words(error)}") from error
+        sentence = in_words(error)
+        raise BenchError(f"{name}: not valid TOML: {sentence}", line_of_syntax(text, sentence)) from error
     of_registration = tree.get("registration", {})
     if is_recorded and isinstance(of_registration, dict) and "rotation" not in of_registration:
         for (section, key), value in _OF_VERSION_0_1.items():
@@ -196,9 +198,11 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
         faults = cattrs.transform_error(error, format_exception=_sentence)
         faults.sort(
             key=lambda fault: not fault.startswith(_UNKNOWN)
-        )  # a misspelt key before the key that it leaves missing
+        )  # before the key that a misspelt one leaves missing
         sentence, _, path = faults[0].rpartition(" @ $")
-        raise InputError(f"{name}: {path.lstrip('.')}{': ' if path else ''}{sentence}") from error
+        section = path.lstrip(".")
+        line = None if overrides else line_of_setting(text, section, sentence)  # an override may be at fault
+        raise BenchError(f"{name}: {section}{': ' if path else ''}{sentence}", line) from error
 
 
 def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:

@@ -43,19 +43,25 @@ def live(
 
     Example: svwfs live --bench live_demo --set registration.warp=affine
     """
-    from app.commands.live import live_window
+    from app.commands.display import use_display
+    from app.commands.live import bench_window, replay_window, unattended_window
     from app.commands.trust import confirm_libraries
 
+    is_attended = use_display() and seconds is None
     if replay is None:
         if frames is not None:
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
+        if is_attended:
+            raise typer.Exit(bench_window(bench or _LIVE_BENCH, tuple(setting or ()), trust=trust_library))
         loaded = load(bench or _LIVE_BENCH, setting)
         confirm_libraries(loaded, trust=trust_library)
-        raise typer.Exit(live_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
+        raise typer.Exit(unattended_window(loaded, seconds=seconds, out=out, overwrite=overwrite))
     from app.results.replay.player import Player
 
     player = Player(replay, bench=bench, settings=tuple(setting or ()), frames=frames)
-    raise typer.Exit(live_window(player.bench, seconds=seconds, out=out, overwrite=overwrite, player=player))
+    if is_attended:
+        raise typer.Exit(replay_window(player))
+    raise typer.Exit(unattended_window(player.bench, seconds=seconds, out=out, overwrite=overwrite, player=player))
 
 
 def measure(

@@ -55,7 +55,11 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 def _run_in_window(course: Course) -> None:
     from app.gui.application import run_window
 
-    run_window(lambda: course.acquisition, begin=lambda _: course.begin(), until=course.poll)
+    run_window(
+        None,
+        until=course.poll,
+        open_first=lambda window: window.open(lambda: course.acquisition, lambda _: course.begin()),
+    )
 
 
 def _run(course: Course) -> None:

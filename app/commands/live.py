@@ -1,17 +1,20 @@
 """`svwfs live`: the window on a bench or a recording, attended or not."""
 
 import sys
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from typing import NoReturn
 
 from app.acquisition.devices import open_devices
 from app.acquisition.start_up import start_up
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
-from app.commands.display import use_display
 from app.commands.prompt import LIGHT_BY_HAND, remind
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.files import check_outputs, make_folder
 from app.recording.folder import FRAME_LINES
 from app.results.dataset import result_dataset, write_results
@@ -21,21 +24,75 @@ from app.run_facts import now, software_facts, timing_facts, write_record
 _UNATTENDED_S = 5.0
 
 
-def live_window(
+class _Publishing:
+    """Makes the acquisitions of one bench after another; each is published as its bench says."""
+
+    def __init__(self, streams: ExitStack) -> None:
+        self._streams = streams
+        self._sinks: tuple[Callable[[Measurement], None], ...] = ()
+        self.bench: Bench | None = None
+
+    def __call__(self, bench: Bench) -> Acquisition:
+        """Make an acquisition; the previous one has ended."""
+        try:
+            if bench is not self.bench:
+                self.bench = None
+                self._streams.close()  # the next bench may use the same port
+                self._sinks = self._streams.enter_context(stream_sinks(bench))
+                self.bench = bench
+        except RunError as error:
+            return Acquisition(bench, partial(_fail, error))
+        return Acquisition(bench, open_devices, self._sinks)
+
+
+def _fail(error: RunError, *_: object) -> NoReturn:
+    raise error
+
+
+def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool) -> int:
+    """Run the window on a bench file or a preset until it is closed, and return the exit status.
+
+    The window shows what is wrong with the file, and opens others.
+    """
+    from app.gui.application import run_window
+
+    with ExitStack() as streams:
+        publishing = _Publishing(streams)
+        status = run_window(
+            None, make_for=publishing, open_first=lambda window: window.benches.open(source, overrides, trust=trust)
+        )
+        if publishing.bench is not None and publishing.bench.has_manual_light:
+            remind(LIGHT_BY_HAND)
+    return status
+
+
+def replay_window(player: Player) -> int:
+    """Run the window on a recording until it is closed, and return the exit status."""
+    from app.gui.application import run_window
+
+    with ExitStack() as streams:
+        sinks = streams.enter_context(stream_sinks(player.bench))
+        return run_window(
+            None,
+            make_for=_Publishing(streams),
+            open_first=lambda window: window.open(
+                lambda: Acquisition(player.bench, player.open_devices, (player.take, *sinks)), player.begin, player
+            ),
+        )
+
+
+def unattended_window(
     bench: Bench, *, seconds: float | None, out: Path, overwrite: bool, player: Player | None = None
 ) -> int:
-    """Run the window and return the exit status; a `player` replaces the bench's devices by a recording.
+    """Run the window without a user and return the exit status; a `player` replaces the bench's devices by a recording.
 
-    Without a display, or with `seconds`, the window closes by itself that time after the first wavefront and writes
-    `window.png`, `result.nc` and `run.json` into the folder `out`; without a wavefront it fails.
+    The window closes by itself `seconds` after the first wavefront and writes `window.png`, `result.nc` and `run.json`
+    into the folder `out`; without a wavefront it fails.
     """
-    if not use_display():
-        seconds = seconds or _UNATTENDED_S
     picture, results, run = (out / name for name in ("window.png", "result.nc", "run.json"))
-    if seconds is not None:
-        if (out / FRAME_LINES).exists():
-            raise InputError(f"{out}: holds a recording; choose another folder with --out")
-        check_outputs([picture, results, run], overwrite=overwrite)
+    if (out / FRAME_LINES).exists():
+        raise InputError(f"{out}: holds a recording; choose another folder with --out")
+    check_outputs([picture, results, run], overwrite=overwrite)
     from app.gui.application import run_window
 
     made: list[Acquisition] = []  # one more after each reconnection
@@ -55,14 +112,15 @@ def live_window(
                 made.append(Acquisition(bench, player.open_devices, (player.take, *sinks)))
             return made[-1]
 
-        begin = start_up if player is None else player.begin
-        if seconds is None:
-            status = run_window(make, begin=begin, player=player)
-            if bench.has_manual_light:
-                remind(LIGHT_BY_HAND)
-            return status
         make_folder(out)
-        status = run_window(make, offscreen_s=seconds, screenshot=picture, on_finish=finish, begin=begin, player=player)
+        begin = start_up if player is None else player.begin
+        status = run_window(
+            None,
+            offscreen_s=seconds or _UNATTENDED_S,
+            screenshot=picture,
+            on_finish=finish,
+            open_first=lambda window: window.open(make, begin, player),
+        )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status
 

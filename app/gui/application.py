@@ -3,20 +3,19 @@
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 from PyQt6.QtWidgets import QApplication
 
-from app.acquisition.start_up import start_up
+from app.acquisition.start_up import acquisition_of
 from app.acquisition.worker import Acquisition, Measurement
+from app.bench.config import Bench
 from app.errors import Interrupted, RunError
 from app.gui.main_window import WINDOW_SIZE, MainWindow
 from app.gui.theme import apply_theme
 from app.gui.tour import offer_tour
 from app.gui.window_state import settings_file
-from app.results.replay.player import Player
 from app.signals import ended_by
 
 _HOPELESS_FRAMES = 20
@@ -24,14 +23,14 @@ _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
 
 def run_window(
-    make_acquisition: Callable[[], Acquisition],
+    make_acquisition: Callable[[], Acquisition] | None,
     *,
     offscreen_s: float | None = None,
     screenshot: Path | None = None,
     on_finish: Callable[[Measurement], None] | None = None,
     until: Callable[[], bool] | None = None,
-    begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
-    player: Player | None = None,
+    make_for: Callable[[Bench], Acquisition] = acquisition_of,
+    open_first: Callable[[MainWindow], object] = MainWindow.connect_devices,
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
@@ -47,17 +46,17 @@ def run_window(
         Receives the last measurement with a wavefront of an unattended run.
     until
         Polled at 10 Hz; the window closes when it returns True. Its errors are raised here.
-    begin
-        First commands of each acquisition.
-    player
-        Opens the devices of these acquisitions; the window moves it through its recording.
+    make_for
+        Makes the acquisition of a bench that is opened in the window.
+    open_first
+        Opens a bench or a recording in the new window; without it, `make_acquisition` does.
 
     Raises
     ------
     RunError
         The run did not finish: no wavefront, a device failed, or the window was closed early.
     InputError
-        The bench is invalid.
+        The bench is invalid, and the window has opened no other.
     Interrupted
         A signal such as Ctrl-C closed the window.
     """
@@ -68,7 +67,7 @@ def run_window(
     application.setApplicationName("svwfs")
     apply_theme(application)
     settings = settings_file() if offscreen_s is None else None  # an unattended run always looks the same
-    window = MainWindow(make_acquisition, begin=begin, settings=settings, player=player)
+    window = MainWindow(make_acquisition, settings=settings, make_for=make_for)
     if offscreen_s is not None:
         until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).is_done
     watch = None if until is None else _Watch(window, until)
@@ -85,21 +84,28 @@ def run_window(
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             if settings is not None:
                 offer_tour(window, settings)
-            window.connect_devices()
+            open_first(window)
             status = application.exec()
         finally:
             window.close()
+    _raise_failure(window, is_interrupted=bool(signals))
+    if watch is not None:
+        watch.check()
+    return status
+
+
+def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
+    """Raise why the window ended, unless its user closed it and all is well."""
     if window.controller.is_stuck:
         raise RunError("a device does not answer, so the light may still be on: switch it off by hand")
     if window.controller.failure:  # may have come while closing
         raise window.controller.error
-    if signals:
+    if window.controller.acquisition is None and window.benches.error is not None:
+        raise window.benches.error
+    if is_interrupted:
         status_at_end = window.controller.status
         is_by_hand = status_at_end is not None and status_at_end.bench.has_manual_light
         raise Interrupted(f"interrupted: {'switch the light off by hand' if is_by_hand else 'the light is off'}")
-    if watch is not None:
-        watch.check()
-    return status
 
 
 def _pass_on(_kind: QtMsgType, _context: QMessageLogContext, text: str | None) -> None:

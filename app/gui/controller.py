@@ -35,6 +35,7 @@ from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
 T = TypeVar("T")
+Begin = Callable[[Acquisition], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
 
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
 _CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
@@ -49,8 +50,8 @@ class Controller:
 
     def __init__(
         self,
-        make_acquisition: Callable[[], Acquisition],
-        begin: Callable[[Acquisition], tuple[Future[None], ...]],
+        make_acquisition: Callable[[], Acquisition] | None,
+        begin: Begin,
         *,
         controls: ControlsPanel,
         camera_panel: CameraPanel,
@@ -90,8 +91,15 @@ class Controller:
         error = None if self.acquisition is None else self.acquisition.error
         return error if isinstance(error, InputError | RunError) else RunError(self.failure)
 
+    def use(self, make_acquisition: Callable[[], Acquisition], begin: Begin, meanwhile: Callable[[], object]) -> None:
+        """Close the devices, as `close` does, and make acquisitions in this way from the next connection on."""
+        self.close(meanwhile)
+        self._make_acquisition, self._begin = make_acquisition, begin
+
     def connect_devices(self) -> None:
-        """Start an acquisition; close the previous one first."""
+        """Start an acquisition, if a bench is open; close the previous one first."""
+        if self._make_acquisition is None:
+            return
         if self.acquisition is not None:
             self.acquisition.close()
         self._propose(None)
@@ -125,17 +133,18 @@ class Controller:
         self._messages.inform(f"saved {path}")
         return True
 
-    def save_bench(self, path: Path) -> None:
-        """Save the bench with the lattice and device settings in force."""
+    def save_bench(self, path: Path) -> bool:
+        """Save the bench with the lattice and device settings in force; return whether that succeeded."""
         if self.status is None:
-            return
+            return False
         try:
             with atomic_write(path) as temporary:
                 temporary.write_text(write_bench(self.status.bench_in_force), "utf-8")
         except (InputError, RunError, ValueError) as error:  # ValueError: inconsistent settings
             self._messages.warn(str(error))
-        else:
-            self._messages.inform(f"saved {path}")
+            return False
+        self._messages.inform(f"saved {path}")
+        return True
 
     def use_recordings_folder(self, folder: Path) -> None:
         """Write later recordings into another folder."""

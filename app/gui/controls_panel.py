@@ -195,12 +195,12 @@ class ControlsPanel(QFrame):
         """Show that the light is being switched off."""
         self.light.setText("Switching off \N{HORIZONTAL ELLIPSIS}")
 
-    def disable_devices(self) -> None:
-        """Leave only the reconstruction and the start button enabled: a recording plays in place of the devices."""
+    def enable_devices(self, *, is_enabled: bool) -> None:
+        """Enable all, or only the reconstruction and the start button: a recording plays in place of the devices."""
         reconstruction = {self.registration, self.warp, self.method, self.basis, self.pupil_modes, self.refine}
         for control in self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox)):
             if control not in {*reconstruction, self.start}:
-                control.setEnabled(False)
+                control.setEnabled(is_enabled)
 
     def show_status(self, status: Status, *, is_settled: bool) -> None:
         """Show the status; a focused field changes only when all commands are finished (`is_settled`)."""

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +10,14 @@ from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
 from app.acquisition.instrument import Status
-from app.acquisition.start_up import FRAMES, start_up
+from app.acquisition.start_up import FRAMES, acquisition_of, start_up
 from app.acquisition.worker import Acquisition, Activity, Measurement
+from app.bench.config import Bench
 from app.gui.analysis_tabs import AnalysisTabs
 from app.gui.background_analysis import BackgroundAnalysis
+from app.gui.bench_files import BenchFiles
 from app.gui.camera_panel import CameraPanel
-from app.gui.controller import Controller
+from app.gui.controller import Begin, Controller
 from app.gui.controls_panel import ControlsPanel
 from app.gui.help_menu import help_entries
 from app.gui.menu import fill_menus
@@ -49,16 +50,15 @@ class MainWindow(QMainWindow):
 
     def __init__(
         self,
-        make_acquisition: Callable[[], Acquisition],
+        make_acquisition: Callable[[], Acquisition] | None,
         *,
-        begin: Callable[[Acquisition], tuple[Future[None], ...]] = start_up,
         settings: QSettings | None = None,
-        player: Player | None = None,
+        make_for: Callable[[Bench], Acquisition] = acquisition_of,
     ) -> None:
-        """Make an empty window; `connect_devices` starts an acquisition and calls `begin` with it.
+        """Make an empty window; `connect_devices` starts an acquisition, unless `open` does.
 
-        The window looks as saved in `settings`, and saves how it looks when it closes.
-        A `player` opens the devices and can be moved.
+        `make_for` makes the acquisition of a bench that is opened in the window. The window looks as saved in
+        `settings`, and saves how it looks when it closes.
         """
         super().__init__()
         self._settings = settings
@@ -75,14 +75,14 @@ class MainWindow(QMainWindow):
         self.analysis_panel = self.tabs.quality
         self.controls = ControlsPanel(FRAMES)
         self.recording_panel = RecordingPanel()
-        self.replay = ReplayBar(player, self.controls)
+        self.replay = ReplayBar(self.controls)
         self.messages = MessageStrip()
         self.log = MessageLog(self.messages, self)
         self.region_dialog = SensorRegionDialog(self)
         self.status_line = StatusLine()
         self.controller = Controller(
             make_acquisition,
-            begin,
+            start_up,
             controls=self.controls,
             camera_panel=self.camera_panel,
             recording_panel=self.recording_panel,
@@ -99,6 +99,7 @@ class MainWindow(QMainWindow):
         self._lay_out()
         for field in self.findChildren(NumberField):
             field.refused.connect(self.messages.refuse)
+        self.benches = BenchFiles(self, lambda bench: self.open(lambda: make_for(bench)), self.controller, settings)
         fill_menus(self, window_menus(self), help_entries(self))
         self._restore_state()
         self._timer = QTimer(self)
@@ -111,6 +112,20 @@ class MainWindow(QMainWindow):
         self.status_line.restart()
         self.controller.connect_devices()
         self._timer.start()
+
+    def open(
+        self, make_acquisition: Callable[[], Acquisition], begin: Begin = start_up, player: Player | None = None
+    ) -> None:
+        """Close the devices and connect others, also those of a `player`; `begin` sends the first commands."""
+
+        def connect() -> None:
+            self._timer.stop()
+            self.controller.use(make_acquisition, begin, self._show_closing)
+            self.replay.use(player)
+            self.connect_devices()
+
+        if not self.controller.light.ask_off(connect):
+            connect()
 
     def refresh(self) -> None:
         """Show what has changed in the acquisition."""

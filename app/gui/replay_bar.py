@@ -25,11 +25,12 @@ class ReplayBar(QFrame):
 
     failed = pyqtSignal(str)  # why a frame cannot be shown
 
-    def __init__(self, player: Player | None, controls: ControlsPanel, parent: QWidget | None = None) -> None:
+    def __init__(self, controls: ControlsPanel, parent: QWidget | None = None) -> None:
         """Play and stop with the start button of the `controls`, whose devices are disabled."""
         super().__init__(parent)
         self.setProperty("role", "strip")
-        self._player, self._controls = player, controls
+        self._player: Player | None = None
+        self._controls = controls
         self._wanted: int | None = None
         self._moving: Future[None] | None = None
         self.badge = label("REPLAY", "badge")
@@ -60,17 +61,28 @@ class ReplayBar(QFrame):
         self._timer = QTimer(self)
         self._timer.setInterval(_POLL_MS)
         self._timer.timeout.connect(self.refresh)
+        self.use(None)
+
+    def use(self, player: Player | None) -> None:
+        """Move through the frames of another player; hide without one."""
+        if self._player is not None and player is None:
+            self._controls.enable_devices(is_enabled=True)
+        self._player, self._wanted, self._moving = player, None, None
         self.setVisible(player is not None)
-        if player is not None:
-            count = len(player.frames)
-            self.slider.setRange(0, count - 1)
-            self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {count} of {count}  "))
-            self._timer.start()
+        for step in (self.back, self.forth):
+            step.setEnabled(player is not None)
+        if player is None:
+            self._timer.stop()
+            return
+        count = len(player.frames)
+        self.slider.setRange(0, count - 1)
+        self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {count} of {count}  "))
+        self._timer.start()
 
     def show_status(self, status: Status) -> None:
         """Show whether the recording plays; keep the controls of the devices disabled, which the status enables."""
         if self._player is not None:
-            self._controls.disable_devices()
+            self._controls.enable_devices(is_enabled=False)
             self.play.setText("Pause" if status.is_running else "Play")
             self.play.setIcon(theme.start_or_stop(is_running=status.is_running))
 

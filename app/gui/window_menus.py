@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-from app.gui.file_dialogs import choose_recordings_folder, save_bench
+from app.gui.file_dialogs import choose_recordings_folder
 from app.gui.menu import Entries
 from app.results.view_analysis import Quantity
 
@@ -22,19 +22,21 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
         window.wavefront_panel,
         window.messages,
     )
-    replay: Entries = (("Previous frame", ",", window.replay.back), ("Next frame", ".", window.replay.forth))
     return {
         "&File": (
             ("Start or stop recording", "W", window.recording_panel.record),
             ("Save the last seconds", "K", window.recording_panel.keep),
-            ("Choose the recordings folder", "Ctrl+O", partial(choose_recordings_folder, window)),
-            None,
-            ("Save the bench", "Ctrl+S", partial(save_bench, window)),
+            ("Choose the recordings folder", "", partial(choose_recordings_folder, window)),
             ("Save a screenshot", "Ctrl+P", window.save_screenshot),
             None,
             ("Quit", "Ctrl+Q", window.quit),
         ),
         "&Bench": (
+            ("Open a bench", "Ctrl+O", window.benches.ask),
+            ("Open a recent bench", "", window.benches.recent_menu()),
+            ("Open a preset", "", window.benches.presets_menu()),
+            ("Save the bench", "Ctrl+S", window.benches.save),
+            None,
             ("Start or stop the camera", "Space", controls.start),
             ("Light on", "L", controls.light),
             ("Sample in", "S", controls.sample),
@@ -65,7 +67,8 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Whole camera image", "0", camera.reset_zoom),
             ("Freeze the colour scale", "H", wavefront.freeze_scale),
             ("Enlarge the selected view", "V", wavefront.enlarge),
-            *(() if window.replay.isHidden() else replay),
+            ("Previous frame of a replay", ",", window.replay.back),
+            ("Next frame of a replay", ".", window.replay.forth),
             ("Processing times", "T", window.status_line.timing_row.toggle),
             None,
             ("Panels", "", window.docks.menu()),

@@ -34,10 +34,10 @@ def window(qapp: QApplication, qtbot: QtBot, recording: Recording) -> Iterator[M
     def make() -> Acquisition:
         return Acquisition(player.bench, player.open_devices, (player.take,))
 
-    shown = MainWindow(make, begin=player.begin, player=player)
+    shown = MainWindow(None)
     shown.resize(1200, 800)
     shown.show()
-    shown.connect_devices()
+    shown.open(make, player.begin, player)
     qtbot.waitUntil(lambda: shown.status_line.valid.text() == "35 of 35")
     yield shown
     shown.close()

@@ -15,7 +15,6 @@ from support.window_tools import press
 
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench
-from app.gui.file_dialogs import save_bench
 from app.gui.main_window import MainWindow
 
 
@@ -74,13 +73,13 @@ def test_saved_bench_holds_settings_in_force(
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(saved), ""))
     window.controls.exposure.setValue(40.0)
     qtbot.waitUntil(lambda: window._status is not None and window._status.exposure_s == 0.04)
-    save_bench(window)
+    window.benches.save()
     bench = load_bench(saved)
     assert bench.lattice == bench_of(window).lattice
     wanted = {"exposure_s": 0.04, "amplifier": "em", "readout_speed": 3}
     assert asdict(bench.camera) == asdict(bench_of(window).camera) | wanted
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path), ""))
-    save_bench(window)
+    window.benches.save()
     window.update_text()
     assert "not a file" in window.messages.text.text()
 
