@@ -6,7 +6,8 @@ It runs in the thread that owns the devices; other threads see its frozen `Statu
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from app.acquisition.validity import Validity, about, as_averaged, doubt, fits, note, validity
+from app.acquisition.kept_averages import KeptAverages
+from app.acquisition.validity import Validity
 from app.bench.config import Bench, with_known
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.live_refinement import LiveRefinement, RefinementState
@@ -95,12 +96,8 @@ class Instrument:
         self.devices = devices
         self._timings = timings or Timings()
         self.bench = bench  # with the current settings
-        self.dark: Average | None = None
-        self.reference: Average | None = None
+        self.darks, self.references = KeptAverages("dark", is_lit=False), KeptAverages("reference", is_lit=True)
         self.calibration: Calibration | None = None  # None if frames cannot be reconstructed
-        self._dark_taken: Circumstances | None = None
-        self._reference_taken: Circumstances | None = None
-        self._dark_about = self._reference_about = "none yet"
         self._lattice = bench.lattice
         self._reconstructor: Reconstructor | None = None
         self._refinement: LiveRefinement | None = None
@@ -117,9 +114,9 @@ class Instrument:
     def status(self) -> Status:
         """Query the devices."""
         camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
-        now = Circumstances.of(self.devices)
+        now = self._now()
         problem = self._problem if self._reconstructor is None else ""
-        of_dark, of_reference = self._doubt_of_dark(now), self._doubt_of_reference(now)
+        of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
         of_images = "" if self._judge is None else self._judge.of_reference.sentence
         return Status(
             bench=self.bench,
@@ -138,10 +135,10 @@ class Instrument:
             masks=stage.masks,
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
-            dark=validity(self.dark, of_dark),
-            reference=validity(self.reference, problem or of_reference),
-            dark_note=note(self._dark_about, of_dark),
-            reference_note=note(self._reference_about, problem or of_reference),
+            dark=self.darks.validity(of_dark),
+            reference=self.references.validity(problem or of_reference),
+            dark_note=self.darks.note(of_dark),
+            reference_note=self.references.note(problem or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference or of_images,
             temperature_c=camera.temperature_c,
@@ -149,25 +146,20 @@ class Instrument:
 
     def take_dark(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
         """Average frames with the light off, and use them as dark from now on."""
-        self.dark = take_dark(self.devices, frames, progress=progress, should_stop=should_stop)
-        self._dark_taken = Circumstances.of(self.devices)
-        self._dark_about = about(self.dark, self._dark_taken)
+        self.darks.keep(take_dark(self.devices, frames, progress=progress, should_stop=should_stop), self._now())
         self._prepare()
 
     def take_reference(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
         """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
-        self.reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
-        self._reference_taken = Circumstances.of(self.devices)
-        self._reference_about = about(self.reference, self._reference_taken)
+        reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
+        self.references.keep(reference, self._now())
         self._prepare()
 
     def use(self, calibration: Calibration) -> None:
         """Replace bench, dark and reference, for example by recorded ones."""
-        self.bench, self.dark, self.reference = calibration.bench, calibration.dark, calibration.reference
-        now = Circumstances.of(self.devices)
-        self._dark_taken = None if self.dark is None else as_averaged(now, self.dark)
-        self._reference_taken = as_averaged(now, self.reference)
-        self._dark_about = self._reference_about = "as recorded"
+        self.bench, now = calibration.bench, self._now()
+        self.darks.use_recorded(calibration.dark, now)
+        self.references.use_recorded(calibration.reference, now)
         self._prepare()
 
     def auto_expose(self, *, progress: FrameProgress, should_stop: ShouldStop) -> AutoExposure:
@@ -178,20 +170,25 @@ class Instrument:
 
     def check_background(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> BackgroundCheck:
         """Compare the current background with the dark; `RoutineError` if there is no dark that fits."""
-        doubt = self._doubt_of_dark(Circumstances.of(self.devices))
-        if self.dark is None or doubt:
+        doubt = self.darks.doubt(self._now())
+        dark = self.darks.average
+        if dark is None or doubt:
             raise RoutineError(doubt)
-        return check_background(self.devices, self.dark, frames, progress=progress, should_stop=should_stop)
+        return check_background(self.devices, dark, frames, progress=progress, should_stop=should_stop)
 
     def survey_lattice(self) -> Survey:
         """Find the lenslets in the reference without changing anything."""
-        if self.reference is None:
+        reference = self.references.average
+        if reference is None:
             raise WrongState("the lattice is found in the reference: take one first")
-        now = Circumstances.of(self.devices)
-        if not fits(self._reference_taken, now):
-            raise WrongState(self._doubt_of_reference(now))
-        dark = self.dark if fits(self._dark_taken, now) else None
-        return surveyed(self.bench, dark, self.reference, self.devices.camera.capabilities.full_scale)
+        if self.references.fitting(self._now()) is None:
+            raise WrongState(self.references.doubt(self._now()))
+        return self.survey(reference)
+
+    def survey(self, reference: Average) -> Survey:
+        """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
+        dark = self.darks.fitting(self._now())
+        return surveyed(self.bench, dark, reference, self.devices.camera.capabilities.full_scale)
 
     def set_area(self, area: SensorArea) -> SensorArea:
         """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
@@ -210,8 +207,13 @@ class Instrument:
                 raise
         if taken != before:
             self.bench, self._lattice = bench, lattice
-            self._prepare()
+            self._choose_averages()
         return taken
+
+    def set_mask(self, mask: str) -> None:
+        """Change the mask; a reference that was taken with it is used again."""
+        self.devices.stage.set_mask(mask)
+        self._choose_averages()
 
     def change_settings(self, change: Callable[[Bench], Bench]) -> None:
         """Replace the bench by `change(bench)`; only registration and reconstruction may differ."""
@@ -257,20 +259,29 @@ class Instrument:
             return reconstructor.solve(registered), RefinementState()
         return self._refinement.refine(registered, time_s)
 
+    def _now(self) -> Circumstances:
+        return Circumstances.of(self.devices)
+
+    def _choose_averages(self) -> None:
+        for averages in (self.darks, self.references):
+            averages.choose(self._now())
+        self._prepare()
+
     def _prepare(self) -> None:
         """Rebuild the reconstructor, the camera paused; a failure becomes the warning in the status."""
         self.calibration = self._reconstructor = self._judge = self._before = None
         self.close()
-        if self.reference is None:
+        reference = self.references.average
+        if reference is None:
             return
-        camera, bench, now = self.devices.camera, self.bench, Circumstances.of(self.devices)
-        if not fits(self._reference_taken, now):
-            self._problem = self._doubt_of_reference(now)
+        camera, bench, now = self.devices.camera, self.bench, self._now()
+        if self.references.fitting(now) is None:
+            self._problem = self.references.doubt(now)
             return
-        dark = self.dark if fits(self._dark_taken, now) else None
+        dark = self.darks.fitting(now)
         try:
             with camera.paused():
-                calibration = Calibration.of(bench, dark, self.reference, camera.capabilities.full_scale)
+                calibration = Calibration.of(bench, dark, reference, camera.capabilities.full_scale)
                 self._lattice = calibration.lattice
                 self._reconstructor = calibration.reconstructor()
                 self._judge = calibration.judge(self._reconstructor)
@@ -279,14 +290,6 @@ class Instrument:
                     self._refinement = LiveRefinement(bench, self._reconstructor)
         except ReconstructionError as error:
             self._problem = str(error)
-
-    def _doubt_of_dark(self, now: Circumstances) -> str:
-        """Why the dark does not fit the current frames; empty if it does."""
-        return doubt("dark", self._dark_taken, now, is_lit=False)
-
-    def _doubt_of_reference(self, now: Circumstances) -> str:
-        """Why the reference does not fit the current frames; empty if it does."""
-        return doubt("reference", self._reference_taken, now, is_lit=True)
 
 
 def _beside(previous: Frame | None, frame: Frame) -> Quality:

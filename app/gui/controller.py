@@ -176,7 +176,6 @@ class Controller:
             (controls.em_gain_requested, lambda devices, em_gain: devices.camera.set_em_gain(em_gain)),
             (controls.current_requested, lambda devices, current_a: devices.light.set_current(current_a)),
             (controls.sample_requested, lambda devices, sample_in: devices.stage.note_sample(sample_in)),
-            (controls.mask_requested, lambda devices, mask: devices.stage.set_mask(mask)),
         )
         for intent, command in commands:
             intent.connect(self._device_command(command))
@@ -186,6 +185,9 @@ class Controller:
             (controls.readout_speed_requested, modes.set_readout_speed),
         ):
             intent.connect(self._device_command(set_mode, self._messages.warn))
+        controls.mask_requested.connect(
+            lambda mask: self._send(lambda to: to.submit(lambda instrument: instrument.set_mask(mask)))
+        )
         controls.setting_requested.connect(self._change_setting)
 
     def _connect_routines(self, controls: ControlsPanel) -> None:

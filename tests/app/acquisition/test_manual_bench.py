@@ -157,7 +157,7 @@ def test_window_starts_without_reference(camera: FakeCamera) -> None:
         step.result(20)
     assert acquisition.submit(lambda instrument: instrument.status()).result(20).reference == "missing"
     assert camera.is_running
-    assert acquisition.submit(lambda instrument: instrument.dark is not None).result(20)
+    assert acquisition.submit(lambda instrument: instrument.darks.average is not None).result(20)
     acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)).result(20)
     with pytest.raises(WrongState, match="take the sample out"):
         acquisition.take_reference(3).result(20)

@@ -14,11 +14,15 @@ from support.patience import HANG_S
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
+from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
+from app.measurement.routines.averages import Average
+from app.measurement.routines.device_state import Circumstances
 from app.measurement.routines.frames import Cancelled, RoutineError
+from app.measurement.sensor_region import SensorArea
 from drivers.interface import Devices, DeviceTimeout, Region
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
@@ -152,7 +156,7 @@ def test_start_up_auto_exposes_before_dark_and_reference(live: Live, monkeypatch
     assert with_sample == [False]
     assert (status.warning, status.dark, status.reference) == ("", "good", "good")
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, True)
-    reference = live.acquisition.submit(lambda instrument: instrument.reference).result(HANG_S)
+    reference = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert reference is not None
     assert np.percentile(reference.mean, 99.5) / 65535 == pytest.approx(0.68, abs=0.08)
 
@@ -233,3 +237,46 @@ def test_reference_noise_enters_covariance(small_bench: SmallBench) -> None:
             errors.append(displacement.coefficients[displacement.valid])
             variances.append(displacement.variance[displacement.valid])
         assert np.mean(np.square(errors)) / np.mean(variances) == pytest.approx(1.0, abs=0.2)
+
+
+def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
+    started(live)
+    first = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
+    assert first is not None
+    live.do(lambda instrument: instrument.set_mask("circle"))
+    assert live.status.reference == "doubtful"  # none yet: that of the square stays in use
+    live.acquisition.take_reference(4).result(HANG_S)
+    assert live.status.warning == ""
+    live.do(lambda instrument: instrument.set_mask("square"))
+    assert live.status.warning == ""
+    assert "mask square" in live.status.reference_note
+    assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
+    whole = live.status.area
+    live.acquisition.set_area(SensorArea(Region(0, 0, 168, 240), 1)).result(HANG_S)
+    live.acquisition.take_dark(2).result(HANG_S)
+    live.acquisition.take_reference(4).result(HANG_S)
+    assert live.status.warning == ""
+    live.acquisition.set_area(whole).result(HANG_S)
+    assert live.status.warning == ""
+    assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
+    assert "4 frames" in live.status.dark_note
+
+
+def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
+    started(live)
+    live.do(lambda instrument: instrument.set_mask("circle"))
+    live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
+    live.do(lambda instrument: instrument.set_mask("square"))
+    assert live.status.reference == "doubtful"
+    assert "at 20.0 ms" in live.status.warning
+
+
+def test_only_the_newest_references_are_kept() -> None:
+    kept = KeptAverages("reference", is_lit=True)
+    taken = [Circumstances(0.02, "em", 1.0, 3, 1, Region(0, 0, 8, 8 + index), "square") for index in range(12)]
+    for now in taken:
+        kept.keep(Average(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.float32), 1, 0.02, 1.0, "em"), now)
+    kept.choose(taken[3])
+    assert kept.doubt(taken[3])  # forgotten: the newest stays in use
+    kept.choose(taken[4])
+    assert not kept.doubt(taken[4])

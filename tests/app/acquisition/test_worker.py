@@ -139,7 +139,9 @@ def test_cancel_affects_only_running_routine(running: Running) -> None:
 
 def test_dark_is_dark_and_reference_lit(running: Running) -> None:
     running.begin()
-    averages = running.acquisition.submit(lambda instrument: (instrument.dark, instrument.reference)).result(HANG_S)
+    averages = running.acquisition.submit(
+        lambda instrument: (instrument.darks.average, instrument.references.average)
+    ).result(HANG_S)
     dark, reference = averages
     assert dark is not None
     assert reference is not None
