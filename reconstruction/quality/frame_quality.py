@@ -125,9 +125,10 @@ class FrameJudge:
     def _of_pixels(self, counts: Counts) -> Iterator[tuple[Fault, str]]:
         """Faults seen in some pixels (L, sample), counts."""
         level = np.min(counts) if self._dark is None else self._dark
-        above = counts - level
-        light = np.einsum("ls,ls->l", above, self._is_good)[self._lit_rows]
-        ratio = light * (self._light.sum() / max(light.sum(), 1.0)) / self._light
+        above = np.subtract(counts, level, dtype=np.float64)  # 16-bit counts would wrap
+        light = np.sum(above * self._is_good, axis=1)[self._lit_rows]
+        whole = max(float(light.sum()), np.finfo(np.float64).tiny)
+        ratio = light * (self._light.sum() / whole) / self._light
         uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))
         if uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,6 +114,28 @@ def test_uneven_dimming_is_found_but_even_dimming_is_not() -> None:
     uneven = light.copy()
     uneven[:, : light.shape[1] // 3] *= 0.3
     assert verdict("cubic", 1e4, uneven).faults == Fault.ILLUMINATION
+
+
+@pytest.mark.parametrize("form", [np.uint16, np.int32, np.float32])
+def test_light_is_judged_without_a_dark_in_each_form(form: type[np.number[Any]]) -> None:
+    light, offset = aberrated(1.0), 400.0
+    reference = np.rint(BENCH.reference / BENCH.reference.max() * 2e4 + offset).astype(form)
+    reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, noise=NOISE)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD)
+    uneven = light.copy()
+    uneven[:, : light.shape[1] // 3] *= 0.3
+    for image, faults in ((light, Fault(0)), (uneven, Fault.ILLUMINATION)):
+        frame = np.rint(exposed(image, 2e4, 0) + offset).astype(form)
+        assert judge(frame, reconstructor.register(frame)).faults == faults
+
+
+def test_dim_floating_point_images_are_judged_as_bright_ones() -> None:
+    """An image with a sum of 1."""
+    reference = np.asarray(BENCH.reference / BENCH.reference.sum(), np.float32)
+    reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, dark=np.zeros_like(reference))
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD)
+    frame = np.asarray(aberrated(1.0) / aberrated(1.0).sum() / 2, np.float32)
+    assert not judge(frame, reconstructor.register(frame)).reasons
 
 
 def test_full_well_below_full_scale_is_found() -> None:
