@@ -1,5 +1,8 @@
 """The error family of all devices; each message is one sentence for the person at the bench."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 
 class DeviceError(Exception):
     """A device failed to do what was asked."""
@@ -38,3 +41,18 @@ class Unsupported(DeviceError):
 
 
 REFUSALS = (BadValue, Unsupported, WrongState)  # nothing has changed, and the device is sound
+
+
+@contextmanager
+def undone_if_refused(undo: Callable[[], None]) -> Iterator[None]:
+    """Call `undo` after a failure of one of several steps; `DeviceError` if that is refused, too."""
+    try:
+        yield
+    except Disconnected:
+        raise
+    except DeviceError as error:
+        try:
+            undo()
+        except REFUSALS as refusal:
+            raise DeviceError(f"only a part of the setting is in force, set it again: {refusal}") from error
+        raise

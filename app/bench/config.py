@@ -9,7 +9,7 @@ import dataclasses
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
 
@@ -244,6 +244,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
     tree[key] = parsed
 
 
+@cache
 def _converter() -> cattrs.Converter:
     """Converter without implicit conversions: no text for a number, no true for 1, no NaN."""
     converter = cattrs.Converter(forbid_extra_keys=True)

@@ -5,8 +5,6 @@ and the EM gain is 1. Not yet tried on a real camera; the tests use Aravis's fak
 """
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from ctypes import byref, c_int, c_size_t
 from dataclasses import replace
 from functools import partial
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.camera import Camera, CameraCapabilities
 from drivers.device import Property
-from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported
+from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
 from drivers.frame import Frame, Region
 from drivers.genicam.connection import GenicamConnection
 from drivers.genicam.digitiser import FEATURES, set_digitiser
@@ -249,7 +247,7 @@ class GenicamCamera(Camera):
             self._geometry.set_binning(before)
             self._geometry.set_region(before_region)
 
-        with _undone_if_refused(undo):
+        with undone_if_refused(undo):
             self._geometry.set_binning(binning)
             self._geometry.set_region(self._geometry.nearest(asked))
 
@@ -258,7 +256,7 @@ class GenicamCamera(Camera):
 
     def _set_trigger(self, source: str) -> None:
         before = self._read_trigger()
-        with _undone_if_refused(lambda: self._write_trigger(before)):
+        with undone_if_refused(lambda: self._write_trigger(before)):
             self._write_trigger(source)
 
     def _write_trigger(self, source: str) -> None:
@@ -272,19 +270,7 @@ class GenicamCamera(Camera):
 
     def _set_region(self, region: Region) -> Region:
         before = self._read_region()
-        with _undone_if_refused(lambda: self._geometry.set_region(before)):
+        with undone_if_refused(lambda: self._geometry.set_region(before)):
             self._geometry.set_region(region)
         self._asked_region = region
         return self._read_region()
-
-
-@contextmanager
-def _undone_if_refused(undo: Callable[[], None]) -> Iterator[None]:
-    """Call `undo` after a failure of one of several steps."""
-    try:
-        yield
-    except Disconnected:
-        raise
-    except DeviceError:
-        undo()
-        raise

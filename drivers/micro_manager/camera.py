@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from drivers.camera import Camera, CameraCapabilities
 from drivers.device import Property
-from drivers.errors import DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
+from drivers.errors import (
+    DeviceError,
+    DeviceTimeout,
+    Disconnected,
+    FrameLost,
+    Unsupported,
+    WrongState,
+    undone_if_refused,
+)
 from drivers.frame import Frame, Region
 from drivers.micro_manager.core import LABEL, LoadedCamera, load_pymmcore
 from drivers.micro_manager.settings import MicroManagerSettings
@@ -150,13 +158,19 @@ class MicroManagerCamera(Camera):
         return next((factor for factor, known in self._binnings.items() if known == text), 1)
 
     def _set_binning(self, binning: int) -> None:
-        region = self._read_region()
-        self._set_binning_text(binning)
+        before, region = self._read_binning(), self._read_region()
+        kept = region
         if region != self._sensor:
             top, left = (offset - offset % binning for offset in (region.top, region.left))
             rows, columns = (max(binning, length - length % binning) for length in (region.rows, region.columns))
-            region = Region(top, left, rows, columns)
-        self._write_region(region)
+            kept = Region(top, left, rows, columns)
+
+        def write(factor: int, region: Region) -> None:
+            self._set_binning_text(factor)
+            self._write_region(region)
+
+        with undone_if_refused(lambda: write(before, region)):
+            write(binning, kept)
 
     def _set_binning_text(self, binning: int) -> None:
         if self._binnings[binning]:

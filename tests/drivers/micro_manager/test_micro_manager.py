@@ -17,7 +17,7 @@ from hypothesis.stateful import run_state_machine_as_test
 from support.camera_contract import CameraContract, CameraFaultContract
 from support.camera_storm import CameraStorm
 from support.micro_manager_core import DemoCamera
-from support.patience import HANG_S
+from support.patience import HANG_S, own_time
 from support.storm import storm_settings
 from support.timed_faults import repeat
 
@@ -183,6 +183,22 @@ def test_region_stays_if_adapter_resets_it_with_binning(faults: DemoCamera, came
     assert camera.capabilities.rows == 512
 
 
+@pytest.mark.parametrize("refusals", [1, 2])
+def test_refused_region_takes_binning_back(faults: DemoCamera, camera: MicroManagerCamera, refusals: int) -> None:
+    faults.faulty.resets_region = True
+    region = camera.set_region(Region(16, 32, 128, 256))
+    faults.faulty.refused += ["setROI"] * refusals
+    with pytest.raises(DeviceError, match="setROI") as refused:
+        camera.set_binning(4)
+    assert camera.binning == 1
+    if refusals == 1:
+        assert camera.region == region
+        assert isinstance(refused.value, BadValue)
+    else:  # the region is lost, which no refusal may do
+        assert type(refused.value) is DeviceError
+        assert "set it again" in str(refused.value)
+
+
 def test_region_keeps_a_pixel_when_binned(camera: MicroManagerCamera) -> None:
     camera.set_region(Region(7, 9, 3, 17))
     camera.set_binning(8)
@@ -345,9 +361,10 @@ class Storm(CameraStorm):
     """On a small sensor, so that a sequence takes little time."""
 
     device: DemoCamera
+    own_s: Callable[[], float]
 
     def now(self) -> float:
-        return time.monotonic()
+        return self.own_s()
 
     def make(self) -> DemoCamera:
         return DemoCamera()
@@ -375,4 +392,6 @@ class Storm(CameraStorm):
 
 
 def test_storm_raises_only_device_errors() -> None:
-    run_state_machine_as_test(Storm, settings=storm_settings(20))
+    with own_time() as own_s:
+        Storm.own_s = staticmethod(own_s)
+        run_state_machine_as_test(Storm, settings=storm_settings(20))
