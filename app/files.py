@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from app.errors import InputError, RunError
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
-_MOST_COUNTS = 1e12
+MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
 _MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
 
 
@@ -36,8 +36,8 @@ def read_image(path: Path) -> NDArray[Any]:
         raise InputError(f"{path}: holds {image.dtype} values; a grey image is needed")
     if image.dtype == np.float16:  # its sums overflow
         image = image.astype(np.float32)
-    if np.max(np.abs(image), where=np.isfinite(image), initial=0) > _MOST_COUNTS:
-        raise InputError(f"{path}: holds values beyond {_MOST_COUNTS:g}; counts are needed")
+    if np.max(np.abs(image), where=np.isfinite(image), initial=0) > MOST_COUNTS:
+        raise InputError(f"{path}: holds values beyond {MOST_COUNTS:g}; counts are needed")
     return image
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from app.bench.config import load_bench, write_bench
 from app.errors import InputError
-from app.files import atomic_write, check_readable, in_words, sync
+from app.files import MOST_COUNTS, atomic_write, check_readable, in_words, sync
 from app.measurement.calibration import Calibration
 from app.measurement.routines.averages import AVERAGED_FRAMES, Average
 from app.run_facts import write_record
@@ -42,7 +42,7 @@ def read_calibration(folder: Path) -> Calibration:
     check_readable(folder / "camera.json")
     try:
         full_scale = float(json.loads((folder / "camera.json").read_text())["full_scale"])
-        if not full_scale > 0:
+        if not 0 < full_scale <= MOST_COUNTS:
             raise ValueError(f"full_scale = {full_scale}")  # noqa: TRY301 - one way out
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(f"{folder / 'camera.json'}: cannot be read: {in_words(error)}") from error

@@ -169,7 +169,7 @@ def test_damaged_calibration_is_refused_in_one_line(recording: Recording, senten
     assert "\n" not in str(fault.value)
 
 
-@pytest.mark.parametrize("full_scale", ["NaN", "-1", "null", "[]", '"x"', "1" * 400])
+@pytest.mark.parametrize("full_scale", ["NaN", "-1", "1e308", "Infinity", "null", "[]", '"x"', "1" * 400])
 def test_impossible_full_scale_is_refused(recording: Recording, full_scale: str) -> None:
     path = recording.folder / "calibrations/0/camera.json"
     path.write_text(f'{{"full_scale": {full_scale}}}')
