@@ -72,6 +72,19 @@ def test_metadata_that_no_calibration_explains_are_reported(tmp_path: Path) -> N
     assert not found.whole
 
 
+@pytest.mark.parametrize(("array", "chunk"), [*((ARRAYS[0], f"c/{frame}/0/0") for frame in (0, 3)), (ARRAYS[1], "")])
+def test_shape_follows_from_whole_chunks(recording: Recording, array: str, chunk: str) -> None:
+    """The first or the last one may be cut short."""
+    before = metadata_of(recording.folder)
+    (recording.folder / array / "zarr.json").unlink()
+    cut = recording.folder / array / chunk if chunk else max(recording.folder.joinpath(array).glob("c.*"))
+    cut.write_bytes(cut.read_bytes()[:-16])
+    found = recover(recording.folder)
+    assert metadata_of(recording.folder) == before
+    assert len(found.damage) == 1
+    assert len(found.whole) == (3 if chunk else 4)
+
+
 @pytest.mark.parametrize("is_empty", [True, False])
 def test_missing_run_is_made_again(recording: Recording, is_empty: bool) -> None:
     path = recording.folder / "run.json"
@@ -203,6 +216,31 @@ def test_everything_a_frame_needs_is_on_disk_before_its_line(
     lost = [path for path in files if path.stat().st_ino not in synced and path.name != "frames.jsonl"]
     assert not lost
     assert len(files) >= 15
+
+
+def test_files_are_on_disk_before_the_folders_that_name_them(
+    tmp_path: Path, small_bench: SmallBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name that survives a power failure must lead to its contents."""
+    folder, synced, named = tmp_path / "r", [], {}
+
+    def note(file: int) -> None:
+        path = Path(f"/proc/self/fd/{file}").resolve()
+        synced.append(path)
+        if path.is_dir():
+            named[path] = {each.name for each in path.iterdir()}
+
+    monkeypatch.setattr(os, "fsync", note)
+    with closing(RecordingWriter(folder, FACTS)) as writer:
+        writer.write(make_record(0, noisy_calibration(small_bench)))
+    last = {path: number for number, path in enumerate(synced)}
+    for metadata in folder.rglob("zarr.json"):
+        assert synced.index(metadata) < last[metadata.parent]
+        assert "zarr.json" in named[metadata.parent]
+    store = folder / "frames.zarr"
+    assert [named[path] >= {name} for path, name in ((folder / "calibrations", "0"), (store, "0"))] == [True, True]
+    assert last[folder / "calibrations"] < last[folder]
+    assert "calibrations" in named[folder]
 
 
 def test_folder_left_by_a_program_that_died_at_once_is_free(tmp_path: Path) -> None:

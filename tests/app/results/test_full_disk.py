@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -98,6 +99,50 @@ def test_hdf_file_keeps_what_the_disk_refuses(tmp_path: Path, room: int) -> None
         file.close()
         with xr.open_dataset(path) as stored:
             np.testing.assert_array_equal(stored["a"], values)
+
+
+@pytest.mark.parametrize("room", [0, 10**6])
+def test_hdf_file_changes_its_length(tmp_path: Path, room: int) -> None:
+    """Also on a full disk, in memory; the position stays."""
+    path = tmp_path / "file.nc"
+    path.write_bytes(b"abcdefgh")
+    file = HdfFile(path)
+    file._file = Filling(file._file, room)  # type: ignore[assignment]
+    file.seek(4)
+    file.write(b"EF")
+    assert (file.truncate(7), file.tell(), file.seek(0, os.SEEK_END)) == (7, 6, 7)
+    file.seek(5)
+    assert (file.truncate(), file.tell()) == (5, 5)
+    assert file.read() == b""
+    file.seek(0)
+    assert file.read() == b"abcdE"
+    assert (file.truncate(9), file.tell()) == (9, 5)
+    if room:
+        file.close()
+        assert path.read_bytes() == b"abcdE\0\0\0\0"
+    else:
+        with pytest.raises(OSError, match="No space left"):
+            file.close()
+        assert path.read_bytes() == b"abcdefgh"
+
+
+def test_length_that_the_disk_refuses_fails_on_closing(tmp_path: Path) -> None:
+    path = tmp_path / "file.nc"
+    path.write_bytes(b"abcdefgh")
+    file = HdfFile(path)
+    file._file = Filling(file._file, 10**6)  # type: ignore[assignment]
+    file._file.truncate = _refuse  # type: ignore[assignment,method-assign]
+    assert file.truncate(12) == 12
+    assert file.read() == b"abcdefgh\0\0\0\0"
+    file.seek(0)
+    file.write(b"A")  # kept in memory from now on
+    assert path.read_bytes() == b"abcdefgh"
+    with pytest.raises(OSError, match="No space left"):
+        file.close()
+
+
+def _refuse(_: int) -> None:
+    raise OSError(28, "No space left on device")
 
 
 # A new user namespace may mount a disk of 64 kB.
