@@ -91,6 +91,7 @@ __all__ = [
     "Wavefront",
     "WrongState",
     "find_lattice",
+    "find_layers",
     "live",
     "load_bench",
     "open_recording",
@@ -330,6 +331,52 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
     values = point_spread(phase, sensor, angle_rad=angle_rad)
     angles = {name: (name, angle_rad, {"units": "rad"}) for name in ("angle_y", "angle_x")}
     return xr.DataArray(values, dims=("angle_y", "angle_x"), coords=angles, name="psf")
+
+
+def find_layers(
+    reconstructor: BenchReconstructor, wavefront: Wavefront, count: int = 1, *, distances_m: tuple[float, ...] = ()
+) -> xr.Dataset:
+    """Find at which distance from the lenslets the aberration originates (docs/layers.md).
+
+    Parameters
+    ----------
+    reconstructor
+        Result of `svwfs.reconstructor`.
+    wavefront
+        A wavefront made by it.
+    count
+        Number of layers to look for, 1 or 2.
+    distances_m
+        Known distances of the layers; found if omitted.
+
+    Returns
+    -------
+    xarray.Dataset
+        `distance_m(layer)` and `layer_phase(layer, y, x)` with their errors, `chi_square(distance)` and `misfit` of a
+        single layer, `model_misfit(model)`; the attribute `verdict` says how many layers explain the wavefront.
+
+    Raises
+    ------
+    ReconstructionError
+        If too few lenslets are valid, or the displacements do not change over the field.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    >>> layers = svwfs.find_layers(reconstruct, reconstruct(images.frames[0]))
+    >>> layers.attrs["verdict"]
+    'one layer'
+    >>> bool(abs(layers["distance_m"].item() - 0.195) < 0.005)  # as the bench says
+    True
+    """
+    from app.results.layers.dataset import layers_dataset, ratio_at
+    from reconstruction.layers.layer_search import find_layers as search
+
+    ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
+    return layers_dataset(search(reconstructor.layers(_wavefront(wavefront)), count, at=ratios), reconstructor.bench)
 
 
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:

@@ -13,6 +13,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
@@ -21,6 +22,7 @@ from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp
+from reconstruction.solve.expected_errors import ExpectedErrors
 from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.sensitivity import Sensitivity, geometric_sensitivity, response_sensitivity
 from reconstruction.solve.weights import relative_weights
@@ -178,6 +180,16 @@ class Reconstructor:
         """Solver with as many Legendre modes as the lattice carries: the refinement models wavefronts with these."""
         has_them = self._reconstruction.basis == "legendre" and self._reconstruction.pupil_modes is None
         return self._modal if self._modal is not None and has_them else self._solver("legendre", None)
+
+    def layers(self, displacement: Displacement) -> FrameEquations:
+        """Normal equations of a frame's displacements for layers at any distance; the first takes about a second."""
+        return self._layers(displacement, self.weights_of(displacement))
+
+    @cached_property
+    def _layers(self) -> LayerSolver:
+        parameters, at_rest = _parameters(self._register, self._at_rest), self._at_rest
+        errors = ExpectedErrors(self._sensitivity, parameters, at_rest.covariance, np.ones_like(at_rest.valid))
+        return LayerSolver(self.sensor, self.field, at_rest.modes, errors)
 
     def _prepare(
         self, light: Image, registration: RegistrationSettings

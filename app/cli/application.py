@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from app.cli.answers import layers
 from app.cli.evaluation import benchmark, paper, selftest, study
 from app.cli.frames import calibrate, reconstruct, simulate
 from app.cli.measuring import devices, live, measure
@@ -33,7 +34,7 @@ def _common(
 
 
 # in the order of the help
-_BENCH = (live, measure, recover, replay, export, report, calibrate, simulate, devices)
+_BENCH = (live, measure, recover, replay, export, report, layers, calibrate, simulate, devices)
 for command in (*_BENCH, selftest, study, benchmark, reconstruct):
     cli.command()(command)
 cli.add_typer(paper, name="paper")

@@ -20,6 +20,7 @@ from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from reconstruction.frame.noise import CameraNoise, image_noise
 from reconstruction.geometry import Sensor
 from reconstruction.lattice.search import survey
+from reconstruction.layers.layer_solver import FrameEquations
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.verdict import Quality
 from reconstruction.refinement import Refinement, Round
@@ -77,6 +78,10 @@ class BenchReconstructor:
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
         return self._judge(as_image(frame, "frame"), wavefront.displacement)
+
+    def layers(self, wavefront: Wavefront) -> FrameEquations:
+        """Normal equations of a wavefront's displacements for layers at any distance."""
+        return self._reconstructor.layers(wavefront.displacement)
 
     def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""

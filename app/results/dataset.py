@@ -162,7 +162,7 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memor
     origin = {
         name: text.encode(errors="replace").decode() for name, text in origin.items()
     }  # file names may be no text
-    return piece.assign_attrs(title="Space-variant wavefront", **origin).to_netcdf(
+    return piece.assign_attrs(**{"title": "Space-variant wavefront"} | piece.attrs | origin).to_netcdf(
         engine="h5netcdf", unlimited_dims=[_FRAME] if _FRAME in piece.dims else []
     )
 

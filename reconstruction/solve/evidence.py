@@ -34,6 +34,12 @@ def maximize_evidence(square: Floats, along: Floats, total: float, count: int) -
     return 10.0**decade, most_probable
 
 
+def log_evidence(ratio: float, square: Floats, along: Floats, total: float, count: int) -> float:
+    """Log evidence of a ratio of prior to noise variance, up to a constant; arguments as in `maximize_evidence`."""
+    evidence, _ = _evidence(ratio, square, along**2, max(total - float(along @ along), 0.0), count)
+    return float(evidence)
+
+
 @compiled
 def _evidence(ratio: float, square: Floats, energy: Floats, beyond: float, count: int) -> tuple[float, float]:
     """Log evidence of one ratio, up to a constant, and the most probable noise variance."""

@@ -19,13 +19,14 @@ from functools import lru_cache
 import numpy as np
 from scipy import ndimage
 
-from reconstruction.arrays import Floats, Mask
-from reconstruction.displacement import SYSTEMATIC_PX, Displacement
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.solve.evidence import maximize_evidence
+from reconstruction.solve.expected_errors import ExpectedErrors
 from reconstruction.solve.modal_solution import Equations, ModalSolution
-from reconstruction.solve.sensitivity import Lenslets, Sensitivity
+from reconstruction.solve.sensitivity import Sensitivity
 
 _PRIOR_EXPONENT = 5.0  # of the pupil degree; with 4 the residuals at 100,000 e- are a fifth larger
 _PRIOR_PER_FIELD_DEGREE = 0.5  # t; with 0.25 or 1, residuals changed by 15 % at most, in most cases by 3 %
@@ -33,7 +34,6 @@ _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 # Without a prior: largest variance of the wavefront in one component over the median component's. It is below 2000 for
 # as many modes as the lattice carries, and above 20 000 for a tenth more.
 _AMPLIFICATION = 1e4
-_LEAST_NOISE = 1e-6  # variance of the noise over that of the systematic error, below which the noise is unknown
 _AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
 _TINY = np.finfo(np.float64).tiny
 
@@ -70,39 +70,33 @@ class ModalSolver:
     ) -> None:
         self._modes, self._sensitivity, self._parameters = modes, sensitivity, parameters
         field_modes = parameters.shape[1] // 2
-        # From displacements (field_mode, xy).
-        self._to_parameters = parameters.reshape(-1, 2, field_modes).transpose(2, 1, 0).reshape(2 * field_modes, -1)
-        expected, is_known, self._share_of_noise = _expected_covariance(covariance, self._to_parameters)
-        self._is_usable = is_known & modes.inside.ravel()
-        self._colour = np.linalg.cholesky(expected)
-        self._whiten = np.linalg.inv(self._colour)
+        self._errors = ExpectedErrors(sensitivity, parameters, covariance, modes.inside)
+        self._lenslets = modes.inside.size
         self._is_smooth = field_degree is not None
         scale = np.ones((len(modes.degree) - 1, field_modes))
         if field_degree is not None:
             scale = modes.degree[1:, None] ** -_PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
         self._unknowns = basis.shape[1]
-        rows = [self._rows(basis, some) for some in self._chunks()]
+        rows = [self._errors.rows(modes, some) @ basis for some in self._chunks()]
         self._singular, vectors = _decompose(rows)
         self._scaled = basis @ vectors
-        self._left_singular = self._scaled / self._singular  # to left singular vectors, see `_rows`
+        self._left_singular = self._scaled / self._singular  # to left singular vectors, see `ExpectedErrors.rows`
         to_left = vectors / self._singular
         across = np.concatenate([(some @ to_left).astype(np.float32) for some in rows])
         self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
         self._equations = lru_cache(maxsize=16)(self._down_dated)
         if not self._is_smooth:
-            self._equations(self._is_usable.astype(np.float64).tobytes())  # fails early
+            self._equations(self._errors.is_usable.astype(np.float64).tobytes())  # fails early
 
     def __call__(self, displacement: Displacement, *, weights: Floats | None = None) -> ModalSolution:
         """Fit the displacements of the valid lenslets inside the pupil.
 
         `weights` (lenslet_row, lenslet_column), 1 by default, are relative to the expected certainty.
         """
-        used = displacement.valid.ravel() & self._is_usable
-        share = np.where(used, 1.0 if weights is None else weights.ravel(), 0.0)
+        share = self._errors.share(displacement, weights)
         equations = self._equations(share.tobytes())
-        data = displacement.coefficients.reshape(len(used), -1) @ self._to_parameters
-        data = np.matvec(self._whiten, np.where(used[:, None], data, 0.0))
+        data = self._errors.whitened(displacement)
         weighted = share[:, None] * data
         along = (self._across @ weighted.ravel().astype(np.float32)).astype(np.float64)
         if equations.vectors is not None:
@@ -119,7 +113,7 @@ class ModalSolver:
             variance = ratio / (1 + ratio * square)  # over that of the noise
         else:
             variance = 1 / square
-            noise = self._share_of_noise
+            noise = self._errors.share_of_noise
             if noise == 0 and count > len(square):  # unknown: the misfit shows it
                 noise = max(total - float(along @ along), _TINY) / (count - len(square))
         found = variance * singular * along
@@ -129,7 +123,7 @@ class ModalSolver:
         def fitted() -> Floats:
             prepared = found if equations.vectors is None else equations.vectors @ found
             whitened = (self._singular * prepared).astype(np.float32) @ self._across
-            return np.asarray(np.matvec(self._colour, whitened.reshape(len(used), -1)))
+            return np.asarray(np.matvec(self._errors.colour, whitened.reshape(len(share), -1)))
 
         freedom = count - float(np.sum(variance * square))
         return ModalSolution(coefficients, equations, noise * variance, freedom, displacement, self._parameters, fitted)
@@ -144,24 +138,18 @@ class ModalSolver:
         return np.swapaxes(px.reshape(*self._modes.inside.shape, 2, -1), 2, 3)
 
     def _chunks(self) -> list[slice]:
-        return [slice(first, first + _AT_ONCE) for first in range(0, len(self._is_usable), _AT_ONCE)]
-
-    def _rows(self, basis: Floats, some: Lenslets) -> Floats:
-        """Whitened design matrix of some lenslets, (lenslet * K, column of the basis)."""
-        sensitivity = self._sensitivity(self._modes, some)
-        whitened = self._whiten[some] * self._is_usable[some, None, None]
-        rows = np.matmul(whitened, sensitivity.reshape(*sensitivity.shape[:2], -1))
-        return np.asarray(rows.reshape(-1, rows.shape[2]) @ basis)
+        return [slice(first, first + _AT_ONCE) for first in range(0, self._lenslets, _AT_ONCE)]
 
     def _down_dated(self, share_bytes: bytes) -> Equations:
         """The equations of lenslets with that share of their certainty, (lenslet,)."""
         share = np.frombuffer(share_bytes)
         known = (share > 0).reshape(self._modes.inside.shape)
-        lost = np.flatnonzero(self._is_usable & (share < 1))
+        lost = np.flatnonzero(self._errors.is_usable & (share < 1))
         singular, vectors, scaled = self._singular, None, self._scaled
         if lost.size:
             # In double precision: what only these lenslets show must vanish.
-            missing = self._rows(self._left_singular, lost).reshape(lost.size, -1, len(singular))
+            missing = self._errors.rows(self._modes, lost) @ self._left_singular
+            missing = missing.reshape(lost.size, -1, len(singular))
             weighted = (1 - share[lost, None, None]) * missing
             left = np.eye(len(singular)) - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
             square, vectors = np.linalg.eigh(singular[:, None] * left * singular)
@@ -197,22 +185,3 @@ def _decompose(rows: list[Floats]) -> tuple[Floats, Floats]:
     square, vectors = np.linalg.eigh(sum(some.T @ some for some in rows))
     seen = square > _UNSEEN * square[-1]
     return np.sqrt(square[seen]), vectors[:, seen]
-
-
-def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask, float]:
-    """Covariance of the parameters, (lenslet, K, K), the lenslets where it is known, and the share of the noise.
-
-    It is that of the noise, enlarged by the systematic error; if the noise is unknown, that error alone.
-    """
-    lenslets, columns = covariance.shape[0] * covariance.shape[1], len(to_parameters)
-    covariance = covariance.reshape(lenslets, columns, columns)
-    is_known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
-    of_noise = to_parameters.T @ np.where(is_known[:, None, None], covariance, 0.0) @ to_parameters
-    alike = np.eye(of_noise.shape[1])
-    variance = np.trace(of_noise, axis1=1, axis2=2) / len(alike)
-    usual = float(np.median(variance[is_known])) if is_known.any() else 0.0
-    if usual < _LEAST_NOISE * SYSTEMATIC_PX**2:
-        return np.broadcast_to(SYSTEMATIC_PX**2 * alike, of_noise.shape), is_known, 0.0
-    expected = (1 + SYSTEMATIC_PX**2 / usual) * of_noise + _LEAST_NOISE * usual * alike
-    expected[~is_known] = alike
-    return expected, is_known, usual / (usual + SYSTEMATIC_PX**2)

@@ -1,0 +1,1 @@
+"""`svwfs layers`: where the aberration is."""

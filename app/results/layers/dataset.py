@@ -1,0 +1,89 @@
+"""Layers as a dataset with names and units (docs/layers.md)."""
+
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+
+from app.bench.config import Bench
+from app.errors import InputError
+from app.results.view_quality import about
+from reconstruction.arrays import Floats
+from reconstruction.layers.layer_search import LayerSearch
+
+Origin = Literal["lenslets", "mask"]
+
+_POINTS = 129  # of a phase map along its longer axis
+_AMBIGUOUS = {
+    1: "none: one layer has its tilt and all other terms",
+    2: "tilt: the maps have none, because the tilts of two layers cannot be told apart; quadratic terms are uncertain,"
+    " as layer_phase_sigma says",
+}
+
+
+def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
+    """Ratio of field to pupil position at which rays meet a layer; `InputError` outside the geometry.
+
+    From the lenslets, in the collimated beam, it is distance / f1; from the mask f1 / distance - 1.
+    """
+    focal_length_m = bench.field.collimator_focal_length_m
+    if origin == "lenslets" and 0 <= distance_m < np.inf:
+        return distance_m / focal_length_m
+    if origin == "mask" and 0 < distance_m <= focal_length_m:
+        return focal_length_m / distance_m - 1
+    most = f" and at most the collimator's focal length, {focal_length_m:g} m" if origin == "mask" else ""
+    raise InputError(
+        f"a distance of {distance_m:g} m lies outside the bench: it must be positive{most} from the {origin}"
+    )
+
+
+def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
+    """Distance of a layer with that ratio, m."""
+    focal_length_m = bench.field.collimator_focal_length_m
+    return np.asarray(focal_length_m * np.asarray(ratio) if origin == "lenslets" else focal_length_m / (1 + ratio))
+
+
+def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
+    """Return distances, phase maps and what explains the displacements of a frame."""
+    layers = found.fit.layers
+    ratio, ratio_sigma = (np.array([getattr(layer, name) for layer in layers]) for name in ("ratio", "ratio_sigma"))
+    # Positions on a layer: in the collimated beam those of the pupil, near the mask smaller.
+    scale = 1 / (1 + ratio) if origin == "mask" else np.ones(len(layers))
+    focal_length_m = bench.field.collimator_focal_length_m
+    per_ratio_m = focal_length_m * scale**2 if origin == "mask" else np.full(len(layers), focal_length_m)
+    reach_m = np.max([layer.half_width_m * of_layer for layer, of_layer in zip(layers, scale, strict=True)], axis=0)
+    x_m, y_m = (np.linspace(-most, most, _POINTS) for most in reach_m)
+    maps = [
+        (layer.phase(x_m / of_layer, y_m[:, None] / of_layer), layer.sigma(x_m / of_layer, y_m[:, None] / of_layer))
+        for layer, of_layer in zip(layers, scale, strict=True)
+    ]
+    phase, sigma = (np.array(values) for values in zip(*maps, strict=True))
+    fits = {"one layer": found.one, "two layers": found.two, "any wavefront": found.any_wavefront}
+    made = {name: fit for name, fit in fits.items() if fit is not None}
+    tried_m = distance_m(found.ratios, origin, bench)
+    order = np.argsort(tried_m)
+    from_where = f"from the {origin}"
+    return xr.Dataset(
+        {
+            "distance_m": ("layer", distance_m(ratio, origin, bench), about("m", f"distance {from_where}")),
+            "distance_sigma_m": ("layer", per_ratio_m * ratio_sigma, about("m", "standard deviation; NaN if given")),
+            "layer_phase": (("layer", "y", "x"), phase, about("rad", "phase on the layer; NaN where no ray meets it")),
+            "layer_phase_sigma": (("layer", "y", "x"), sigma, about("rad", "standard deviation of layer_phase")),
+            "chi_square": ("distance", found.chi_squares[order], about("1", "reduced, of a single layer there")),
+            "misfit": ("distance", found.misfits[order], about("1", "unexplained share of the displacements, RMS")),
+            "model_chi_square": ("model", [fit.chi_square for fit in made.values()], about("1", "reduced")),
+            "model_misfit": ("model", [fit.misfit for fit in made.values()], about("1", "as misfit")),
+        },
+        coords={
+            "distance": ("distance", tried_m[order], about("m", f"of a single layer {from_where}")),
+            "x": ("x", x_m, about("m", "on the layer")),
+            "y": ("y", y_m, about("m", "on the layer")),
+            "model": ("model", list(made)),
+        },
+        attrs={
+            "title": "Layers of the sample",
+            "verdict": found.verdict,
+            "distances_from": origin,
+            "ambiguous": _AMBIGUOUS[len(layers)],
+        },
+    )

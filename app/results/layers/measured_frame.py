@@ -1,0 +1,77 @@
+"""Normal equations of a measured frame, from a recording or a results file."""
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from app.bench.config import Bench, parse_bench
+from app.errors import InputError
+from app.recording.reader import Recording
+from app.recording.reprocess import reprocess
+from app.results.dataset import open_results
+from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.solve.expected_errors import ExpectedErrors
+from reconstruction.solve.sensitivity import geometric_sensitivity
+
+
+def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
+    """Return bench and equations of one frame, counted from 0, of a recording or a results file.
+
+    Raises `InputError` if there is no such frame, or it cannot tell of layers.
+    """
+    try:
+        return _of_recording(source, frame) if source.is_dir() else _of_result(source, frame)
+    except ReconstructionError as error:
+        raise InputError(f"{source}: {error}") from error
+
+
+def _of_recording(folder: Path, frame: int) -> tuple[Bench, FrameEquations]:
+    recording = Recording(folder)
+    if not 0 <= frame < len(recording):
+        raise InputError(f"{folder}: has {len(recording)} frames, counted from 0: there is no frame {frame}")
+    (made,) = reprocess(recording, [frame])
+    if made.wavefront is None or made.calibration is None:
+        raise InputError(f"{folder}: frame {frame} has no wavefront: {made.problem}")
+    return made.calibration.bench, made.calibration.reconstructor().layers(made.wavefront.displacement)
+
+
+def _of_result(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
+    """Equations of the mean slopes of the modal wavefront, which no longer have the registration's bias."""
+    with open_results(path) as opened:
+        results = opened
+        if "coefficients" not in results:
+            raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
+        if "frame" in results.dims:
+            if not 0 <= frame < results.sizes["frame"]:
+                raise InputError(f"{path}: has {results.sizes['frame']} frames: there is no frame {frame}")
+            results = results.isel(frame=frame)
+        bench = parse_bench(str(results.attrs.get("bench", "")), f"{path}: bench", is_recorded=True)
+        return bench, _equations(results.load(), bench)
+
+
+def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
+    sensor, coefficients = bench.sensor, results["coefficients"].values
+    modes: PolynomialModes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(coefficients.shape[1])
+    parameters = gradient_basis(modes)
+    sensitivity = geometric_sensitivity(sensor, parameters)
+    basis = pupil_modes(sensor, bench.reconstruction.basis, len(coefficients))
+    of_lenslets = np.einsum("lkpq,pq->lk", sensitivity(basis, slice(None)), coefficients[1:]) @ parameters
+    shape = sensor.lenslet_rows, sensor.lenslet_columns
+    variance = diagonal_covariance(results["displacement_sigma"].values ** 2)
+    unknown = np.full(shape, np.nan)
+    displacement = Displacement(
+        modes=modes,
+        coefficients=np.swapaxes(of_lenslets.reshape(*shape, 2, -1), 2, 3),
+        covariance=variance,
+        outcome=np.where(results["valid"].values.astype(bool) & basis.inside, Outcome.CONVERGED, Outcome.DARK),
+        residual_rms=unknown,
+        chi_square=unknown,
+        range_used=unknown,
+    )
+    errors = ExpectedErrors(sensitivity, parameters, variance, basis.inside)
+    return LayerSolver(sensor, bench.field, modes, errors)(displacement)

@@ -1,0 +1,135 @@
+"""Distance of one layer, or two, and whether layers explain a frame.
+
+The log evidence of the displacements is a smooth function of the distances. It is searched on a grid, then refined;
+its curvature at the maximum gives the error bars.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from scipy import optimize
+
+from reconstruction.arrays import Floats
+from reconstruction.layers.layer_solver import FrameEquations, LayerFit
+
+Verdict = Literal["one layer", "two layers", "not one or two layers"]
+
+# The search runs over t = ratio / (1 + ratio), even between layers near the lenslets (0) and near the source (1).
+_GRID, _GRID_OF_TWO = np.linspace(0.0, 0.96, 49), np.linspace(0.0, 0.95, 20)
+_TOLERANCE = 1e-5  # of t
+_STEP = 2e-3  # of t, for the curvature
+# Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first it may
+# be that of the registration. Single screens leave 0.004, and 0.017 in noise; two taken for one, or ten, 0.03 to 0.4.
+_UNEXPLAINED = (0.01, 0.06)
+_CHI_SQUARE = 1.5  # reduced, above which misfit is not noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LayerSearch:
+    """Layers found in one frame."""
+
+    fit: LayerFit
+    ratios: Floats  # tried for a single layer, (n,)
+    misfits: Floats  # of a single layer there, (n,)
+    chi_squares: Floats  # reduced, of a single layer there, (n,)
+    one: LayerFit  # best single layer
+    two: LayerFit | None  # best pair, if it was searched
+    any_wavefront: LayerFit
+
+    @property
+    def unexplained(self) -> float:
+        """Misfit of `fit` beyond that of any wavefront, over all displacements."""
+        return _beyond(self.fit, self.any_wavefront)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Number of layers that explain the displacements."""
+        if self._explains(self.one):
+            return "one layer"
+        if self.two is not None and self._explains(self.two):
+            return "two layers"
+        return "not one or two layers"
+
+    def _explains(self, fit: LayerFit) -> bool:
+        least, most = _UNEXPLAINED
+        beyond = _beyond(fit, self.any_wavefront)
+        is_noise = fit.chi_square < _CHI_SQUARE * max(self.any_wavefront.chi_square, 1.0)
+        return beyond < least or (beyond < most and is_noise)
+
+
+def find_layers(equations: FrameEquations, count: int = 1, *, at: tuple[float, ...] = ()) -> LayerSearch:
+    """Find the distance of one layer, or two, unless the ratios are given by `at`."""
+    tried = [equations.fit(_ratio(t)) for t in _GRID]
+    best = _GRID[int(np.argmax([fit.log_evidence for fit in tried]))]
+    one = _refined(equations, (float(best),))
+    two = None
+    if count == 2 and not at:
+        start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: equations.fit(*map(_ratio, pair)).log_evidence)
+        two = _refined(equations, tuple(map(float, start)))
+    if len(at) == 2:
+        two = equations.fit(*sorted(at))
+    fit = two or (equations.fit(*at) if at else one)
+    return LayerSearch(
+        fit=fit,
+        ratios=np.array([_ratio(t) for t in _GRID]),
+        misfits=np.array([fit.misfit for fit in tried]),
+        chi_squares=np.array([fit.chi_square for fit in tried]),
+        one=one,
+        two=two,
+        any_wavefront=equations.any_wavefront(),
+    )
+
+
+def _ratio(t: float) -> float:
+    return float(t / (1 - t))
+
+
+def _refined(equations: FrameEquations, start: tuple[float, ...]) -> LayerFit:
+    """Maximise the evidence over the distances, from a start in t; their error bars follow from its curvature."""
+
+    def cost(t: Floats) -> float:
+        return -equations.fit(*map(_ratio, np.clip(t, -_STEP, 1 - _STEP))).log_evidence
+
+    found = optimize.minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        options={"initial_simplex": _simplex(start), "xatol": _TOLERANCE, "fatol": 1e-4, "maxiter": 200},
+    )
+    best = np.clip(found.x, 0.0, 1 - _STEP)
+    sigma = np.sqrt(np.diag(_inverse(_curvature(cost, best))))
+    fit = equations.fit(*map(_ratio, best))
+    layers = [
+        replace(layer, ratio_sigma=float(of_t * (1 + layer.ratio) ** 2))
+        for layer, of_t in zip(fit.layers, sigma, strict=True)
+    ]
+    return replace(fit, layers=tuple(sorted(layers, key=lambda layer: layer.ratio)))
+
+
+def _simplex(start: tuple[float, ...]) -> Floats:
+    step = (_GRID[1] - _GRID[0]) / 2 * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
+    return np.asarray(start + step)
+
+
+def _curvature(cost: Callable[[Floats], float], at: Floats) -> Floats:
+    """Second derivatives of a function (n, n) by central differences."""
+    steps = _STEP * np.eye(len(at))
+    curvature = np.empty((len(at), len(at)))
+    for i, j in np.ndindex(curvature.shape):
+        corners = [(a, b, cost(at + a * steps[i] + b * steps[j])) for a in (-1, 1) for b in (-1, 1)]
+        curvature[i, j] = sum(a * b * value for a, b, value in corners) / (4 * _STEP**2)
+    return curvature
+
+
+def _inverse(curvature: Floats) -> Floats:
+    """Inverse of a matrix of second derivatives; infinite where there is no minimum."""
+    values, vectors = np.linalg.eigh(curvature)
+    with np.errstate(divide="ignore"):
+        return np.asarray((vectors * (1 / np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _beyond(fit: LayerFit, other: LayerFit) -> float:
+    return float(np.sqrt(max(fit.misfit**2 - other.misfit**2, 0.0)))

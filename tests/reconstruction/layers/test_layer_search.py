@@ -1,0 +1,179 @@
+"""Layers found in displacements computed in closed form from polynomial phases."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.polynomial import legendre as series
+from numpy.polynomial import polynomial as powers
+
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Displacement, diagonal_covariance
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Field, Sensor, centered_steps
+from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
+from reconstruction.modes.field_modes import LegendreModes, gradient_basis
+from reconstruction.solve.expected_errors import ExpectedErrors
+from reconstruction.solve.sensitivity import geometric_sensitivity
+
+SENSOR = Sensor(
+    lenslet_rows=7,
+    lenslet_columns=9,
+    lenslet_pitch_m=500e-6,
+    lenslet_focal_length_m=46.7e-3,
+    wavelength_m=462e-9,
+    pixel_pitch_m=16e-6,
+)
+FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
+MODES = LegendreModes(15)
+NOISE_PX = 0.01
+# Phi = sum c[j, i] x^i y^j, rad, x and y in mm: no symmetry
+PHASE = np.array([[0.0, 0.3, 0.8, 0.25], [-0.4, 1.1, -0.3, 0.0], [-0.9, 0.35, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0]])
+OTHER = np.array([[0.0, 0.0, -0.5, -0.2], [0.0, 0.7, 0.4, 0.0], [0.6, -0.3, 0.0, 0.0], [-0.25, 0.0, 0.0, 0.0]])
+
+
+def displacements_px(phase: Floats, ratio: float) -> Floats:
+    """Mean slopes over each lenslet in the field modes, (lenslet_row, lenslet_column, field_mode, xy).
+
+    By Gauss quadrature of the phase's derivatives at u + ratio x, over lenslet and field.
+    """
+    nodes, weights = series.leggauss(6)
+    half_mm = SENSOR.lenslet_pitch_m / 2 * 1e3
+    u_mm = (centered_steps(SENSOR.lenslet_columns)[:, None] * 2 + nodes) * half_mm  # (column, node)
+    v_mm = (centered_steps(SENSOR.lenslet_rows)[:, None] * 2 + nodes) * half_mm
+    x_mm = nodes * FIELD.half_width_m * 1e3
+    s_x = u_mm[:, :, None] + ratio * x_mm  # (column, node, field x)
+    s_y = v_mm[:, :, None] + ratio * x_mm
+    fields = np.array([series.legval(nodes, row) for row in np.eye(5)])  # P_a at the nodes
+    project = fields * weights * (np.arange(5)[:, None] + 0.5)
+    orders = [(degree - n, n) for degree in range(5) for n in range(degree + 1)]
+    found = np.zeros((SENSOR.lenslet_rows, SENSOR.lenslet_columns, len(orders), 2))
+    for axis, derivative in enumerate((powers.polyder(phase, axis=1), powers.polyder(phase, axis=0))):
+        values = powers.polygrid2d(s_y.ravel(), s_x.ravel(), derivative)  # rad/mm
+        values = values.reshape(*s_y.shape, *s_x.shape)  # (row, node, field y, column, node, field x)
+        mean = np.einsum("rnycmx,n,m->rycx", values, weights / 2, weights / 2)
+        every = np.einsum("rycx,by,ax->rcab", mean, project, project)
+        found[..., axis] = np.stack([every[..., a, b] for a, b in orders], axis=-1)
+    return found * 1e3 / SENSOR.slope_per_px
+
+
+def solver(modes: LegendreModes = MODES) -> LayerSolver:
+    parameters = gradient_basis(modes)
+    variance = np.full((SENSOR.lenslet_rows, SENSOR.lenslet_columns, modes.count, 2), NOISE_PX**2)
+    everywhere = np.ones(variance.shape[:2], np.bool_)
+    sensitivity = geometric_sensitivity(SENSOR, parameters)
+    errors = ExpectedErrors(sensitivity, parameters, diagonal_covariance(variance), everywhere)
+    return LayerSolver(SENSOR, FIELD, modes, errors)
+
+
+SOLVER = solver()
+
+
+def equations(coefficients: Floats, *, lost: int = 0) -> FrameEquations:
+    shape = coefficients.shape[:2]
+    outcome, unknown = np.zeros(shape, np.int8), np.full(shape, np.nan)
+    outcome.ravel()[:lost] = 1
+    coefficients = np.where((outcome == 0)[..., None, None], coefficients, np.nan)
+    variance = diagonal_covariance(np.full(coefficients.shape, NOISE_PX**2))
+    return SOLVER(Displacement(MODES, coefficients, variance, outcome, unknown, unknown, unknown))
+
+
+def noisy(coefficients: Floats, seed: int) -> Floats:
+    return coefficients + np.random.default_rng(seed).normal(0, NOISE_PX, coefficients.shape)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.3, 1.0, 1.5, 6.0])
+def test_distance_and_phase_of_a_polynomial_layer(ratio: float) -> None:
+    found = find_layers(equations(displacements_px(PHASE, ratio)))
+    (layer,) = found.fit.layers
+    assert layer.ratio == pytest.approx(ratio, rel=2e-3, abs=2e-3)
+    assert found.verdict == "one layer"
+    x_m, y_m = (np.linspace(-half_m, half_m, 21) * 0.9 for half_m in layer.half_width_m)
+    true = powers.polygrid2d(y_m * 1e3, x_m * 1e3, PHASE)
+    difference = layer.phase(x_m, y_m[:, None]) - true
+    assert np.std(difference) < 2e-3 * np.std(true)
+    assert np.isnan(layer.phase(np.array(1.01 * layer.half_width_m[0]), np.array(0.0)))
+
+
+def test_wavefront_of_a_layer_at_any_field_position() -> None:
+    fit = equations(displacements_px(PHASE, 0.8)).fit(0.8)
+    u_mm, v_mm = SENSOR.pupil_x_m * 1e3, SENSOR.pupil_y_m[:, None] * 1e3
+    true = powers.polygrid2d((v_mm + 0.8 * -0.5).ravel(), u_mm + 0.8 * 0.3, PHASE)
+    np.testing.assert_allclose(
+        fit.wavefront(SENSOR, 0.3e-3, -0.5e-3), true - true.mean(), atol=5e-3 * np.std(true), rtol=0
+    )
+
+
+def test_error_bars_of_the_distance_cover_the_truth() -> None:
+    clean, ratio, draws = displacements_px(PHASE / 4, 0.975), 0.975, 60
+    found = [find_layers(equations(noisy(clean, seed))).fit.layers[0] for seed in range(draws)]
+    pulls = np.array([(layer.ratio - ratio) / layer.ratio_sigma for layer in found])
+    assert 0.75 < np.sqrt(np.mean(pulls**2)) < 1.25  # 2.7 standard errors of 60 draws
+    assert abs(np.mean(pulls)) < 3 / math.sqrt(draws)
+    assert 1e-4 < found[0].ratio_sigma < 0.05
+
+
+def test_error_bars_of_the_phase_cover_the_truth() -> None:
+    clean, ratio = displacements_px(PHASE / 4, 0.6), 0.6
+    x_m = np.linspace(-1.5e-3, 1.5e-3, 7)
+    true = powers.polygrid2d(x_m * 1e3, x_m * 1e3, PHASE / 4)
+    pulls = []
+    for seed in range(40):
+        (layer,) = equations(noisy(clean, seed)).fit(ratio).layers
+        pulls.append((layer.phase(x_m, x_m[:, None]) - true) / layer.sigma(x_m, x_m[:, None]))
+    spread = np.std(pulls, axis=0)  # without what is common to all draws, such as the piston
+    assert 0.7 < np.sqrt(np.mean(spread**2)) < 1.1  # the prior knows a part
+
+
+def test_lost_lenslets_are_left_out() -> None:
+    clean = displacements_px(PHASE, 0.975)
+    assert find_layers(equations(clean, lost=20)).fit.layers[0].ratio == pytest.approx(0.975, rel=2e-3)
+    with pytest.raises(ReconstructionError, match="at least 9 valid lenslets"):
+        equations(clean, lost=clean.shape[0] * clean.shape[1] - 8)
+
+
+def test_two_layers_are_told_from_one() -> None:
+    both = displacements_px(3 * PHASE, 0.4) + displacements_px(3 * OTHER, 1.6)
+    found = find_layers(equations(noisy(both, 0)), 2)
+    assert find_layers(equations(noisy(both, 0))).verdict == "not one or two layers"
+    assert found.verdict == "two layers"
+    near, far = found.fit.layers
+    assert near.ratio == pytest.approx(0.4, abs=4 * near.ratio_sigma + 0.01)
+    assert far.ratio == pytest.approx(1.6, abs=4 * far.ratio_sigma + 0.03)
+    for layer, phase in ((near, 3 * PHASE), (far, 3 * OTHER)):
+        x_m, y_m = (np.linspace(-half_m, half_m, 31) * 0.8 for half_m in layer.half_width_m)
+        error = slopes_without_tilt(layer.phase(x_m, y_m[:, None]) - powers.polygrid2d(y_m * 1e3, x_m * 1e3, phase))
+        true = slopes_without_tilt(powers.polygrid2d(y_m * 1e3, x_m * 1e3, phase))
+        assert error < 0.08 * true
+
+
+def slopes_without_tilt(phase: Floats) -> float:
+    along_y, along_x = np.gradient(phase)
+    slopes = np.stack([along_x, along_y], axis=-1)
+    return float(np.sqrt(np.mean((slopes - slopes.mean(axis=(0, 1))) ** 2)))
+
+
+def test_many_layers_are_neither_one_nor_two() -> None:
+    random = np.random.default_rng(3)
+    degree = np.add.outer(np.arange(7), np.arange(7))
+    layers = [np.where((degree > 1) & (degree < 7), random.normal(0, 2, (7, 7)) / 2.0**degree, 0) for _ in range(10)]
+    total = sum(displacements_px(phase, 0.25 * k) for k, phase in enumerate(layers))
+    assert find_layers(equations(noisy(np.asarray(total), 1)), 2).verdict == "not one or two layers"
+
+
+def test_given_distances_are_kept() -> None:
+    found = find_layers(equations(displacements_px(PHASE, 0.975)), at=(0.5,))
+    assert found.fit.layers[0].ratio == 0.5
+    assert math.isnan(found.fit.layers[0].ratio_sigma)
+    assert found.fit.misfit > 10 * found.one.misfit
+
+
+def test_one_field_position_has_no_distance() -> None:
+    with pytest.raises(ReconstructionError, match="change over the field"):
+        solver(LegendreModes(1))
+
+
+def test_no_displacement_has_no_layer() -> None:
+    with pytest.raises(ReconstructionError, match="all zero"):
+        equations(np.zeros_like(displacements_px(PHASE, 0.0)))
