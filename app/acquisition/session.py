@@ -16,6 +16,7 @@ from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.bench_reconstructor import whole_number
 from app.measurement.measurement import Measurement
+from app.recording.recorder import Limit
 from drivers.interface import WrongState
 
 _WAIT_S = 0.1  # between two checks whether the acquisition still runs
@@ -125,7 +126,9 @@ class LiveBench:
             If the recording ended early; the frames so far are kept.
         """
         folder, acquisition = Path(folder), self._acquisition
-        self._result(acquisition.start_recording(folder, command="python", frames=whole_number(frames, "frames")))
+        self._result(
+            acquisition.start_recording(folder, command="python", limit=Limit(frames=whole_number(frames, "frames")))
+        )
         try:
             while (state := acquisition.recording) is not None and state.stage in {"recording", "finishing"}:
                 with self._arrived:

@@ -13,7 +13,7 @@ from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea
-from app.recording.recorder import RecordingState
+from app.recording.recorder import Limit, RecordingState
 from drivers.interface import Frame, WrongState
 
 T = TypeVar("T")
@@ -69,9 +69,14 @@ class Acquisition(AcquisitionLoop):
         return self.submit(command)
 
     def start_recording(
-        self, folder: Path, *, command: str = "live", frames: int | None = None, may_rename: bool = False
+        self,
+        folder: Path,
+        *,
+        command: str = "live",
+        limit: Limit = Limit(),  # noqa: B008 - immutable
+        may_rename: bool = False,
     ) -> Future[None]:
-        """Record every frame from now on into a folder: `frames` of them, or until `stop_recording`.
+        """Record every frame from now on into a folder, until `stop_recording` or the `limit`.
 
         If the folder exists, `may_rename` chooses a new name beside it; `recording` tells which. The future has an
         `InputError` if the folder is not free or a recording is under way. Later failures, such as a full disk, end
@@ -79,9 +84,13 @@ class Acquisition(AcquisitionLoop):
         """
         return self.submit(
             lambda instrument: self._recorder.start(
-                folder, _facts(instrument, command), frames=frames, may_rename=may_rename
+                folder, _facts(instrument, command), limit=limit, may_rename=may_rename
             )
         )
+
+    def limit_recording(self, limit: Limit) -> None:
+        """Replace the limit of the current recording, if any."""
+        self._recorder.limit(limit)
 
     def stop_recording(self) -> None:
         """End the current recording, if any; it is finished soon after."""

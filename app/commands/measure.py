@@ -18,6 +18,7 @@ from app.files import check_outputs
 from app.progress import Progress
 from app.recording.folder import RUN, check_free
 from app.recording.reader import Recording
+from app.recording.recorder import Limit
 from app.results.recording_results import Measured, files_of, write_measured
 from drivers.interface import DeviceError
 
@@ -126,7 +127,7 @@ def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, prog
     """Record from the first frame with the sample, or from the first refined one."""
 
     def begin() -> Future[None]:
-        return acquisition.start_recording(out, command="measure", frames=frames)
+        return acquisition.start_recording(out, command="measure", limit=Limit(frames=frames))
 
     watched = watch_sample(acquisition)
     _wait([watched, *([] if bench.reconstruction.refine else [begin()])], acquisition, progress)

@@ -30,6 +30,7 @@ from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
+from app.recording.recorder import Limit
 from drivers.interface import Devices
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
@@ -67,6 +68,7 @@ class Controller:
         self.pending = PendingCommands(messages)
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
+        self.limit: Callable[[], Limit] = Limit  # of the next recording
         self.is_stuck = False  # whether a device kept the worker from ending on `close`
         self._on_accept: Callable[[], object] | None = None  # what an accepted question leads to
         self._reported: set[Path] = set()  # recordings whose end was shown
@@ -284,7 +286,9 @@ class Controller:
     def _record(self, on: bool) -> None:
         if on:
             self._messages.alarm("")
-            self._send(lambda to: to.start_recording(self._new_folder(), may_rename=True))
+            self._send(lambda to: to.start_recording(self._new_folder(), limit=self.limit(), may_rename=True))
+            if self.status is not None and not self.status.is_light_on:
+                self._messages.warn("recording with the light off: L switches it on, W ends the recording")
         elif self.acquisition is not None:
             self.acquisition.stop_recording()
 

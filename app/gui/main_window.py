@@ -25,6 +25,7 @@ from app.gui.message_log import MessageLog
 from app.gui.message_strip import MessageStrip
 from app.gui.number_field import NumberField
 from app.gui.panel_docks import Dock, PanelDocks
+from app.gui.recording_bar import RecordingBar
 from app.gui.recording_panel import RecordingPanel
 from app.gui.replay_bar import ReplayBar
 from app.gui.sensor_region_dialog import SensorRegionDialog
@@ -96,6 +97,8 @@ class MainWindow(QMainWindow):
             refused.connect(self.messages.warn)
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
         self.camera_panel.statistics_changed.connect(self.tabs.histogram.show_statistics)
+        self.recording_bar = RecordingBar(lambda: self.controller.acquisition, self.messages, settings)
+        self.controller.limit = lambda: self.recording_bar.limit
         self._lay_out()
         for field in self.findChildren(NumberField):
             field.refused.connect(self.messages.refuse)
@@ -233,6 +236,7 @@ class MainWindow(QMainWindow):
             save_state(self._settings, self, self._parts, self.controller.recordings_folder)
         self._timer.stop()
         self._analysis.close()
+        self.recording_bar.close_commands()
         self.region_dialog.close()
         self.controller.close(self._show_closing)
         self._is_closing = False
@@ -252,7 +256,7 @@ class MainWindow(QMainWindow):
         self.setWindowTitle("svwfs")
         self.resize(WINDOW_SIZE)
         below = QWidget()
-        column(self.replay, self.messages, self.status_line, spacing=4, parent=below)
+        column(self.replay, self.recording_bar, self.messages, self.status_line, spacing=4, parent=below)
         if (status_bar := self.statusBar()) is not None:
             status_bar.setSizeGripEnabled(False)
             status_bar.addPermanentWidget(below, 1)

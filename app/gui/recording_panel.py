@@ -10,6 +10,7 @@ from app.gui.widgets import ElidedLabel, button, row, toggle
 from app.recording.recorder import RECENT_S, RecordingState
 
 _WIDEST = "000000 frames   00:00   000 waiting for the disk   disk space for 000 min"
+_STOP = "Stop recording"
 _BEHIND = 70  # waiting frames from which the number is shown
 
 
@@ -33,14 +34,16 @@ class RecordingPanel(QWidget):
         self.text.setFixedWidth(self.text.fontMetrics().horizontalAdvance(_WIDEST))
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         row(self.text, self.keep, self.record, parent=self).setContentsMargins(10, 3, 6, 3)
-        self.record.setMinimumWidth(self.record.sizeHint().width() + 20)  # room for its other text, too
+        self.record.setText(_STOP)
+        self.record.setIcon(theme.start_or_stop(is_running=True))
+        self.record.setMinimumWidth(self.record.sizeHint().width())  # of the longer of its two texts
         self.show_state(None)
 
     def show_state(self, state: RecordingState | None, free_minutes: float = math.inf) -> None:
         """Show the current or last recording and the recording time that the disk has space for."""
         is_recording = state is not None and state.stage == "recording"
         self.record.setChecked(is_recording)
-        self.record.setText("Stop" if is_recording else "Record")
+        self.record.setText(_STOP if is_recording else "Record")
         self.record.setIcon(theme.start_or_stop(is_running=True) if is_recording else theme.lamp(theme.RED))
         self.record.setEnabled(state is None or state.stage != "finishing")
         room = () if math.isinf(free_minutes) else (f"disk space for {_duration(free_minutes)}",)

@@ -25,6 +25,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
     return {
         "&File": (
             ("Start or stop recording", "W", window.recording_panel.record),
+            ("Name, note and end of the recording", "Shift+W", window.recording_bar.prepare),
             ("Save the last seconds", "K", window.recording_panel.keep),
             ("Choose the recordings folder", "", partial(choose_recordings_folder, window)),
             ("Save a screenshot", "Ctrl+P", window.save_screenshot),

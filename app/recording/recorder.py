@@ -32,6 +32,14 @@ Stage = Literal["recording", "finishing", "finished", "ended early"]
 
 
 @dataclass(frozen=True, slots=True)
+class Limit:
+    """When a recording ends by itself: after some frames, or this long after its first; None: not."""
+
+    frames: int | None = None
+    seconds: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class RecordingState:
     """Progress of a recording."""
 
@@ -47,7 +55,7 @@ class RecordingState:
 class BackgroundRecording:
     """One recording and the thread that writes it, started at once.
 
-    `records` are written first. With `frames`, recording stops after that many further frames.
+    `records` are written first. `limit` counts the frames after them, and can be replaced at any time.
     """
 
     def __init__(
@@ -57,13 +65,15 @@ class BackgroundRecording:
         timings: Timings,
         *,
         records: Sequence[Record] = (),
-        frames: int | None = None,
+        limit: Limit = Limit(),
     ) -> None:
         self._folder, self._facts, self._timings = folder, facts, timings
         self._waiting = deque(records)
         self._waiting_bytes = sum(record.nbytes for record in records)
         self._acquired = len(records)
-        self._left = frames
+        self.limit = limit
+        self._taken = 0
+        self._first_s: float | None = None  # arrival of the first frame that was taken
         self._changed = threading.Condition()
         self._is_open = True  # for more frames
         self._problem = ""
@@ -80,16 +90,19 @@ class BackgroundRecording:
         with self._changed:
             if not self._is_open:
                 return
+            self._first_s = record.frame.host_time_s if self._first_s is None else self._first_s
+            if self._is_beyond_limit(record):
+                self._end("")
+                return
             self._acquired += 1
             if len(self._waiting) >= _QUEUED_FRAMES or self._waiting_bytes > _QUEUED_BYTES:
                 self._end(f"the disk cannot follow: {len(self._waiting)} frames are waiting for it")
                 return
             self._waiting.append(record)
             self._waiting_bytes += record.nbytes
-            if self._left is not None:
-                self._left -= 1
-                if self._left == 0:
-                    self._end("")
+            self._taken += 1
+            if self.limit.frames is not None and self._taken >= self.limit.frames:
+                self._end("")
             self._changed.notify()
 
     def stop(self, problem: str = "") -> None:
@@ -110,6 +123,12 @@ class BackgroundRecording:
         seconds = (self._ended_s or time.perf_counter()) - self._began_s
         waiting = len(self._waiting)
         return RecordingState(self._folder, stage, self._frames, waiting, seconds, self._free_minutes, self._problem)
+
+    def _is_beyond_limit(self, record: Record) -> bool:
+        """Return whether a frame comes too late; the limit may have been lowered below what was taken."""
+        frames, seconds = self.limit.frames, self.limit.seconds
+        is_late = seconds is not None and record.frame.host_time_s - (self._first_s or 0.0) > seconds
+        return is_late or (frames is not None and self._taken >= frames)
 
     def _end(self, problem: str) -> None:
         if self._is_open:
@@ -207,22 +226,27 @@ class Recorder:
                 self._recording.take(record)
 
     def start(
-        self, folder: Path, facts: Mapping[str, Any], *, frames: int | None = None, may_rename: bool = False
+        self, folder: Path, facts: Mapping[str, Any], *, limit: Limit = Limit(), may_rename: bool = False
     ) -> None:
-        """Record from the next measurement on, until `stop` or for some `frames`.
+        """Record from the next measurement on, until `stop` or a `limit`.
 
         `facts` of bench and devices go into `run.json`. With `may_rename` a number is appended to a name that is taken;
         `state` has the folder. `InputError` if the folder holds a recording, or a recording is on.
         """
-        if frames is not None and frames < 1:
-            raise InputError(f"{frames} frames cannot be recorded: at least 1 is needed")
+        if limit.frames is not None and limit.frames < 1:
+            raise InputError(f"{limit.frames} frames cannot be recorded: at least 1 is needed")
         if not may_rename:
             check_free(folder)
         with self._changing:
             if self._recording is not None and self._recording.state.stage in {"recording", "finishing"}:
                 raise InputError(f"{self._recording.state.folder}: is still being recorded")
             folder = new_folder(folder) if may_rename else folder
-            self._recording = BackgroundRecording(folder, facts, self._timings, frames=frames)
+            self._recording = BackgroundRecording(folder, facts, self._timings, limit=limit)
+
+    def limit(self, limit: Limit) -> None:
+        """Replace the limit of the recording, if one is on."""
+        if self._recording is not None:
+            self._recording.limit = limit
 
     def stop(self, problem: str = "") -> None:
         """End the recording, if one is on; it is finished soon after."""

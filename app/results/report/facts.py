@@ -61,6 +61,8 @@ def _when(summary: Summary) -> str:
         parts.append(f"by svwfs {command}")
     if not recording.is_complete:
         parts.append("not finished: it grows, or svwfs recover finishes it")
+    if note := recording.run.get("note"):
+        parts.append(f"note: {note}")
     if recording.ended_early:
         parts.append(f"ended early: {recording.ended_early}")
     return "; ".join(parts)

@@ -27,7 +27,7 @@ def test_every_frame_between_start_and_stop_is_recorded(
     window.controller.recordings_folder = tmp_path / "here"
     panel = window.recording_panel
     press(qtbot, window, Qt.Key.Key_W)
-    qtbot.waitUntil(lambda: panel.record.text() == "Stop")
+    qtbot.waitUntil(lambda: panel.record.text() == "Stop recording")
     qtbot.waitUntil(lambda: int(panel.text.text().split(" ")[0] or 0) > 5)
     qtbot.waitUntil(lambda: "disk space for" in panel.text.text())
     press(qtbot, window, Qt.Key.Key_W)
@@ -69,7 +69,7 @@ def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, q
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     before = first._index
     qtbot.waitUntil(lambda: first._index > before + 5)
     first.fault = Disconnected("the camera was unplugged")
@@ -88,7 +88,7 @@ def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera],
     window, camera = live
     window.controller.recordings_folder = tmp_path
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     assert window.controller.acquisition is not None
     window.controller.acquisition._recorder.stop("the disk is full")
     qtbot.waitUntil(window.messages.dismiss.isVisible)
@@ -104,6 +104,6 @@ def test_closing_the_window_finishes_the_recording(
     window, _ = live
     window.controller.recordings_folder = tmp_path
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
     window.close()
     assert only_recording(tmp_path).is_complete

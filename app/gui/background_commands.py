@@ -1,0 +1,58 @@
+"""Commands of `svwfs` that the window starts beside itself: they take neither its processor time nor its devices."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt6.QtCore import QObject, QProcess
+
+from app.gui.message_strip import MessageStrip
+
+_RUN = "import sys; from app.cli import main; sys.exit(main())"
+_END_MS = 3000
+
+
+def command_line(*arguments: str | Path) -> tuple[str, list[str]]:
+    """Return program and arguments of a command of the installed svwfs, whatever lies in the working directory."""
+    return sys.executable, ["-P", "-c", _RUN, *map(str, arguments)]
+
+
+class BackgroundCommands(QObject):
+    """Runs commands and says how they ended."""
+
+    def __init__(self, messages: MessageStrip, parent: QObject) -> None:
+        super().__init__(parent)
+        self._messages = messages
+
+    def start(self, begin: str, *arguments: str | Path, end: str, then: Callable[[], object] | None = None) -> None:
+        """Run a command to its end; `begin` and `end` are the messages, `then` is called if it succeeds."""
+        process = QProcess(self)
+
+        def finish(status: int, how: QProcess.ExitStatus) -> None:
+            errors = bytes(process.readAllStandardError().data()).decode(errors="replace").strip().splitlines()
+            process.deleteLater()
+            if how is QProcess.ExitStatus.NormalExit and status == 0:
+                self._messages.inform(end)
+                if then is not None:
+                    then()
+            else:
+                self._messages.alarm(errors[-1].removeprefix("svwfs: ") if errors else f"{begin}: failed")
+
+        process.finished.connect(finish)
+        self._messages.inform(begin)
+        process.start(*command_line(*arguments))
+
+    def start_window(self, *arguments: str | Path) -> None:
+        """Open another window, which lives on when this one closes."""
+        started, _ = QProcess.startDetached(*command_line("live", *arguments))
+        if not started:
+            self._messages.warn("another window could not be started")
+
+    def close(self) -> None:
+        """End the commands that still run; their output files appear only when they are whole."""
+        for process in self.findChildren(QProcess):
+            process.blockSignals(True)
+            process.terminate()
+            if not process.waitForFinished(_END_MS):
+                process.kill()
+                process.waitForFinished(_END_MS)

@@ -1,0 +1,170 @@
+"""The recording bar, by clicks and keys."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import QProcess, QSettings, Qt, QUrl
+from PyQt6.QtGui import QDesktopServices
+from PyQt6.QtWidgets import QFileDialog, QLineEdit
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import MakeWindow, press
+
+from app.gui.main_window import MainWindow
+from app.gui.recent_files import RecentFiles
+from app.recording.reader import Recording
+
+
+def type_into(qtbot: QtBot, field: QLineEdit, text: str) -> None:
+    field.setFocus()
+    field.selectAll()
+    qtbot.keyClicks(field, text)  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
+    press(qtbot, field, Qt.Key.Key_Return)
+
+
+def record(qtbot: QtBot, window: MainWindow, folder: Path, *, frames: int) -> None:
+    """Record some frames by the limit of the bar."""
+    window.controller.recordings_folder = folder
+    bar = window.recording_bar
+    line = bar.stop_after.lineEdit()
+    assert line is not None
+    type_into(qtbot, line, str(frames))
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: bar.folder is not None)
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Folders and files that the desktop was asked to open."""
+    paths: list[Path] = []
+
+    def open_url(url: QUrl) -> bool:
+        paths.append(Path(url.toLocalFile()))
+        return True
+
+    monkeypatch.setattr(QDesktopServices, "openUrl", open_url)
+    return paths
+
+
+def test_recording_ends_by_itself_with_name_and_note(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, opened: list[Path]
+) -> None:
+    window, _ = live
+    bar = window.recording_bar
+    assert not bar.isVisible()
+    window.activateWindow()
+    bar.prepare()
+    type_into(qtbot, bar.name, "mouse 7")
+    type_into(qtbot, bar.note, "3 % agarose")
+    record(qtbot, window, tmp_path, frames=4)
+    (folder,) = tmp_path.iterdir()
+    assert folder == bar.folder
+    assert folder.name.endswith("-mouse 7")
+    recording = Recording(folder)
+    assert len(recording) == 4
+    assert recording.run["note"] == "3 % agarose"
+    assert bar.text.text() == f"4 frames in {folder.name}"
+    assert not bar.stop_after.isVisible()
+    bar.open.click()
+    assert opened == [folder]
+    bar.done.click()
+    assert not bar.isVisible()
+
+
+def test_name_given_afterwards_renames_the_folder(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, camera = live
+    record(qtbot, window, tmp_path, frames=2)
+    bar = window.recording_bar
+    type_into(qtbot, bar.name, "a/b")
+    assert "cannot be used" in window.log.text
+    type_into(qtbot, bar.name, "sl")  # letters that are commands outside the field
+    assert [path.name[15:] for path in tmp_path.iterdir()] == ["-sl"]
+    assert camera.light.shines
+    bar.name.setFocus()
+    qtbot.keyClicks(bar.name, "x")  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
+    press(qtbot, bar.name, Qt.Key.Key_Escape)
+    assert bar.name.text() == "sl"
+    press(qtbot, window, Qt.Key.Key_W)  # the next one has no name
+    qtbot.waitUntil(lambda: bar.folder is not None and not bar.folder.name.endswith("sl"))
+    assert sorted(path.name[15:] for path in tmp_path.iterdir()) in (["", "-sl"], ["-2", "-sl"])
+
+
+def test_report_and_export_run_beside_the_window(
+    live: tuple[MainWindow, FakeCamera],
+    qtbot: QtBot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    opened: list[Path],
+) -> None:
+    window, _ = live
+    record(qtbot, window, tmp_path / "runs", frames=2)
+    bar = window.recording_bar
+    assert bar.folder is not None
+    bar.report.click()
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "out.csv"), ""))
+    bar.exports.actions()[1].trigger()
+    qtbot.waitUntil(lambda: "The report is in" in window.log.text)
+    assert opened == [bar.folder / "report.pdf"]
+    assert (bar.folder / "report.pdf").read_bytes().startswith(b"%PDF")
+    qtbot.waitUntil(lambda: "Exported to" in window.log.text)
+    assert len((tmp_path / "out.csv").read_text().splitlines()) == 3
+    qtbot.waitUntil(lambda: not bar.commands.findChildren(QProcess))
+
+
+def test_failed_command_is_shown_until_dismissed(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, _ = live
+    record(qtbot, window, tmp_path, frames=2)
+    bar = window.recording_bar
+    bar.folder = tmp_path / "gone"
+    bar.report.click()
+    qtbot.waitUntil(lambda: "gone: no such folder" in window.messages.text.text())
+    assert window.messages.dismiss.isVisible()
+
+
+def test_replay_starts_another_window(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    record(qtbot, window, tmp_path, frames=2)
+    started: list[tuple[str, list[str]]] = []
+
+    def start(program: str, arguments: list[str]) -> tuple[bool, int]:
+        started.append((program, arguments))
+        return True, 1
+
+    monkeypatch.setattr(QProcess, "startDetached", start)
+    window.recording_bar.replay.click()
+    ((program, arguments),) = started
+    assert program == sys.executable
+    assert arguments[-3:] == ["live", "--replay", str(window.recording_bar.folder)]
+
+
+def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtBot, tmp_path: Path) -> None:
+    settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
+    window = make_window(FakeCamera(), settings=settings)
+    window.connect_devices()
+    window.controller.recordings_folder = tmp_path / "runs"
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    press(qtbot, window, Qt.Key.Key_K)
+    qtbot.waitUntil(lambda: window.recording_bar.folder is not None)
+    assert window.recording_bar.isVisible()
+    assert RecentFiles(settings, "recent/recordings").paths() == (window.recording_bar.folder,)
+
+
+def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
+    window, camera = live
+    window.controller.recordings_folder = tmp_path
+    press(qtbot, window, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.shines and window.controls.light.text() == "Light off")
+    press(qtbot, window, Qt.Key.Key_W)
+    assert "Recording with the light off" in window.log.text
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    assert window.controls.start.text() == "Stop"  # of the camera: another word
