@@ -37,6 +37,11 @@ class FramePath:
         """Read one frame, reconstruct it and pass it on; `Cancelled` if the wait was stopped."""
         self.process(self._newest_frame(instrument, light), instrument, light)
 
+    def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None) -> None:
+        """Reconstruct a frame from elsewhere, as if its exposure ended when it was read, and pass it on."""
+        lag_s = self._clock_lag_s if math.isfinite(self._clock_lag_s) else 0.0
+        self.process(replace(frame, camera_time_s=frame.host_time_s - lag_s), instrument, light)
+
     def process(self, frame: Frame, instrument: Instrument, light: LightState | None) -> None:
         """Reconstruct a frame and pass it on."""
         made = instrument.measure(frame)

@@ -64,7 +64,7 @@ class Acquisition(AcquisitionLoop):
 
         def command(instrument: Instrument) -> None:
             instrument.devices.camera.stop()
-            self._path.process(choose(instrument), instrument, self._light())
+            self._path.process_single(choose(instrument), instrument, self._light())
 
         return self.submit(command)
 

@@ -19,6 +19,7 @@ from app.gui.bench_files import BenchFiles
 from app.gui.camera_panel import CameraPanel
 from app.gui.controller import Begin, Controller
 from app.gui.controls_panel import ControlsPanel
+from app.gui.file_drop import FileDrop
 from app.gui.help_menu import help_entries
 from app.gui.menu import fill_menus
 from app.gui.message_log import MessageLog
@@ -66,8 +67,7 @@ class MainWindow(QMainWindow):
         self._measurement: Measurement | None = None
         self._status: Status | None = None
         self._failure = ""
-        self._is_closing = False
-        self._refreshes = 0
+        self._is_closing, self._refreshes = False, 0
         self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
 
         self.camera_panel = CameraPanel()
@@ -92,17 +92,16 @@ class MainWindow(QMainWindow):
         )
         self.messages.reconnect_requested.connect(self._reconnect)
         self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self)
-        self._analysis.failed.connect(self.messages.warn)
-        for refused in (self.wavefront_panel.refused, self.replay.failed):
-            refused.connect(self.messages.warn)
+        for failed in (self._analysis.failed, self.wavefront_panel.refused, self.replay.failed):
+            failed.connect(self.messages.warn)
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
         self.camera_panel.statistics_changed.connect(self.tabs.histogram.show_statistics)
-        self.recording_bar = RecordingBar(lambda: self.controller.acquisition, self.messages, settings)
-        self.controller.limit = lambda: self.recording_bar.limit
+        self.recording_bar = RecordingBar(self.controller, self.messages, settings)
         self._lay_out()
         for field in self.findChildren(NumberField):
             field.refused.connect(self.messages.refuse)
         self.benches = BenchFiles(self, lambda bench: self.open(lambda: make_for(bench)), self.controller, settings)
+        self.drop = FileDrop(self)
         fill_menus(self, window_menus(self), help_entries(self))
         self._restore_state()
         self._timer = QTimer(self)
@@ -193,6 +192,7 @@ class MainWindow(QMainWindow):
             full_scale, temperature_c = status.capabilities.full_scale, status.temperature_c
             self.tabs.record(self._measurement, full_scale=full_scale, temperature_c=temperature_c)
         self.controller.show_recordings()
+        self.recording_bar.refresh()
         acquisition, status, measurement = self.controller.acquisition, self._status, self._measurement
         self.status_line.update_text(status, None if acquisition is None else acquisition.timings.summary())
         activity = Activity() if acquisition is None else acquisition.activity
@@ -236,7 +236,7 @@ class MainWindow(QMainWindow):
             save_state(self._settings, self, self._parts, self.controller.recordings_folder)
         self._timer.stop()
         self._analysis.close()
-        self.recording_bar.close_commands()
+        self.recording_bar.commands.close()
         self.region_dialog.close()
         self.controller.close(self._show_closing)
         self._is_closing = False

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QSettings, QTimer, QUrl
+from PyQt6.QtCore import QSettings, QUrl
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QWidget
 
-from app.acquisition.worker import Acquisition
 from app.errors import InputError, RunError
 from app.gui.background_commands import BackgroundCommands
+from app.gui.controller import Controller
 from app.gui.message_strip import MessageStrip
 from app.gui.number_field import NumberField
 from app.gui.recent_files import RecentFiles
@@ -21,7 +20,6 @@ from app.recording.description import describe
 from app.recording.recorder import Limit, RecordingState
 from drivers.interface import Range
 
-_POLL_MS = 200
 _FRAMES, _SECONDS = "frames", "s"
 _MOST = Range(0, 1e6)
 _EXPORTS = {  # suffix and what is written
@@ -36,16 +34,13 @@ class RecordingBar(QFrame):
     """Opens when a recording begins; stays until it is closed."""
 
     def __init__(
-        self,
-        acquisition: Callable[[], Acquisition | None],
-        messages: MessageStrip,
-        settings: QSettings | None,
-        parent: QWidget | None = None,
+        self, controller: Controller, messages: MessageStrip, settings: QSettings | None, parent: QWidget | None = None
     ) -> None:
-        """Follow the recordings of the present acquisition, and remember them in `settings`."""
+        """Follow the recordings of the controller, limit them, and remember them in `settings`."""
         super().__init__(parent)
         self.setProperty("role", "strip")
-        self._acquisition, self._messages = acquisition, messages
+        self._controller, self._messages = controller, messages
+        controller.limit = lambda: self.limit
         self.recent = RecentFiles(settings, "recent/recordings")
         self.commands = BackgroundCommands(messages, self)
         self._of: Path | None = None  # the recording as it began
@@ -82,10 +77,6 @@ class RecordingBar(QFrame):
             layout.setContentsMargins(10, 3, 6, 3)
         self._show_stage(None)
         self.hide()
-        self._timer = QTimer(self)
-        self._timer.setInterval(_POLL_MS)
-        self._timer.timeout.connect(self.refresh)
-        self._timer.start()
 
     @property
     def limit(self) -> Limit:
@@ -104,7 +95,7 @@ class RecordingBar(QFrame):
 
     def refresh(self) -> None:
         """Show the state of the recording."""
-        acquisition = self._acquisition()
+        acquisition = self._controller.acquisition
         if acquisition is None:
             return
         state, kept = acquisition.recording, acquisition.kept
@@ -123,10 +114,25 @@ class RecordingBar(QFrame):
             if _is_over(state):
                 self._finish(state)
 
-    def close_commands(self) -> None:
-        """End what still runs."""
-        self._timer.stop()
-        self.commands.close()
+    def recent_menu(self) -> QMenu:
+        """Return a menu of the recent recordings."""
+        menu = QMenu(self)
+
+        def fill() -> None:
+            menu.clear()
+            for folder in self.recent.paths():
+                if (action := menu.addAction(folder.name)) is not None:
+                    action.setToolTip(str(folder))
+                    action.triggered.connect(lambda _=False, folder=folder: self.play(folder))
+            if menu.isEmpty() and (none := menu.addAction("None yet")) is not None:
+                none.setEnabled(False)
+
+        menu.aboutToShow.connect(fill)
+        return menu
+
+    def play(self, folder: Path) -> None:
+        """Play a recording in another window."""
+        self.commands.start_window("--replay", folder)
 
     def _forget(self) -> None:
         self.folder = None
@@ -160,7 +166,7 @@ class RecordingBar(QFrame):
         self.text.setToolTip(text if state is None else str(self.folder or state.folder))
 
     def _limit(self) -> None:
-        acquisition = self._acquisition()
+        acquisition = self._controller.acquisition
         if acquisition is not None:
             acquisition.limit_recording(self.limit)
 
@@ -183,7 +189,7 @@ class RecordingBar(QFrame):
 
     def _replay(self) -> None:
         if self.folder is not None:
-            self.commands.start_window("--replay", self.folder)
+            self.play(self.folder)
 
     def _report(self) -> None:
         if self.folder is not None:

@@ -9,7 +9,7 @@ from app.gui import theme
 from app.gui.widgets import ElidedLabel, button, row, toggle
 from app.recording.recorder import RECENT_S, RecordingState
 
-_WIDEST = "000000 frames   00:00   000 waiting for the disk   disk space for 000 min"
+_WIDEST = "000000 frames   00:00   disk space for 000 min"  # more is cut off; the tool tip has it
 _STOP = "Stop recording"
 _BEHIND = 70  # waiting frames from which the number is shown
 

@@ -10,7 +10,6 @@ from app.gui import theme
 from app.gui.controls_panel import ControlsPanel
 from app.gui.widgets import Choice, button, label, row
 from app.results.replay.player import Player
-from drivers.interface import DeviceError
 
 _SPEEDS = {"\N{VULGAR FRACTION ONE QUARTER}": 0.25, "\N{VULGAR FRACTION ONE HALF}": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 _TIMES = "\N{MULTIPLICATION SIGN} "
@@ -97,7 +96,7 @@ class ReplayBar(QFrame):
             moved, self._moving = self._moving, None
             try:
                 moved.result()
-            except (CancelledError, DeviceError) as error:
+            except (CancelledError, Exception) as error:  # noqa: BLE001 - every error is shown
                 self.failed.emit(str(error))
         if self._wanted is not None:
             wanted, self._wanted = self._wanted, None

@@ -39,7 +39,12 @@ class StatusLine(QWidget):
         self.timing_row = TimingRow()
         self.row = line = FittingRow()
         self.devices = label("", "dim")
-        column(self.timing_row, row((line, 1), self.devices), spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
+        self.simulated = label("SIMULATED", "badge")
+        self.simulated.setToolTip("No real device: camera, light and sample are computed")
+        self.simulated.hide()
+        column(
+            self.timing_row, row((line, 1), self.simulated, self.devices), spacing=2, parent=self
+        ).setContentsMargins(10, 0, 10, 2)
         count, time_s = "00000", "0000.0 ms"
         self.acquired = line.add("acquired", "Frames read from the camera", widest=count, importance=7)
         self.reconstructed = line.add("reconstructed", "Frames with a wavefront", widest=count, importance=6)
@@ -70,6 +75,7 @@ class StatusLine(QWidget):
             self.timing_row.update_text(timings)
             self.delay.setToolTip(f"<p>{_DELAY}.</p>{timing_table(timings)}")
         if status is not None:
+            self.simulated.setVisible(status.bench.is_simulated)
             self.devices.setText("running" if status.is_running else "stopped")
             self.devices.setToolTip(f"{status.camera_name}\n{status.light_name}")
         if not self._recent:

@@ -81,6 +81,8 @@ def apply_theme(application: QApplication) -> None:
         (roles.Highlight, ACCENT),
         (roles.HighlightedText, BACKGROUND),
         (roles.PlaceholderText, DIM),
+        (roles.Link, ACCENT),
+        (roles.LinkVisited, ACCENT),
     ):
         palette.setColor(role, colour)
     for role in (roles.WindowText, roles.Text, roles.ButtonText):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
-from app.gui.file_dialogs import choose_recordings_folder
+from app.gui.file_dialogs import choose_recording, choose_recordings_folder, export_view
 from app.gui.menu import Entries
 from app.results.view_analysis import Quantity
 
@@ -27,7 +27,11 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Start or stop recording", "W", window.recording_panel.record),
             ("Name, note and end of the recording", "Shift+W", window.recording_bar.prepare),
             ("Save the last seconds", "K", window.recording_panel.keep),
+            ("Replay a recording", "Ctrl+Shift+O", partial(choose_recording, window)),
+            ("Replay a recent recording", "", window.recording_bar.recent_menu()),
             ("Choose the recordings folder", "", partial(choose_recordings_folder, window)),
+            None,
+            ("Export the shown wavefronts", "Ctrl+E", partial(export_view, window)),
             ("Save a screenshot", "Ctrl+P", window.save_screenshot),
             None,
             ("Quit", "Ctrl+Q", window.quit),

@@ -155,8 +155,13 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
     press(qtbot, window, Qt.Key.Key_K)
     qtbot.waitUntil(lambda: window.recording_bar.folder is not None)
+    folder = window.recording_bar.folder
+    assert folder is not None
     assert window.recording_bar.isVisible()
-    assert RecentFiles(settings, "recent/recordings").paths() == (window.recording_bar.folder,)
+    assert RecentFiles(settings, "recent/recordings").paths() == (folder,)
+    menu = window.recording_bar.recent_menu()
+    menu.aboutToShow.emit()
+    assert [action.text() for action in menu.actions()] == [folder.name]
 
 
 def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:

@@ -1,0 +1,71 @@
+"""Export of the shown wavefronts, and the badge of simulated benches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from PyQt6.QtGui import QAction, QImage
+from PyQt6.QtWidgets import QFileDialog
+from pytestqt.qtbot import QtBot
+from support.gui_bench import SENSOR, FakeCamera
+from support.window_tools import MakeWindow
+
+from app.bench.config import load_bench
+from app.gui.main_window import MainWindow
+
+
+def export(window: MainWindow, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    next(each for each in window.findChildren(QAction) if each.text() == "Export the shown wavefronts").trigger()
+
+
+def test_picture_and_results_are_those_that_are_shown(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    window.controls.start.click()
+    qtbot.waitUntil(lambda: window.controls.start.text() == "Start")
+    window.wavefront_panel.menu.tilt.trigger()
+    window.wavefront_panel.menu.change(views=2)
+    export(window, monkeypatch, tmp_path / "seen.png")
+    assert f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.log.text
+    shown = window.wavefront_panel.shown
+    assert shown is not None
+    image = QImage(str(tmp_path / "seen.png"))
+    assert image.width() == round(window.wavefront_panel.width() * window.devicePixelRatioF())
+    with xr.open_dataset(tmp_path / "seen.nc") as results:
+        np.testing.assert_array_equal(results["wavefront"].values, shown.views)
+        assert results["wavefront"].shape[:2] == (2, 2)
+        assert results.attrs["display"] == "no tilt"
+        views, column = (
+            results["wavefront"].values,
+            np.arange(SENSOR.lenslet_columns) - (SENSOR.lenslet_columns - 1) / 2,
+        )
+    assert np.abs(np.sum(views * column, axis=(2, 3))).max() < 1e-6  # least squares leave no tilt
+
+
+def test_existing_results_are_not_replaced_unasked(
+    live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    (tmp_path / "seen.nc").write_text("mine")
+    export(window, monkeypatch, tmp_path / "seen.png")
+    assert "seen.nc: exists already" in window.log.text
+    assert [path.name for path in tmp_path.iterdir()] == ["seen.nc"]
+    assert (tmp_path / "seen.nc").read_text() == "mine"
+
+
+def test_nothing_to_export_is_announced(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    window = make_window()
+    export(window, monkeypatch, Path("/nowhere/x.png"))
+    assert "There is no wavefront to export" in window.log.text
+
+
+def test_simulated_bench_is_marked(live: tuple[MainWindow, FakeCamera]) -> None:
+    """The bench of the fake camera names no driver, so it counts as simulated."""
+    window, _ = live
+    assert window.status_line.simulated.isVisible()
+    assert load_bench("live_demo").is_simulated
