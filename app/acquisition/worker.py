@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.loop import AcquisitionLoop, Activity
+from app.acquisition.without_sample import expose, find_lattice
 from app.bench.config import write_bench
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
@@ -15,6 +16,7 @@ from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea
 from app.recording.recorder import Limit, RecordingState
 from drivers.interface import Frame, WrongState
+from reconstruction.lattice.search import Survey
 
 T = TypeVar("T")
 
@@ -38,6 +40,14 @@ class Acquisition(AcquisitionLoop):
     def auto_expose(self) -> Future[AutoExposure]:
         """Find and set exposure and current; a `RoutineError` says why there are none."""
         return self._routine("finding the exposure", Instrument.auto_expose)
+
+    def find_lattice(self) -> Future[Survey]:
+        """Find the lenslets in a few frames without the sample, without changing anything."""
+        return self._routine("finding the lattice", find_lattice)
+
+    def expose_without_sample(self) -> Future[AutoExposure]:
+        """Find and set exposure and current for frames without the sample."""
+        return self._routine("finding the exposure without the sample", expose)
 
     def check_background(self, frames: int = 8) -> Future[BackgroundCheck]:
         """Compare the background with the dark."""

@@ -18,6 +18,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
 from app.files import atomic_write
+from app.gui.calibration_guide import CalibrationGuide
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
 from app.gui.device_commands import CameraModes, set_running
@@ -122,7 +123,11 @@ class Controller:
 
     def check_background(self) -> None:
         """Compare the background with the dark."""
-        self._send(Acquisition.check_background, self._show_background)
+
+        def show(check: BackgroundCheck) -> None:
+            (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
+
+        self._send(Acquisition.check_background, show)
 
     def save_screenshot(self, picture: QPixmap, path: Path | None) -> bool:
         """Save a picture, by default in the user's picture folder; return whether that succeeded."""
@@ -187,9 +192,7 @@ class Controller:
             (controls.readout_speed_requested, modes.set_readout_speed),
         ):
             intent.connect(self._device_command(set_mode, self._messages.warn))
-        controls.mask_requested.connect(
-            lambda mask: self._send(lambda to: to.submit(lambda instrument: instrument.set_mask(mask)))
-        )
+        controls.mask_requested.connect(lambda mask: self._send(lambda to: to.submit(lambda on: on.set_mask(mask))))
         controls.setting_requested.connect(self._change_setting)
 
     def _connect_routines(self, controls: ControlsPanel) -> None:
@@ -199,6 +202,9 @@ class Controller:
         controls.lattice_requested.connect(
             lambda: self._send(lambda to: to.submit(Instrument.survey_lattice), self._propose)
         )
+        window = self._region_dialog.parentWidget()
+        self.guide = CalibrationGuide(self._send, lambda: self.status, self._use_lattice, self._cancel, window)
+        controls.calibration_requested.connect(self.guide.begin)
         controls.sensor_region_requested.connect(self._open_region_dialog)
         self._region_dialog.area_requested.connect(
             lambda area: self._send(lambda to: to.set_area(area), self._show_area)
@@ -211,10 +217,15 @@ class Controller:
         self._messages.answered.connect(self._decide)
         self._messages.cancel_requested.connect(self._cancel)
 
-    def _send(self, submit: Callable[[Acquisition], Future[T]], then: Callable[[T], object] | None = None) -> None:
-        """Send a command to the acquisition, if there is one; `then` receives the result."""
+    def _send(
+        self,
+        submit: Callable[[Acquisition], Future[T]],
+        then: Callable[[T], object] | None = None,
+        otherwise: Callable[[Exception], object] | None = None,
+    ) -> None:
+        """Send a command to the acquisition, if there is one; `then` receives the result, `otherwise` an error."""
         if self.acquisition is not None:
-            self.pending.add(submit(self.acquisition), then)
+            self.pending.add(submit(self.acquisition), then, otherwise)
 
     def _device_command(
         self, command: Callable[[Devices, Any], T], then: Callable[[T], object] | None = None
@@ -258,9 +269,6 @@ class Controller:
             ),
             lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
         )
-
-    def _show_background(self, check: BackgroundCheck) -> None:
-        (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
 
     def _open_region_dialog(self) -> None:
         status = self.status

@@ -48,6 +48,7 @@ class ControlsPanel(QFrame):
     mask_requested = pyqtSignal(str)
     dark_requested = pyqtSignal(int)  # frames
     reference_requested = pyqtSignal(int)  # frames
+    calibration_requested = pyqtSignal(int)  # frames
     lattice_requested = pyqtSignal()
     auto_exposure_requested = pyqtSignal()
     setting_requested = pyqtSignal(str, str, object)  # section, key and value of the bench
@@ -113,8 +114,13 @@ class ControlsPanel(QFrame):
             "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)",
             self.auto_exposure_requested,
         )
+        self.calibrate = button(
+            "Calibrate",
+            "Find lattice and exposure, take dark and reference, with an explanation of each step (Ctrl+K)",
+            lambda: self._request_average(self.calibration_requested),
+        )
         averages, searches = _pair(self.dark, self.reference), _pair(self.lattice, self.auto_exposure)
-        self._add_section("Calibration", averages, ("Frames", self.frames), searches)
+        self._add_section("Calibration", averages, ("Frames", row((self.frames, 1), (self.calibrate, 1))), searches)
 
     def _make_reconstruction(self) -> None:
         self.registration = self._setting(

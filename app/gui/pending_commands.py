@@ -15,16 +15,23 @@ class PendingCommands:
 
     def __init__(self, messages: MessageStrip) -> None:
         self._messages = messages
-        self._pending: list[tuple[Future[Any], Callable[[Any], object] | None]] = []
+        self._pending: list[
+            tuple[Future[Any], Callable[[Any], object] | None, Callable[[Exception], object] | None]
+        ] = []
 
     def restart(self, futures: Iterable[Future[Any]]) -> None:
         """Forget all pending commands but these."""
-        self._pending = [(future, None) for future in futures]
+        self._pending = [(future, None, None) for future in futures]
 
-    def add(self, future: Future[T], then: Callable[[T], object] | None = None) -> None:
-        """Add a command; `then` receives its result. The notice of an earlier one disappears."""
+    def add(
+        self,
+        future: Future[T],
+        then: Callable[[T], object] | None = None,
+        otherwise: Callable[[Exception], object] | None = None,
+    ) -> None:
+        """Add a command; `then` receives its result, `otherwise` its error. An earlier notice disappears."""
         self._messages.clear_notice()
-        self._pending.append((future, then))
+        self._pending.append((future, then, otherwise))
 
     @property
     def is_empty(self) -> bool:
@@ -33,15 +40,19 @@ class PendingCommands:
 
     def poll(self) -> bool:
         """Report finished commands; return whether there were any."""
-        done = [(future, then) for future, then in self._pending if future.done()]
-        self._pending = [(future, then) for future, then in self._pending if not future.done()]
-        for future, then in done:
+        done = [pending for pending in self._pending if pending[0].done()]
+        self._pending = [pending for pending in self._pending if pending not in done]
+        for future, then, otherwise in done:
             try:
                 result = future.result()
-            except (Cancelled, CancelledError):
+            except (Cancelled, CancelledError) as error:
                 self._messages.warn("cancelled")
+                if otherwise is not None:
+                    otherwise(error)
             except Exception as error:  # noqa: BLE001 - every error is shown
                 self._messages.warn(str(error))
+                if otherwise is not None:
+                    otherwise(error)
             else:
                 if then is not None:
                     then(result)

@@ -49,6 +49,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Edit the current", "C", controls.current.edit),
             ("Choose the sensor region", "P", controls.sensor_region),
             None,
+            ("Calibrate step by step", "Ctrl+K", controls.calibrate),
             ("Find the exposure", "X", controls.auto_exposure),
             ("Take a dark", "D", controls.dark),
             ("Take a reference", "R", controls.reference),
