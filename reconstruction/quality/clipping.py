@@ -5,6 +5,7 @@ import numpy as np
 from reconstruction.arrays import Counts
 
 _PILED_UP = 3.0  # times as many pixels within one scatter of the highest count as within the next one
+_BY_CHANCE = 10  # more pixels within that next scatter than seen, where few are
 _FINEST = 1e-3  # of the highest count, where the scatter is unknown
 
 
@@ -25,4 +26,4 @@ def clipped_fraction(counts: Counts, scatter: float = 0.0) -> float:
     step = max(scatter, 1.0 if np.issubdtype(counts.dtype, np.integer) else 0.0, _FINEST * abs(top))
     piled = np.count_nonzero(counts > top - step)
     below = np.count_nonzero(counts > top - 2 * step) - piled
-    return piled / counts.size if piled > _PILED_UP * below else 0.0
+    return piled / counts.size if piled > _PILED_UP * (below + _BY_CHANCE) else 0.0

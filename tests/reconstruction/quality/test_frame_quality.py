@@ -148,6 +148,25 @@ def test_full_well_below_full_scale_is_found() -> None:
     assert "shorten the exposure" in found.sentence
 
 
+@pytest.mark.parametrize(("lenslets", "peak_e"), [((2, 3), 3e3), ((3, 3), 1e4), ((5, 7), 1e3), ((5, 7), 1e5)])
+@pytest.mark.parametrize("em_gain", [1.0, 8.0])
+def test_200_good_frames_raise_no_alarm(lenslets: tuple[int, int], peak_e: float, em_gain: float) -> None:
+    """New exposures of one image, with the noise of a camera with or without a multiplying register."""
+    bench, rng = SmallBench(*lenslets), np.random.default_rng(7)
+    electrons = bench.reference / bench.reference.max() * peak_e
+    noise = CameraNoise(em_gain, READ_NOISE_E, 1.0 if em_gain == 1 else 2.0)
+    dark = np.zeros(electrons.shape, np.uint16)
+    reference = np.asarray(electrons * em_gain, np.float32)
+    reconstructor = bench.reconstructor("affine", pupil_modes=None, reference=reference, dark=dark, noise=noise)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=bench.sensor, field=FIELD, dark=dark)
+    displacement = reconstructor.register(reference)
+    for _ in range(200):
+        photons = rng.poisson(electrons)
+        counts = photons * em_gain if em_gain == 1 else rng.gamma(np.maximum(photons, 1e-9), em_gain)
+        frame = np.rint(np.maximum(counts + rng.normal(0, READ_NOISE_E, counts.shape), 0)).astype(np.uint32)
+        assert not judge(frame, displacement).reasons
+
+
 def test_faults_of_the_reference_are_those_of_each_frame() -> None:
     reconstructor, _ = measured_by("cubic", 1e4)
     stale = Quality({Fault.LATTICE: "stale"})
