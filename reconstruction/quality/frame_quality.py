@@ -48,7 +48,8 @@ _LEFT = 0.1  # share of lenslets that left their cells
 _BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
 _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
 _CLIPPED = 0.01  # of the pixels
-_SAMPLED = 5  # pixels of a lenslet, along each axis
+_BACKGROUND_PERCENT = 1.0  # of the pixels, without a dark
+_STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
 _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which deformation is taken
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
 _TILE = 16  # lenslets a side whose slopes are judged together
@@ -73,16 +74,14 @@ class FrameJudge:
         self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
         self._knows_misfit = is_ours and settings.warp != "translation" and reference.noise is not None
         self._lit = reference.lit.reshape(reference.lenslets)
-        step = -(-reference.width // _SAMPLED)
-        columns = reference.bad.shape[1]
-        nearest = np.rint(reference.position_px).astype(np.intp)
-        nearest = nearest.reshape(-1, reference.width, reference.width, 2)[:, step // 2 :: step, step // 2 :: step]
-        self._sampled = (nearest[..., 1] * columns + nearest[..., 0]).reshape(len(nearest), -1)  # (L, sample)
+        # The light of lenslets holds no period shorter than the blur: a finer grid sees all of it.
+        step = min(max(int(reference.blur_px), 1), _STEP_PX)
+        columns, window = reference.bad.shape[1], (-1, reference.width, reference.width)
+        nearest = np.rint(reference.position_px[reference.lit]).astype(np.intp) @ (1, columns)
+        self._sampled = nearest.reshape(window)[:, ::step, ::step].reshape(len(nearest), -1)  # (lit lenslet, sample)
         self._is_good = ~reference.bad.ravel()[self._sampled]
-        self._lit_rows = np.flatnonzero(reference.lit)
-        subimages = reference.light.reshape(-1, reference.width, reference.width)
-        light = subimages[:, step // 2 :: step, step // 2 :: step].reshape(self._sampled.shape)
-        self._light = np.sum(light * self._is_good, axis=1)[self._lit_rows]
+        light = reference.light[reference.lit].reshape(window)[:, ::step, ::step].reshape(self._sampled.shape)
+        self._light = np.sum(light * self._is_good, axis=1)
         self._grid = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)
         self._grid = self._grid[field.contains(*self._grid.T)]
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
@@ -123,10 +122,10 @@ class FrameJudge:
             )
 
     def _of_pixels(self, counts: Counts) -> Iterator[tuple[Fault, str]]:
-        """Faults seen in some pixels (L, sample), counts."""
-        level = np.min(counts) if self._dark is None else self._dark
+        """Faults seen in some pixels (lit lenslet, sample), counts."""
+        level = np.percentile(counts, _BACKGROUND_PERCENT) if self._dark is None else self._dark
         above = np.subtract(counts, level, dtype=np.float64)  # 16-bit counts would wrap
-        light = np.sum(above * self._is_good, axis=1)[self._lit_rows]
+        light = np.sum(above * self._is_good, axis=1)
         whole = max(float(light.sum()), np.finfo(np.float64).tiny)
         ratio = light * (self._light.sum() / whole) / self._light
         uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))

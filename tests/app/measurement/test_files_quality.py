@@ -73,6 +73,21 @@ def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
     assert Fault.MISFIT in quality.faults
 
 
+@pytest.mark.parametrize(("seed", "rms_rad"), [(1, 0.5), (4, 4.0)])
+def test_moved_images_of_pinholes_are_no_change_of_light(seed: int, rms_rad: float) -> None:
+    """A pinhole's image is a few pixels wide and moves by several."""
+    methods = ("registration.method=centroids", "reconstruction.method=zonal")
+    screen = (f"simulation.seed={seed}", f"simulation.screen.rms_rad={rms_rad}")
+    bench = load_bench("small_demo", (*methods, *screen))
+    frames = NoiseFreeFrames(bench)
+    reference = frames.reference("stars")
+    scale = np.float32(ELECTRONS / reference.max())
+    frame = exposed(frames.frame("stars").photons * scale, 2)
+    reconstructor = BenchReconstructor(bench, exposed(reference * scale, 1), dark=dark(), frame=frame)
+    quality = reconstructor.quality(frame, reconstructor(frame))
+    assert quality.faults == Fault(0), quality.sentence
+
+
 def test_black_frame_is_refused() -> None:
     with pytest.raises(ReconstructionError, match="is the light on"):
         measured(dark())
