@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run check test soak storms lint lock clean qt-libraries c-compiler
+.PHONY: help setup run check test soak storms screenshots lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
@@ -41,6 +41,9 @@ soak: setup c-compiler ## the tests that take 15 s or more each
 
 storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, most of an hour
 	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-10000} PYTHONPATH=tests .venv/bin/python -m support.run_storms $(DRIVERS)
+
+screenshots: setup ## pictures of every panel and state into build/screenshots, some of them into docs; ten minutes
+	PYTHONPATH=tests .venv/bin/python -m support.screenshots build/screenshots
 
 lint: .venv/ready ## style, types, and who may import whom
 	.venv/bin/ruff check

@@ -63,7 +63,7 @@ def uncertain(limit: float, unit: str = "rad") -> ColourScale:
 
 def bright(limit: float, _: str = "") -> ColourScale:
     """Return the scale of intensities from 0 to the limit; its square root shows faint light."""
-    return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT}", _ROOTS, power=0.5)
+    return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT} scale", _ROOTS, power=0.5)
 
 
 @lru_cache

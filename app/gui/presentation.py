@@ -108,7 +108,7 @@ PRESENTATIONS = {
         finest=1e-4,
         shown_percent=100.0,
         caption=_intensity_caption,
-        summary=lambda _maps, _unit: "1 = peak without aberration",
+        summary=lambda _maps, _unit: "1 = perfect peak",
         value=lambda value, _: f"{number(value)} of the peak without aberration",
     ),
     Quantity.MEASURED: Presentation("Fitted wavefront plus the slope residuals, integrated from lenslet to lenslet"),

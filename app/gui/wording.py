@@ -8,6 +8,7 @@ from app.acquisition.instrument import Status
 from app.acquisition.worker import Activity, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.sensor_region import SensorArea, lenslets_outside
+from app.recording.recorded_devices import RecordedLight
 from app.recording.recorder import RecordingState
 from app.results.rotation import ROTATES, rotation_of
 from reconstruction.displacement import Displacement, Outcome
@@ -66,7 +67,8 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     if status is None:
         return ""
     if not status.is_running:
-        return "the camera is stopped: Space starts it"
+        is_replay = status.light_name == RecordedLight.name
+        return "the replay is paused: Space plays it" if is_replay else "the camera is stopped: Space starts it"
     if (
         measurement is not None
         and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s

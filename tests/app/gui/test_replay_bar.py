@@ -74,6 +74,7 @@ def test_steps_show_the_frame_beside(window: MainWindow, qtbot: QtBot, recording
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 2)
     qtbot.waitUntil(lambda: window.replay.slider.value() == 2)
     assert window.replay.play.text() == "Play"
+    qtbot.waitUntil(lambda: window.messages.text.text() == "The replay is paused: Space plays it")
 
 
 def test_replay_continues_behind_the_chosen_frame(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
