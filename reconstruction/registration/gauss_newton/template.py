@@ -15,6 +15,7 @@ from scipy import ndimage
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.frame.interpolation_blur import mean_interpolation
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
 from reconstruction.registration.gauss_newton.alignment import Grid
@@ -78,23 +79,31 @@ def respond(
 
     The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
     """
-    inverse = np.asarray(template.grid.inverse, np.float64)
+    pixels = np.outer(columns, columns)
+    u, v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
+
+    def descent(light: Floats, gradient: Floats) -> Floats:
+        images = _steepest_descent(
+            light.reshape(1, -1),
+            gradient.reshape(1, -1, 2),
+            modes.values(u, v),
+            modes.gradients(u, v) * template.grid.scale[1],
+            np.asarray(template.grid.basis, np.float64),
+        )[0]
+        images[-1] *= np.mean(image)  # of the size of the others
+        return np.asarray(images)
+
+    row, column = np.nonzero(pixels)
+    coefficients = spline_coefficients(np.asarray(image / np.max(image), np.float32))
+    still = descent(*(np.max(image) * part for part in sample(coefficients, np.stack([column, row], -1).astype(float))))
     blur, slope = (part[columns] for part in mean_interpolation(len(columns)))
-    light, changes = blur @ image @ blur.T, blur @ changes @ blur.T
-    gradient = np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1)
-    u, v = reference.offset_px[np.outer(columns, columns).ravel()].T / reference.half_width_px
-    descent = _steepest_descent(
-        light.reshape(1, -1),
-        gradient.reshape(1, -1, 2),
-        modes.values(u, v),
-        modes.gradients(u, v) * template.grid.scale[1],
-        np.asarray(template.grid.basis, np.float64),
-    )[0]
-    descent[-1] *= np.mean(image)  # of the size of the others
-    found = inverse @ changes.reshape(-1, len(u)).T  # (lenslet, P, change)
-    found = -np.linalg.pinv(inverse @ descent.T, rcond=_UNSEEN) @ found
+    moved = descent(blur @ image @ blur.T, np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1))
+    # Not the lenslet's own light: it may lie beside the middle of its window, where the image is.
+    projected = still * np.asarray(template.grid.weight, np.float64)[:, None]  # (lenslet, P, pixel)
+    found = projected @ (blur @ changes @ blur.T).reshape(-1, len(u)).T  # (lenslet, P, change)
+    found = -np.linalg.pinv(projected @ moved.T, rcond=_UNSEEN**2) @ found  # of squares
     warp = np.swapaxes(found[:, : len(template.grid.basis)], 1, 2)
-    return np.asarray(warp.reshape(len(inverse), *changes.shape[:-2], -1))
+    return np.asarray(warp.reshape(len(projected), *changes.shape[:-2], -1))
 
 
 def prepare_template(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -133,3 +133,15 @@ def test_model_of_another_source_is_refused(registered: Registered, small_bench:
         ReconstructionError, match=r"the modelled reference differs from the measured one by \d+ % of its contrast"
     ):
         linear_response(registered.method, registered.reference, MODES, model)
+
+
+def test_response_of_a_displaced_lenslet_is_that_of_the_others(registered: Registered) -> None:
+    """A lattice with a wrong pitch: the outer lenslets lie a pixel beside the middle of their windows."""
+    bench = registered.bench
+    wrong = replace(bench.lattice, pitch_px=bench.lattice.pitch_px * 1.01)
+    reference = ReferenceSubimages(bench.reference, sensor=bench.sensor, lattice=wrong, field=FIELD)
+    method = GaussNewton(reference, MODES, conserve_flux=True, rotation=False)
+    model = model_of(bench, bench.source, reference.width)
+    response = linear_response(method, reference, MODES, model)
+    largest = np.abs(registered.response).max()
+    np.testing.assert_allclose(response, registered.response, atol=0.02 * largest)
