@@ -1,6 +1,7 @@
 """The analysis panel: MTF of the selected view, isoplanatism over the field, and a one-line summary."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pyqtgraph as pg
@@ -102,17 +103,15 @@ class StructurePlot(Plot):
         self._curves = []
         for colour in (theme.GREEN, theme.ACCENT):
             ends = [pg.PlotCurveItem(pen=None) for _ in range(2)]
-            brush = QColor(colour)
-            brush.setAlpha(40)
-            self.view.addItem(pg.FillBetweenItem(*ends, brush=brush))
+            band = pg.FillBetweenItem(*ends)
+            self.colour(partial(_tint, band, colour))
+            self.view.addItem(band)
             self._curves.append((self.add_curve(colour), *ends))
         limit = pg.InfiniteLine(
-            1.0,
-            angle=0,
-            pen=pg.mkPen(theme.AMBER, width=1, style=Qt.PenStyle.DashLine),
-            label="1 rad",
-            labelOpts={"position": 0.04, "color": theme.AMBER, "anchors": [(0, 0.95), (0, 0.95)]},
+            1.0, angle=0, label="1 rad", labelOpts={"position": 0.04, "anchors": [(0, 0.95), (0, 0.95)]}
         )
+        self.colour(lambda: limit.setPen(pg.mkPen(theme.AMBER, width=1, style=Qt.PenStyle.DashLine)))
+        self.colour(lambda: limit.label.setColor(theme.AMBER))
         self.view.addItem(limit)
         self.set_ranges((0, 1), (0, 1.5))
 
@@ -150,6 +149,12 @@ def _explanation(found: Isoplanatism) -> str:
 
 def _patch(patch_m: float) -> str:
     return f"{patch_m * 1e3:.2f} mm" if math.isfinite(patch_m) else "wider than the field"
+
+
+def _tint(band: pg.FillBetweenItem, colour: QColor) -> None:
+    brush = QColor(colour)
+    brush.setAlpha(40)
+    band.setBrush(brush)
 
 
 def _finite(x: Floats, y: Floats) -> tuple[Floats, Floats]:

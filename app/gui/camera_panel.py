@@ -11,7 +11,8 @@ from PyQt6.QtWidgets import QWidget
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
 from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
-from app.gui.widgets import Choice, ElidedLabel, column, label, row_of, toggle, unfocused
+from app.gui.plot import Canvas
+from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics, frame_statistics
 from drivers.interface import Frame
@@ -26,9 +27,9 @@ _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 
-class _Picture(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types
-    def __init__(self, double_clicked: Callable[[], None], *, background: QColor) -> None:
-        super().__init__(background=background)
+class _Picture(Canvas):
+    def __init__(self, double_clicked: Callable[[], None]) -> None:
+        super().__init__()
         self._double_clicked = double_clicked
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
@@ -69,19 +70,19 @@ class CameraPanel(QWidget):
         self.colours.setToolTip("Colours of the camera image")
         self.colours.currentTextChanged.connect(self._show_colours)
 
-        self._graphics = _Picture(self.reset_zoom, background=theme.BACKGROUND)
+        self._graphics = _Picture(self.reset_zoom)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
         self._graphics.setMinimumSize(220, 120)
         unfocused(self._graphics)
         self._image = pg.ImageItem(axisOrder="row-major")  # pyqtgraph's default is column-major
         self._lines = _curve(self._view, theme.ACCENT_ON_IMAGE, alpha=110)
-        self._boxes = _curve(self._view, theme.RED, width=2)
-        self._proposed_lines = _curve(self._view, theme.GREEN, width=2)
-        self._proposed_boxes = _curve(self._view, theme.AMBER, width=2)  # lenslets without light
+        self._boxes = _curve(self._view, theme.RED_ON_IMAGE, width=2)
+        self._proposed_lines = _curve(self._view, theme.GREEN_ON_IMAGE, width=2)
+        self._proposed_boxes = _curve(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
         self._arrows = _curve(self._view, theme.AMBER_ON_IMAGE)
         self._arrows.setShadowPen(pg.mkPen((0, 0, 0, 200), width=3))  # visible on black and on white
-        self._inspected_box = _curve(self._view, theme.ACCENT, width=2)
+        self._inspected_box = _curve(self._view, theme.ACCENT_ON_IMAGE, width=2)
         self._clipped = _clipped_item()
         for item in (self._image, self._clipped):
             self._view.addItem(item)
@@ -153,7 +154,7 @@ class CameraPanel(QWidget):
             elif found.is_nearly_full:
                 brightness, colour = f"{brightness}: nearly saturated, shorten the exposure", theme.AMBER
             parts.append(brightness)
-        self.caption.setStyleSheet(f"color: {colour.name()};")
+        colour_text(self.caption, colour)
         self.caption.setText("    ".join([*parts, self._pointed_at()]))
 
     def _restart_contrast(self) -> None:
@@ -267,7 +268,7 @@ class CameraPanel(QWidget):
 def _clipped_item() -> pg.ImageItem:
     """Make an image of 1 where a pixel is clipped: red, and transparent elsewhere."""
     item = pg.ImageItem(axisOrder="row-major")
-    item.setLookupTable(np.array([[0, 0, 0, 0], theme.RED.getRgb()], np.uint8))
+    item.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
     item.setZValue(0.5)
     return item
 

@@ -47,10 +47,11 @@ class CoefficientsPanel(QWidget):
         self.table_toggle = toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
         self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.000")
         self.plot.setToolTip(_TIP)
-        self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, brush=theme.ACCENT, pen=None)
+        self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, pen=None)
         self.plot.view.addItem(self._bars)
-        self._errors = pg.PlotCurveItem(pen=pg.mkPen(theme.TEXT, width=1), connect="pairs")
+        self._errors = pg.PlotCurveItem(connect="pairs")
         self.plot.view.addItem(self._errors)
+        self.plot.colour(self._colour)
         self.plot.graphics.scene().sigMouseClicked.connect(self._click)
         self.table = _Table()
         self._stack = QStackedWidget()
@@ -62,6 +63,11 @@ class CoefficientsPanel(QWidget):
         self.title = self.plot.title
         header = row((self.title, 1), self.of, self.basis, self.table_toggle)
         column(header, (row((self._stack, 3), (self.map, 2), spacing=12), 1), parent=self)
+
+    def _colour(self) -> None:
+        self._errors.setPen(pg.mkPen(theme.TEXT, width=1))
+        if self._shown is not None:
+            self.show_coefficients(self._shown)
 
     @property
     def name(self) -> str:

@@ -181,7 +181,7 @@ class ControlsPanel(QFrame):
         if self._layout.count():
             rule = QFrame()
             rule.setFixedWidth(1)
-            rule.setStyleSheet(f"background: {theme.LINE.name()};")
+            rule.setProperty("role", "rule")
             self._layout.addWidget(rule)
         grid = QGridLayout()
         grid.setVerticalSpacing(5)

@@ -171,7 +171,7 @@ class EnlargedView(QDialog):
             curve.setData(along, section, connect="finite")
             half = max(float(along[-1]), 1e-9)
             plot.set_ranges((-half, half), (low, high))
-            plot.axes["bottom"].setLabel(f"{axis} ({unit})", color=theme.DIM.name())
+            plot.axes["bottom"].setLabel(f"{axis} ({unit})")
         self.across.title.setText(f"Along x, at y = {number(float(y[row_at]))} {unit} ({maps.scale.title})")
         self.down.title.setText(f"Along y, at x = {number(float(x[column_at]))} {unit} ({maps.scale.title})")
         step = f"; contours every {number(contour_step(high), 1)} {maps.scale.title}" * self.map.has_contours

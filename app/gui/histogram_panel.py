@@ -3,6 +3,7 @@
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
@@ -21,23 +22,22 @@ class HistogramPanel(QWidget):
         self.plot.setToolTip(
             "Number of pixels over their counts. Keep the brightest below 95 % of the level that clips."
         )
-        self.curve = pg.PlotCurveItem(
-            x=[0, 1],
-            y=[0],
-            pen=pg.mkPen(theme.ACCENT, width=1),
-            stepMode="center",
-            fillLevel=0,
-            brush=theme.ACCENT.darker(200),
-        )
+        self.curve = pg.PlotCurveItem(x=[0, 1], y=[0], stepMode="center", fillLevel=0)
         self.plot.view.addItem(self.curve)
-        self._lines = [
-            pg.InfiniteLine(0, angle=90, pen=pg.mkPen(colour, width=1, style=Qt.PenStyle.DashLine))
-            for colour in (theme.AMBER, theme.RED)
-        ]
+        self._lines = [pg.InfiniteLine(0, angle=90) for _ in keys]
+        self.plot.colour(self._colour)
         for line in self._lines:
             self.plot.view.addItem(line)
         self.plot.axes["left"].setTicks([[(decade, f"{10**decade}") for decade in range(8)]])
         column(self.plot, parent=self)
+
+    def _colour(self) -> None:
+        self.curve.setPen(pg.mkPen(theme.ACCENT, width=1))
+        fill = QColor(theme.ACCENT)
+        fill.setAlpha(100)
+        self.curve.setBrush(fill)
+        for line, colour in zip(self._lines, (theme.AMBER, theme.RED), strict=True):
+            line.setPen(pg.mkPen(colour, width=1, style=Qt.PenStyle.DashLine))
 
     def show_statistics(self, found: FrameStatistics) -> None:
         """Show the histogram of a frame, if visible."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, QSize, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, QSize, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
@@ -214,6 +214,8 @@ class MainWindow(QMainWindow):
 
     def event(self, event: QEvent | None) -> bool:
         """Time the painting, which Qt does for the whole window at its event UpdateRequest."""
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            self._status = None  # the theme has changed: draw the icons again
         if event is None or event.type() != QEvent.Type.UpdateRequest or self._unpainted is None:
             return super().event(event)
         (measurement, timings, seconds), self._unpainted = self._unpainted, None
@@ -290,10 +292,6 @@ class MainWindow(QMainWindow):
         """Close the window; if a person switches the light, ask for that first."""
         if not self.controller.light.ask_off(lambda: QTimer.singleShot(0, self.close)):
             self.close()
-
-    def toggle_full_screen(self) -> None:
-        """Fill the screen, or return to the window."""
-        self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
 
     def _reconnect(self) -> None:
         if self.controller.failure:

@@ -8,7 +8,7 @@ from PyQt6.QtWidgets import QFrame, QProgressBar, QWidget
 
 from app.acquisition.worker import Activity
 from app.gui import theme
-from app.gui.widgets import ElidedLabel, button, row
+from app.gui.widgets import ElidedLabel, button, colour_text, row
 
 _NOTICE_S = 8.0  # how long a notice is shown
 
@@ -27,7 +27,7 @@ class MessageStrip(QFrame):
         self._notice, self._notice_colour, self._notice_until_s = "", theme.AMBER, 0.0
         self._alarm = self._question = ""
         self._standing: dict[str, str] = {}  # last failure and warning
-        self._shown: tuple[str, str] = ("", "")
+        self._shown = ("", theme.DIM)
         self.text = ElidedLabel()
         self.reconnect = button(
             "Reconnect",
@@ -146,11 +146,11 @@ class MessageStrip(QFrame):
 
     def _show(self, text: str, colour: QColor) -> None:
         sentence = _sentence(text)
-        if (sentence, colour.name()) != self._shown:
-            self._shown = (sentence, colour.name())
+        if (sentence, colour) != self._shown:
+            self._shown = (sentence, colour)
             self.text.setText(sentence)
             self.text.setToolTip(sentence)
-            self.text.setStyleSheet(f"color: {colour.name()};")
+            colour_text(self.text, colour)
 
 
 def _sentence(text: str) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QSize, Qt, QTimer
-from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabWidget, QToolButton, QWidget
+from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.widgets import Slot, column, label, row
 
@@ -21,7 +21,7 @@ class Dock(QDockWidget):
         self.setObjectName(title)  # its key in a saved state
         self.panel = panel
         body = QWidget()
-        column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN, 0, _MARGIN, 4))
+        column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN, 2, _MARGIN, 4))
         if is_strip:
             self.setFeatures(self.features() | self.DockWidgetFeature.DockWidgetVerticalTitleBar)
             body.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
@@ -77,7 +77,6 @@ class PanelDocks:
         self._closed: list[Dock] = []  # by `toggle_analysis`
         self.docks = (camera, wavefronts, *self._analysis, controls)
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
-        window.setDocumentMode(True)  # flat tabs
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
         self._settle = QTimer(window)  # after all the signals of a change
         self._settle.setSingleShot(True)
@@ -129,10 +128,15 @@ class PanelDocks:
         return made
 
     def _show_titles(self) -> None:
-        """Show the header of each panel that has no tab."""
+        """Show the header of each panel that has no tab, and dress the tabs, which Qt makes when it needs them."""
         for dock in self.docks:
             tabs = (other for other in self._window.tabifiedDockWidgets(dock) if not other.isHidden())
             dock.bar.show_compact(is_compact=not dock.isFloating() and any(tabs))
+        for bar in self._window.findChildren(QTabBar, options=Qt.FindChildOption.FindDirectChildrenOnly):
+            bar.setDrawBase(False)
+            bar.setToolTip("Drag a tab out to move or to float its panel")
+            for arrow in bar.findChildren(QToolButton):
+                arrow.setFocusPolicy(Qt.FocusPolicy.NoFocus)
 
 
 def _float(dock: Dock) -> None:

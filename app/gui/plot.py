@@ -1,12 +1,27 @@
 """A titled plot in the colours of the window."""
 
+from collections.abc import Callable
+
 import pyqtgraph as pg
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
-from app.gui.widgets import ElidedLabel, column, label, row, unfocused
+from app.gui.widgets import ElidedLabel, colour_text, column, label, row, unfocused
+
+
+class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types
+    """A graphics view on the background of the theme."""
+
+    def __init__(self) -> None:
+        super().__init__(background=theme.BACKGROUND)
+
+    def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            self.setBackground(theme.BACKGROUND)
 
 
 class Plot(QWidget):
@@ -25,21 +40,20 @@ class Plot(QWidget):
         self.curves: list[pg.PlotCurveItem] = []
         self.title = ElidedLabel("title")
         self.title.setText(title)
-        self.graphics = pg.GraphicsView(background=theme.BACKGROUND)
+        self._painters: list[Callable[[], object]] = []
+        self.graphics = Canvas()
         self.graphics.setMinimumSize(120, 4 * self.fontMetrics().height())
         unfocused(self.graphics)
         self.view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
-        self.axes = axes = {
-            side: pg.AxisItem(side, linkView=self.view, pen=theme.LINE, textPen=theme.DIM)
-            for side in ("left", "bottom")
-        }
+        self.axes = axes = {side: pg.AxisItem(side, linkView=self.view) for side in ("left", "bottom")}
         for axis in axes.values():
             axis.enableAutoSIPrefix(enable=False)
             axis.setStyle(tickLength=4, tickTextOffset=3)
         font = self.fontMetrics()
         axes["left"].setWidth(font.horizontalAdvance(widest) + 12)
         axes["bottom"].setHeight(2 * font.height() + 6)
-        axes["bottom"].setLabel(bottom, color=theme.DIM.name())
+        axes["bottom"].setLabel(bottom)
+        self.colour(self._colour_axes)
         grid = pg.GraphicsLayout()
         grid.setContentsMargins(0, 5, 12, 4)  # pyqtgraph draws the label a little below its axis
         grid.setSpacing(0)
@@ -50,16 +64,35 @@ class Plot(QWidget):
         header = row((self.title, 1), spacing=8)
         for text, colour in keys:
             key = label(text)
-            key.setStyleSheet(f"color: {colour.name()};")
+            colour_text(key, colour)
             header.addWidget(key)
         column(header, (self.graphics, 1), spacing=2, parent=self)
 
     def add_curve(self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine) -> pg.PlotCurveItem:
         """Add an empty curve."""
-        curve = pg.PlotCurveItem(pen=pg.mkPen(colour, width=width, style=style), antialias=True)
+        curve = pg.PlotCurveItem(antialias=True)
+        self.colour(lambda: curve.setPen(pg.mkPen(colour, width=width, style=style)))
         self.view.addItem(curve)
         self.curves.append(curve)
         return curve
+
+    def colour(self, paint: Callable[[], object]) -> None:
+        """Call `paint`, which sets colours of the theme, now and whenever the theme changes."""
+        self._painters.append(paint)
+        paint()
+
+    def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            for paint in self._painters:
+                paint()
+
+    def _colour_axes(self) -> None:
+        for axis in self.axes.values():
+            axis.setPen(theme.LINE)
+            axis.setTextPen(theme.DIM)
+            axis.setLabel(axis.labelText, color=theme.DIM.name())
 
     def set_ranges(self, x: tuple[float, float], y: tuple[float, float]) -> None:
         """Set what both axes span."""

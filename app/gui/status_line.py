@@ -15,7 +15,7 @@ from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
 from app.gui import theme
 from app.gui.timing_row import Summaries, TimingRow, timing_table
-from app.gui.widgets import column, label, row
+from app.gui.widgets import colour_text, column, label, row
 from app.gui.wording import lenslet_summary
 from app.measurement.live_refinement import RefinementState
 from reconstruction.displacement import Displacement
@@ -105,7 +105,7 @@ class StatusLine(QWidget):
                 colour = theme.AMBER if valid >= count / 2 else theme.RED
         self.valid.setText(text)
         self.valid.setToolTip(tool_tip)
-        self.valid.setStyleSheet(f"color: {colour.name()};")
+        colour_text(self.valid, colour)
 
     def _show_correction(self, refinement: RefinementState) -> None:
         change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"
@@ -119,7 +119,7 @@ class StatusLine(QWidget):
         }[refinement.stage]
         self.correction.setText(text)
         self.correction.setToolTip("\n".join(filter(None, [_CORRECTION, why])))
-        self.correction.setStyleSheet(f"color: {colour.name()};")
+        colour_text(self.correction, colour)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

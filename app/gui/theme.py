@@ -16,7 +16,8 @@ AMBER = QColor("#f0b64a")
 RED = QColor("#ff6a5f")
 DISABLED = QColor("#69727d")
 CHECKED = QColor("#22394c")
-ACCENT_ON_IMAGE, AMBER_ON_IMAGE = QColor(ACCENT), QColor(AMBER)  # an image is as dark in every theme
+ACCENT_ON_IMAGE, GREEN_ON_IMAGE, AMBER_ON_IMAGE, RED_ON_IMAGE = map(QColor, (ACCENT, GREEN, AMBER, RED))
+# An image is as dark in every theme.
 
 _LIGHT = (  # in place of the dark ones above
     (BACKGROUND, "#eef0f3"),
@@ -32,6 +33,8 @@ _LIGHT = (  # in place of the dark ones above
     (DISABLED, "#8b949e"),
     (CHECKED, "#c5dcef"),
 )
+_DARK = tuple((colour, colour.name()) for colour, _ in _LIGHT)
+_TONES = {"text": TEXT, "dim": DIM, "accent": ACCENT, "green": GREEN, "amber": AMBER, "red": RED}  # of texts
 
 
 def _style() -> str:
@@ -41,6 +44,8 @@ QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
 QLabel[role="dim"] {{ color: {DIM.name()}; }}
 QLabel[role="on-image"] {{ color: #dde2e8; background: rgba(20, 23, 27, 190); padding: 2px 6px; }}
 QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
+{"".join(f'QLabel[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
+QFrame[role="rule"] {{ background: {LINE.name()}; }}
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
 QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
 QFrame[role="bubble"] QLabel {{ border: none; }}
@@ -51,6 +56,9 @@ QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
 QMenuBar::item:selected {{ background: {RAISED.name()}; }}
 QMainWindow::separator {{ background: {BACKGROUND.name()}; width: 6px; height: 6px; }}
 QMainWindow::separator:hover {{ background: {LINE.name()}; }}
+QTabBar::tab {{ color: {DIM.name()}; padding: 4px 10px; margin-right: 2px; border-bottom: 2px solid {LINE.name()}; }}
+QTabBar::tab:hover {{ color: {TEXT.name()}; }}
+QTabBar::tab:selected {{ color: {TEXT.name()}; border-bottom-color: {ACCENT.name()}; }}
 QStatusBar::item {{ border: none; }}
 QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center; color: {TEXT.name()};
                background: {BACKGROUND.name()}; }}
@@ -59,12 +67,23 @@ QProgressBar::chunk {{ background: #2f6f9f; }}
 
 
 def apply_theme(application: QApplication) -> None:
-    """Set the Fusion style for the whole application, in the colours that the desktop prefers now."""
-    hints = application.styleHints()
-    if hints is not None and hints.colorScheme() is Qt.ColorScheme.Light:
-        for colour, name in _LIGHT:
-            colour.setNamedColor(name)  # the object that all parts of the window use
+    """Set the Fusion style for the whole application, in the colours that the desktop prefers, now and later."""
     application.setStyle("Fusion")
+    _colour(application)
+    if (hints := application.styleHints()) is not None:
+        hints.colorSchemeChanged.connect(lambda _: _colour(application))
+
+
+def tone(colour: QColor) -> str:
+    """Return the name of a theme colour in the style sheet."""
+    return next(name for name, one in _TONES.items() if one is colour)
+
+
+def _colour(application: QApplication) -> None:
+    hints = application.styleHints()
+    is_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
+    for colour, name in _LIGHT if is_light else _DARK:
+        colour.setNamedColor(name)  # the object that all parts of the window use
     palette = QPalette()
     roles = QPalette.ColorRole
     for role, colour in (

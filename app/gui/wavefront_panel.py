@@ -16,7 +16,7 @@ from app.gui.display_menu import DisplayMenu
 from app.gui.enlarged_view import EnlargedView
 from app.gui.presentation import PRESENTATIONS, Presentation, place
 from app.gui.view_grid import Maps, ViewGrid
-from app.gui.widgets import Choice, ElidedLabel, button, column, label, row_of, toggle
+from app.gui.widgets import Choice, ElidedLabel, button, colour_text, column, label, row_of, toggle
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
@@ -57,7 +57,7 @@ class WavefrontPanel(QWidget):
         self.display_button.setMenu(self.menu)
         self.grid = ViewGrid()
         self.stale = ElidedLabel()
-        self.stale.setStyleSheet(f"color: {theme.AMBER.name()};")
+        colour_text(self.stale, theme.AMBER)
         self.stale.hide()
         self.grid.opened.connect(self.enlarge)
         self.header = row_of(

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtBoundSignal
-from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QWheelEvent
+from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QWheelEvent
 from PyQt6.QtWidgets import (
     QAbstractScrollArea,
     QBoxLayout,
@@ -19,6 +19,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from app.gui import theme
+
 Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
@@ -30,6 +32,15 @@ def label(text: str, role: str = "", parent: QWidget | None = None) -> QLabel:
     made = QLabel(text, parent)
     made.setProperty("role", role)
     return made
+
+
+def colour_text(shown: QLabel, colour: QColor) -> None:
+    """Show a text in a colour of the theme, also when the theme changes."""
+    tone = theme.tone(colour)
+    if shown.property("tone") != tone and (style := shown.style()) is not None:
+        shown.setProperty("tone", tone)
+        style.unpolish(shown)
+        style.polish(shown)
 
 
 class ElidedLabel(QLabel):

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING
 
+from PyQt6.QtCore import Qt
+
 from app.gui.file_dialogs import choose_recording, choose_recordings_folder, export_view
 from app.gui.menu import Entries
 from app.results.view_analysis import Quantity
@@ -22,6 +24,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
         window.wavefront_panel,
         window.messages,
     )
+    full = Qt.WindowState.WindowFullScreen
     return {
         "&File": (
             ("Start or stop recording", "W", window.recording_panel.record),
@@ -80,6 +83,6 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Panels", "", window.docks.menu()),
             ("Plots", "I", window.docks.toggle_analysis),
             ("Restore default layout", "", window.docks.restore_default),
-            ("Full screen", "F11", window.toggle_full_screen),
+            ("Full screen", "F11", lambda: window.setWindowState(window.windowState() ^ full)),
         ),
     }

@@ -51,7 +51,7 @@ def test_lost_lenslets_are_counted_by_reason(make_window: MakeWindow) -> None:
         window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
         window.update_text()
         assert shown.text() == text
-        assert colour.name() in shown.styleSheet()
+        assert shown.property("tone") == theme.tone(colour)
         assert (f"{12 * lost_rows} lost: no light\n{lost_rows} lost: saturated" in shown.toolTip()) == (lost_rows > 0)
 
 

@@ -3,14 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from types import SimpleNamespace
 
+import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPalette
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import picture
 
 from app.gui import theme
+from app.gui.main_window import MainWindow
+
+
+class Desktop(QObject):
+    """The hints of a desktop whose colours change."""
+
+    colorSchemeChanged = pyqtSignal(Qt.ColorScheme)  # noqa: N815 - Qt's name
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scheme = Qt.ColorScheme.Dark
+
+    def colorScheme(self) -> Qt.ColorScheme:  # noqa: N802 - Qt's name
+        return self.scheme
+
+    def change(self, scheme: Qt.ColorScheme) -> None:
+        self.scheme = scheme
+        self.colorSchemeChanged.emit(scheme)
+
+
+@pytest.fixture
+def desktop(qapp: QApplication, monkeypatch: pytest.MonkeyPatch) -> Desktop:
+    made = Desktop()
+    monkeypatch.setattr(qapp, "styleHints", lambda: made, raising=False)
+    return made
 
 
 @pytest.fixture
@@ -33,10 +61,8 @@ def luminance(colour: QColor) -> float:
 
 @pytest.mark.usefixtures("restored")
 @pytest.mark.parametrize("scheme", [Qt.ColorScheme.Dark, Qt.ColorScheme.Light, Qt.ColorScheme.Unknown])
-def test_theme_follows_the_desktop_and_is_legible(
-    qapp: QApplication, monkeypatch: pytest.MonkeyPatch, scheme: Qt.ColorScheme
-) -> None:
-    monkeypatch.setattr(qapp, "styleHints", lambda: SimpleNamespace(colorScheme=lambda: scheme), raising=False)
+def test_theme_follows_the_desktop_and_is_legible(qapp: QApplication, desktop: Desktop, scheme: Qt.ColorScheme) -> None:
+    desktop.scheme = scheme
     theme.apply_theme(qapp)
     ground = qapp.palette().color(QPalette.ColorRole.Window)
     assert (luminance(ground) > 0.5) == (scheme is Qt.ColorScheme.Light)
@@ -45,3 +71,38 @@ def test_theme_follows_the_desktop_and_is_legible(
         for behind in (theme.BACKGROUND, theme.SURFACE):
             darker, lighter = sorted((luminance(text), luminance(behind)))
             assert (lighter + 0.05) / (darker + 0.05) >= 4.5, (text.name(), behind.name())
+
+
+def share(window: QWidget, colour: str) -> int:
+    """Number of pixels of a colour."""
+    wanted = QColor(colour)
+    return int((picture(window) == np.array([wanted.red(), wanted.green(), wanted.blue()])).all(axis=2).sum())
+
+
+@pytest.mark.usefixtures("restored")
+def test_open_window_follows_the_desktop(
+    qapp: QApplication, desktop: Desktop, live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, _ = live
+    theme.apply_theme(qapp)
+    for panel in window.tabs.panels.values():
+        window.docks.show_panel(panel)
+        QApplication.processEvents()
+    window.docks.show_panel(window.tabs.quality)
+    dark = {id(colour): colour.name() for colour, _ in theme._LIGHT}
+    qtbot.waitUntil(lambda: share(window.tabs.quality, theme.AMBER.name()) > 0)
+    assert share(window, theme.BACKGROUND.name()) > 1e5
+    desktop.change(Qt.ColorScheme.Light)
+    for panel in (*window.tabs.panels.values(), window.camera_panel, window.wavefront_panel):
+        window.docks.show_panel(panel)
+        qtbot.waitUntil(lambda panel=panel: share(panel, theme.BACKGROUND.name()) > 3000)  # type: ignore[misc]
+        assert theme.BACKGROUND.name() == "#eef0f3"
+        for colour in (theme.BACKGROUND, theme.SURFACE, theme.LINE):
+            assert share(panel, dark[id(colour)]) < 30, (type(panel).__name__, dark[id(colour)])
+    window.docks.show_panel(window.tabs.quality)
+    qtbot.waitUntil(lambda: share(window.tabs.quality, theme.AMBER.name()) > 0)
+    assert share(window.tabs.quality, dark[id(theme.AMBER)]) == 0
+    qtbot.waitUntil(lambda: share(window.controls, theme.GREEN.name()) > 20)  # the lamps
+    assert share(window.controls, dark[id(theme.GREEN)]) == 0
+    desktop.change(Qt.ColorScheme.Dark)
+    qtbot.waitUntil(lambda: share(window, dark[id(theme.BACKGROUND)]) > 1e5)

@@ -140,7 +140,7 @@ def open_help(window: MainWindow) -> None:
     assert bar is not None
     menu = bar.actions()[-1].menu()
     assert menu is not None
-    menu.actions()[-1].trigger()
+    menu.actions()[0].trigger()
 
 
 def test_tab_visits_the_controls_in_order(make_window: MakeWindow) -> None:
