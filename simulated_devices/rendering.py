@@ -52,9 +52,8 @@ class Scene:
         parameters = {"format": _FORMAT, **dataclasses.asdict(self)}
         del parameters["simulation"]["source"]["mask"]  # the initial mask changes no image
         digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode())
-        for file in (self.simulation.screen.file, self.simulation.source.file):
-            if file:
-                digest.update(hashlib.sha256(_content(Path(file))).digest())
+        for file in self.simulation.files:
+            digest.update(hashlib.sha256(_content(file)).digest())
         return digest.hexdigest()
 
 

@@ -5,6 +5,7 @@ Each class checks itself; the sentence of a `ValueError` begins with the name of
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, get_args
 
 from drivers.interface import Range
@@ -124,6 +125,11 @@ class Simulation:
                 "state_duration_s must be 1e-3 ... 1e6": 1e-3 <= self.state_duration_s <= 1e6,
             }
         )
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of screen and mask, if there are any."""
+        return tuple(Path(file) for file in (self.screen.file, self.source.file) if file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

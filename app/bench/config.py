@@ -95,6 +95,12 @@ class Bench:
         return isinstance(self.camera, SimulatedCameraSettings)
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """Files and folders that the settings name as inputs: phase screen, mask image, recording."""
+        played = (Path(self.camera.folder),) if isinstance(self.camera, RecordingSettings) else ()
+        return self.simulation.files + played
+
+    @property
     def has_manual_stage(self) -> bool:
         """True if the user moves the sample, because the devices are real and there is no motor."""
         return not isinstance(self.camera, SimulatedCameraSettings | RecordingSettings)

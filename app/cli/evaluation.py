@@ -79,7 +79,7 @@ def _run(
     from app.evaluation.study_files import files_of
     from app.evaluation.study_tables import print_results
 
-    check_outputs(files_of(studies, out), inputs=inputs, overwrite=overwrite)
+    check_outputs(files_of(studies, out), inputs=[*inputs, *bench.files], overwrite=overwrite)
     with progress_bar() as progress:
         results = run_studies(bench, studies, seeds, out, progress)
     print_results(results)

@@ -34,12 +34,12 @@ def calibrate(
     from app.commands.calibrate import as_numbers, differences, summary, write_calibrated
     from app.commands.calibrate import calibrate as run
 
-    check_outputs((out, plot), inputs=(reference, dark, bench_file(bench)), overwrite=overwrite)
+    loaded = load(bench, setting)
+    check_outputs((out, plot), inputs=(reference, dark, bench_file(bench), *loaded.files), overwrite=overwrite)
     if plot is not None:
         from app.results.plot import check_plot_path
 
         check_plot_path(plot)
-    loaded = load(bench, setting)
     with progress_bar() as progress:
         calibrated = run(reference, dark=dark, bench=loaded, progress=progress)
     if plot is not None:
@@ -74,8 +74,8 @@ def simulate(
     from app.commands.simulate import files_of
     from app.commands.simulate import simulate as run
 
-    check_outputs(files_of(out), inputs=(bench_file(bench),), overwrite=overwrite)
     loaded = load(bench, setting)
+    check_outputs(files_of(out), inputs=(bench_file(bench), *loaded.files), overwrite=overwrite)
     with progress_bar() as progress:
         run(loaded, out, noise_free=noise_free, progress=lambda fraction: progress("rendering", fraction))
     typer.echo(f"dark.tif, reference.tif, frame.tif and truth.nc are in {out}")
@@ -104,19 +104,20 @@ def reconstruct(
     from app.results.dataset import result_dataset, write_results
     from app.results.plot import check_plot_path, plot_views
 
-    check_outputs((out, plot), inputs=(frame, reference, dark, bench_file(bench)), overwrite=overwrite)
+    loaded = load(bench, setting)
+    inputs = (frame, reference, dark, bench_file(bench), *loaded.files)
+    check_outputs((out, plot), inputs=inputs, overwrite=overwrite)
     if plot is not None:
         check_plot_path(plot)
-    loaded = load(bench, setting)
     with progress_bar() if refine else nullcontext(lambda *_: None) as progress:
         reconstructed = reconstruct_files(
             frame, reference=reference, dark=dark, bench=loaded, refine=refine, progress=progress
         )
-    inputs = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
+    names = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
     dataset = result_dataset(reconstructed.wavefront, reconstructed.quality, with_psf=True).assign_attrs(
         refinement_rounds=len(reconstructed.changes_rad)
     )
-    write_results(out, dataset, bench=reconstructed.bench, inputs=inputs)
+    write_results(out, dataset, bench=reconstructed.bench, inputs=names)
     if plot is not None:
         plot_views(reconstructed.wavefront, plot)
     print_views(reconstructed.wavefront)

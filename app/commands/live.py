@@ -92,7 +92,7 @@ def unattended_window(
     picture, results, run = (out / name for name in ("window.png", "result.nc", "run.json"))
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
-    check_outputs([picture, results, run], overwrite=overwrite)
+    check_outputs([picture, results, run], inputs=bench.files, overwrite=overwrite)
     from app.gui.application import run_window
 
     made: list[Acquisition] = []  # one more after each reconnection

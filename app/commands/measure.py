@@ -42,7 +42,7 @@ def measure(
     `InputError` for an impossible bench, a folder that holds a recording, or results that exist without `overwrite`.
     """
     check_free(out)
-    check_outputs(files_of(out), overwrite=overwrite)
+    check_outputs(files_of(out), inputs=bench.files, overwrite=overwrite)
     is_stopped, fault = False, ""
     with stream_sinks(bench) as sinks:
         acquisition = Acquisition(bench, open_devices, sinks)

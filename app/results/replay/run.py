@@ -59,8 +59,8 @@ def replay(
     With another `bench`, or changed `settings` of the recorded one, both are made and compared. With `verify`, raise
     `RunError` if a result differs from the recorded one in any bit.
     """
-    bench_read = None if bench is None else bench_file(bench)
-    check_outputs([out], inputs=[*parts_of(folder), bench_read], overwrite=overwrite)
+    bench_read = () if bench is None else (bench_file(bench), *load_bench(bench, settings).files)
+    check_outputs([out], inputs=[*parts_of(folder), *bench_read], overwrite=overwrite)
     recording = Recording(folder)
     chosen = recording.select(frames)
     change = change_of(bench, settings)

@@ -17,6 +17,15 @@ from app.files import write_image
 INPUTS = ("frame.tif", "reference.tif", "dark.tif", "bench.toml", "estimator.png", "run/run.json", "run/frames.jsonl")
 RECONSTRUCT = "reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out"
 CALIBRATE = "calibrate reference.tif --dark dark.tif --bench bench.toml"
+WITH_FILES = (  # and the file that the bench is made to name
+    ("simulate --bench bench.toml --out made", "made/frame.tif"),
+    (f"{RECONSTRUCT} mask.tif", "mask.tif"),
+    (f"{CALIBRATE} --plot mask.png", "mask.png"),
+    ("measure --bench bench.toml --frames 3 --out made", "made/reference.tif"),
+    ("live --bench bench.toml --seconds 1 --out made", "made/window.png"),
+    ("study size --bench bench.toml --out made", "made/estimator.png"),
+    ("replay run --bench bench.toml --out mask.tif", "mask.tif"),
+)
 ONTO_INPUTS = (
     *(f"{RECONSTRUCT} {name}" for name in INPUTS[:4]),
     *(f"{RECONSTRUCT} r.nc --plot {name}" for name in ("frame.tif", "./frame.tif", "r.nc")),
@@ -25,6 +34,7 @@ ONTO_INPUTS = (
     *(f"export run --to csv --out run/{name}" for name in ("run.json", "calibrations/0/bench.toml")),
     "replay run --bench bench.toml --out bench.toml",
     "study mask estimator.png --out .",
+    *(f"{command} --set simulation.{kind}.file={file}" for kind in ("screen", "source") for command, file in WITH_FILES),
 )
 ONTO_EXISTING = (
     f"{RECONSTRUCT} old",
