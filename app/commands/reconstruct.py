@@ -16,6 +16,8 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
+_PEAK_PERCENT = 99.9  # percentile taken for the peak, so that hot pixels do not count
+
 
 @dataclass(frozen=True, slots=True)
 class Reconstructed:
@@ -42,7 +44,7 @@ def reconstruct_files(
     paths = {"frame": frame, "reference": reference, "dark": dark}
     try:
         most = min(full_scale_of(image, bench.camera_model.bits) for image in (reference_image, frame_image))
-        if np.max(reference_image) >= full_scale_of(frame_image, 64):
+        if np.percentile(reference_image, _PEAK_PERCENT, method="lower") > full_scale_of(frame_image, 64):
             raise InputError(
                 f"{frame}: holds {frame_image.dtype} values, which cannot be as large as those of the reference"
                 f" {reference}: save both in the same form"

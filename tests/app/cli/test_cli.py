@@ -434,3 +434,18 @@ def test_frame_of_a_smaller_type_than_the_reference_is_named(
     command = ("--reference", tmp_path / "reference.tif", "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
     assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *command) == 2
     assert "cannot be as large as those of the reference" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("kind", "full"), [(np.uint16, 65535), (np.float32, 65535), (np.uint8, 255)])
+def test_hot_pixel_in_the_reference_is_no_reason_to_refuse(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: type, full: int
+) -> None:
+    frame, reference = (tifffile.imread(FRAMES / f"square_{name}.tif") for name in ("frame", "reference"))
+    scale = 0.8 * min(full, 60000) / reference.max()
+    reference = np.rint(reference * scale).astype(kind)
+    reference[3, 3] = full
+    tifffile.imwrite(tmp_path / "reference.tif", reference)
+    form = np.uint8 if kind is np.uint8 else np.uint16
+    tifffile.imwrite(tmp_path / "frame.tif", np.rint(frame * scale).clip(0, full).astype(form))
+    command = ("--reference", tmp_path / "reference.tif", "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
+    assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *command) == 0

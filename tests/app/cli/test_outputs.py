@@ -34,7 +34,11 @@ ONTO_INPUTS = (
     *(f"export run --to csv --out run/{name}" for name in ("run.json", "calibrations/0/bench.toml")),
     "replay run --bench bench.toml --out bench.toml",
     "study mask estimator.png --out .",
-    *(f"{command} --set simulation.{kind}.file={file}" for kind in ("screen", "source") for command, file in WITH_FILES),
+    *(
+        f"{command} --set simulation.{kind}.file={file}"
+        for kind in ("screen", "source")
+        for command, file in WITH_FILES
+    ),
 )
 ONTO_EXISTING = (
     f"{RECONSTRUCT} old",
