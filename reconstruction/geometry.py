@@ -27,12 +27,12 @@ def require(conditions: Mapping[str, bool]) -> None:
 class Sensor:
     """A lenslet array in front of a camera."""
 
-    lenslet_rows: int
-    lenslet_columns: int
-    lenslet_pitch_m: float
-    lenslet_focal_length_m: float
-    wavelength_m: float
-    pixel_pitch_m: float
+    lenslet_rows: int  # that are evaluated, along y
+    lenslet_columns: int  # that are evaluated, along x
+    lenslet_pitch_m: float  # distance between two lenslets, from the data sheet
+    lenslet_focal_length_m: float  # at the wavelength; the camera lies in the focal plane
+    wavelength_m: float  # of the light, in vacuum
+    pixel_pitch_m: float  # of the camera; binned pixels are larger
 
     def __post_init__(self) -> None:
         require(
@@ -90,9 +90,9 @@ class Sensor:
 class Lattice:
     """Position of the lenslets on the camera; a positive rotation turns +x towards +y."""
 
-    center_x_px: float
+    center_x_px: float  # of the lattice, in the frame
     center_y_px: float
-    pitch_px: float
+    pitch_px: float  # between two lenslets, as measured
     rotation_rad: float = 0.0
 
     def __post_init__(self) -> None:
@@ -135,8 +135,8 @@ class Field:
     A square field has Legendre modes, a circular one Zernike modes; `half_width_m` is half the side, or the radius.
     """
 
-    collimator_focal_length_m: float
-    half_width_m: float
+    collimator_focal_length_m: float  # of the lens between source and lenslets
+    half_width_m: float  # of the source: half its side, or its radius
     shape: Literal["square", "circle"] = "square"
     view_rows: int = 3
     view_columns: int = 3

@@ -1,6 +1,7 @@
 """Benches in the window: opens files, recent ones and presets, and says what is wrong with one."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -18,7 +19,9 @@ from app.errors import InputError
 from app.gui.bench_dialog import BenchDialog, Choices, fault_html
 from app.gui.controller import Controller
 from app.gui.recent_files import RecentFiles
+from app.gui.settings_dialog import SettingsDialog
 
+_TEMPLATE = "live_demo"
 _FILES = "Bench (*.toml)"
 
 
@@ -33,6 +36,7 @@ class BenchFiles(QObject):
         self._window, self._connect, self._controller = window, connect, controller
         self.recent = RecentFiles(settings, "recent/benches")
         self.dialog = BenchDialog(window)
+        self.settings: SettingsDialog | None = None  # made when it is needed
         self.error: InputError | None = None  # of the last attempt to open a bench
 
     def open(self, source: str, overrides: tuple[str, ...] = (), *, trust: bool = False) -> None:
@@ -44,20 +48,45 @@ class BenchFiles(QObject):
             self.error = error
             self._explain(source, overrides, error)
             return
+        self._connect_trusted(bench, source, trust=trust)
+
+    def _connect_trusted(self, bench: Bench, source: str, *, trust: bool = False) -> None:
+        """Connect a bench, or ask first whether its libraries are trusted; `source` is empty without a file."""
         if (libraries := unconfirmed(bench)) and not trust:
             named = "".join(f"<p><b>{library.key}</b> = {escape(library.named)}</p>" for library in libraries)
             self.error = InputError(f"{libraries[0].key} = {libraries[0].named} would run code and is not trusted")
             self.dialog.show_message(
                 "Program library",
                 f"<p>This bench runs the code of a program library. Open it only if you trust the library.</p>{named}",
-                (("Trust and open", "Load it, now and later", partial(self.open, source, overrides, trust=True)),),
+                (
+                    (
+                        "Trust and open",
+                        "Load it, now and later",
+                        partial(self._connect_trusted, bench, source, trust=True),
+                    ),
+                ),
             )
             return
         for library in libraries:
             library.trust()
-        if source not in PRESETS:
+        self.error = None
+        if source and source not in PRESETS:
             self.recent.add(Path(source))
         self._connect(bench)
+
+    def edit(self) -> None:
+        """Edit the settings of the open bench, with lattice, exposure and current in force."""
+        status = self._controller.status
+        self._settings().edit(load_bench(_TEMPLATE) if status is None else status.bench_in_force)
+
+    def make(self) -> None:
+        """Make a bench with connected devices."""
+        self._settings().make(replace(load_bench(_TEMPLATE), lattice=None))
+
+    def _settings(self) -> SettingsDialog:
+        if self.settings is None:
+            self.settings = SettingsDialog(partial(self._connect_trusted, source=""), self.open, self._window)
+        return self.settings
 
     def ask(self) -> None:
         """Ask for a bench file, and open it."""

@@ -18,7 +18,7 @@ from app.measurement.routines.frames import Cancelled
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
-_WIDTH = 520  # px
+_WIDTH = 660  # px
 _LAMP = 16  # px
 
 

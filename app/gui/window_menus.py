@@ -43,6 +43,8 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Open a bench", "Ctrl+O", window.benches.ask),
             ("Open a recent bench", "", window.benches.recent_menu()),
             ("Open a preset", "", window.benches.presets_menu()),
+            ("New bench from my camera", "Ctrl+N", window.benches.make),
+            ("Settings of the bench", "Ctrl+,", window.benches.edit),
             ("Save the bench", "Ctrl+S", window.benches.save),
             None,
             ("Start or stop the camera", "Space", controls.start),

@@ -15,11 +15,11 @@ import pytest
 from support.micro_manager_core import FOLDER
 from support.simulated_scene import CAMERA, STILL, open_bench
 
+from app.acquisition.device_kinds import KINDS, DeviceKind
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench, write_bench
 from app.commands import devices as device_report
 from app.commands.device_trace import Trace, serial_numbers
-from app.commands.devices import KINDS, DeviceKind
 from app.errors import InputError, RunError
 from drivers import discovery
 from drivers.device import Property
@@ -55,7 +55,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SimulatedBench:
     def discover(kind: DeviceKind) -> Any:
         return {"dcam": (A_CAMERA,), "coolled": (A_LIGHT,)}.get(kind.driver, ())
 
-    monkeypatch.setattr("app.commands.devices.import_module", lambda module: _Module(module, discover))
+    monkeypatch.setattr("app.acquisition.device_kinds.import_module", lambda module: _Module(module, discover))
     monkeypatch.setattr("app.commands.device_check.open_camera", lambda settings: SimulatedCamera(bench))
     monkeypatch.setattr(
         "app.commands.device_check.open_light", lambda settings: SimulatedLight(bench, limit_a=settings.limit_a)
@@ -83,7 +83,7 @@ def test_failed_search_reports_reason(monkeypatch: pytest.MonkeyPatch, capsys: p
         raise Unsupported("the library is missing: install it")
 
     monkeypatch.setattr(
-        "app.commands.devices.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
+        "app.acquisition.device_kinds.import_module", lambda _: type("Module", (), {"discover": staticmethod(fail)})
     )
     device_report.print_devices()
     assert capsys.readouterr().out.count("  not searched: the library is missing: install it\n") == len(KINDS)

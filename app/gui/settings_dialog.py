@@ -1,0 +1,222 @@
+"""Form for all settings of a bench, also for a new one with connected devices."""
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from PyQt6.QtCore import QTimer
+from PyQt6.QtWidgets import (
+    QCheckBox,
+    QDialog,
+    QFileDialog,
+    QFormLayout,
+    QLineEdit,
+    QListWidget,
+    QScrollArea,
+    QStackedWidget,
+    QWidget,
+)
+
+from app.acquisition.device_kinds import KINDS
+from app.bench.config import Bench, write_bench
+from app.bench.settings_form import FormField, SettingsForm
+from app.errors import InputError, RunError
+from app.files import atomic_write
+from app.gui import theme
+from app.gui.widgets import Choice, ElidedLabel, button, column, label, row
+from drivers.discovery import DiscoveredDevice
+
+_POLL_MS = 100
+_SIZE = (720, 560)  # px
+_NO_DEVICE = "Other, or simulated: choose the driver below"
+
+
+class SettingsDialog(QDialog):
+    """Edits a form; `use` receives the bench, `opened` the file of a saved one."""
+
+    def __init__(self, use: Callable[[Bench], object], opened: Callable[[str], object], parent: QWidget) -> None:
+        super().__init__(parent)
+        self.resize(*_SIZE)
+        self._use, self._opened = use, opened
+        self._form = SettingsForm({})
+        self._found: list[DiscoveredDevice] = []
+        self._search: threading.Thread | None = None
+        self.editors: dict[str, tuple[FormField, QWidget]] = {}
+        self.sections, self.pages = QListWidget(), QStackedWidget()
+        self.sections.setFixedWidth(170)
+        self.sections.currentRowChanged.connect(self.pages.setCurrentIndex)
+        self.camera, self.light = Choice(), Choice()
+        for kind, choice in (("camera", self.camera), ("light", self.light)):
+            choice.textActivated.connect(partial(self._choose_device, kind))
+        self.devices = QWidget()
+        connected = QFormLayout(self.devices)
+        connected.addRow("Connected camera", self.camera)
+        connected.addRow("Connected light", self.light)
+        self.problem = ElidedLabel()
+        self.problem.setStyleSheet(f"color: {theme.RED.name()};")
+        self.apply = button("Open", "Connect the devices with these settings", self._apply)
+        self.save = button(
+            "Save \N{HORIZONTAL ELLIPSIS}", "Save these settings as a bench file, and open it", self._save
+        )
+        close = button("Close", "Change nothing (Esc)", self.close)
+        ends = row((self.problem, 1), self.apply, self.save, close)
+        column(self.devices, (row(self.sections, (self.pages, 1)), 1), ends, spacing=8, parent=self).setContentsMargins(
+            12, 12, 12, 12
+        )
+        self._timer = QTimer(self)
+        self._timer.setInterval(_POLL_MS)
+        self._timer.timeout.connect(self._poll)
+
+    def edit(self, bench: Bench) -> None:
+        """Edit the settings of a bench."""
+        self.setWindowTitle("Settings of the bench")
+        self.devices.hide()
+        self._begin(SettingsForm.of(bench))
+
+    def make(self, template: Bench) -> None:
+        """Make a bench, starting from the settings of another, with devices that are searched for."""
+        self.setWindowTitle("New bench from my camera")
+        self.devices.show()
+        for choice in (self.camera, self.light):
+            choice.clear()
+            choice.addItem("Searching \N{HORIZONTAL ELLIPSIS}")
+            choice.setEnabled(False)
+        self._begin(SettingsForm.of(template))
+        if self._search is None:
+            self._found = []
+            self._search = threading.Thread(target=self._discover, name="device search", daemon=True)
+            self._search.start()
+            self._timer.start()
+
+    def _discover(self) -> None:
+        self._found = [device for kind in KINDS for device in kind.discover()[0]]
+
+    def _poll(self) -> None:
+        if self._search is None or self._search.is_alive():
+            return
+        self._search = None
+        self._timer.stop()
+        for kind, choice in (("camera", self.camera), ("light", self.light)):
+            names = [device.name for device in self._found if device.kind == kind]
+            choice.clear()
+            choice.addItems([_NO_DEVICE if names else "None found: choose the driver below", *names])
+            choice.setEnabled(bool(names))
+
+    def _choose_device(self, kind: str, name: str) -> None:
+        for device in self._found:
+            if device.name == name and device.kind == kind:
+                self._form.use_device(device)
+                self._build(kind)
+
+    def _begin(self, form: SettingsForm) -> None:
+        self._form = form
+        self._build("sensor")
+        self.show()
+        self.activateWindow()
+
+    def _build(self, shown: str) -> None:
+        """Make the widgets of all fields; show one section."""
+        self.editors = {}
+        self.sections.clear()
+        while (page := self.pages.widget(0)) is not None:
+            self.pages.removeWidget(page)
+            page.deleteLater()
+        for section in self._form.sections():
+            inner = QWidget()
+            layout = QFormLayout(inner)
+            about = label(section.help, "dim")
+            about.setWordWrap(True)
+            layout.addRow(about)
+            for field in section.fields:
+                editor = self._editor(field)
+                editor.setToolTip(f"<p>{field.help or field.label}</p>")
+                self.editors[field.path] = (field, editor)
+                layout.addRow(f"{field.label} ({field.unit})" if field.unit else field.label, editor)
+            area = QScrollArea()
+            area.setWidget(inner)
+            area.setWidgetResizable(True)
+            self.pages.addWidget(area)
+            self.sections.addItem(section.path.replace(".", " \N{RIGHTWARDS ARROW} "))
+            if section.path == shown:
+                self.sections.setCurrentRow(self.sections.count() - 1)
+        self._check()
+
+    def _editor(self, field: FormField) -> QWidget:
+        if field.kind == "switch":
+            box = QCheckBox()
+            box.setChecked(field.text == "true")
+            box.toggled.connect(lambda on: self._enter(field, box, "true" if on else "false"))
+            return box
+        if field.kind == "choice":
+            choice = Choice()
+            choice.addItems(field.choices)
+            choice.setCurrentText(field.text)
+            choice.textActivated.connect(lambda text: self._enter(field, choice, text))
+            return choice
+        line = QLineEdit(field.text)
+        line.setPlaceholderText("automatic" if field.is_optional else "")
+        line.textEdited.connect(lambda text: self._enter(field, line, text))
+        return line
+
+    def _enter(self, field: FormField, editor: QWidget, text: str) -> None:
+        try:
+            self._form.set(field, text)
+        except InputError as error:
+            self._show_problem(str(error), editor)
+            return
+        if field.path.endswith(".driver"):
+            self._build(field.path.split(".")[0])
+        else:
+            self._check()
+
+    def _check(self) -> Bench | None:
+        """Return the bench, or show what is wrong at its field."""
+        for field, editor in self.editors.values():
+            text = editor.text() if isinstance(editor, QLineEdit) else field.text
+            try:
+                field.parse(text)
+            except InputError as error:
+                self._show_problem(str(error), editor)
+                return None
+        try:
+            bench = self._form.bench()
+        except InputError as error:
+            self._show_problem(str(error), self._named(str(error)))
+            return None
+        self._show_problem("", None)
+        return bench
+
+    def _named(self, sentence: str) -> QWidget | None:
+        path = self._form.faulty_path(sentence)
+        return self.editors[path][1] if path in self.editors else None
+
+    def _show_problem(self, sentence: str, at: QWidget | None) -> None:
+        shown = sentence.removeprefix("the settings: ")
+        self.problem.setText(shown[:1].upper() + shown[1:])
+        self.problem.setToolTip(sentence)
+        for _, editor in self.editors.values():
+            editor.setStyleSheet(f"color: {theme.RED.name()};" if editor is at else "")
+        for ending in (self.apply, self.save):
+            ending.setEnabled(not sentence)
+
+    def _apply(self) -> None:
+        if (bench := self._check()) is not None:
+            self.close()
+            self._use(bench)
+
+    def _save(self) -> None:
+        bench = self._check()
+        if bench is None:
+            return
+        name, _ = QFileDialog.getSaveFileName(self, "Save the bench", "bench.toml", "Bench (*.toml)")
+        if not name:
+            return
+        try:
+            with atomic_write(Path(name)) as temporary:
+                temporary.write_text(write_bench(bench), "utf-8")
+        except RunError as error:
+            self._show_problem(str(error), None)
+            return
+        self.close()
+        self._opened(name)

@@ -1,0 +1,119 @@
+"""Form of the bench's settings: fields from the dataclasses, texts to values, and the bench they make."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench
+from app.bench.presets import PRESETS
+from app.bench.settings_form import FormField, SettingsForm
+from app.errors import InputError
+from drivers.discovery import DiscoveredDevice
+from drivers.genicam.settings import GenicamSettings
+from drivers.manual_light import ManualLightSettings
+
+
+def fields(form: SettingsForm) -> dict[str, FormField]:
+    return {field.path: field for section in form.sections() for field in section.fields}
+
+
+@pytest.fixture
+def form() -> SettingsForm:
+    return SettingsForm.of(load_bench("live_demo"))
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_unchanged_form_gives_the_same_bench(preset: str) -> None:
+    bench = load_bench(preset)
+    form = SettingsForm.of(bench)
+    for field in fields(form).values():
+        form.set(field, field.text)
+    assert form.bench() == bench
+
+
+def test_fields_have_units_help_and_limits(form: SettingsForm) -> None:
+    made = fields(form)
+    pitch = made["sensor.lenslet_pitch_m"]
+    assert (pitch.label, pitch.text, pitch.unit) == ("Lenslet pitch", "500", "\N{MICRO SIGN}m")
+    assert pitch.help == "Distance between two lenslets, from the data sheet. Must be 1e-6 ... 0.1 (in m)"
+    assert (made["sensor.wavelength_m"].text, made["sensor.wavelength_m"].unit) == ("462", "nm")
+    assert made["simulation.screen.samples"].help.endswith("Must be 8 ... 8192")
+    assert made["simulation.screen.rms_rad"].label == "RMS"
+    assert made["registration.threads"].help == "Of gauss_newton. Must be 1 ... 64"
+    assert made["registration.method"].help == ""  # its comment is not that of the next setting
+    assert made["field.shape"].choices == ("square", "circle")
+    assert made["camera.exposure_s"].help.startswith("Must be 0.0139 ... 1")
+    assert made["streams.port"].is_optional
+    assert made["light.driver"].choices == tuple(drivers_of(LightSettings))
+
+
+@pytest.mark.parametrize(
+    ("text", "pitch_m"),
+    [("400", 400e-6), ("0.4 mm", 400e-6), ("0,4mm", 400e-6), ("400 um", 400e-6), ("4e2", 400e-6), ("0.0004 m", 400e-6)],
+)
+def test_lengths_are_read_in_any_unit(form: SettingsForm, text: str, pitch_m: float) -> None:
+    form.set(fields(form)["sensor.lenslet_pitch_m"], text)
+    form.set(fields(form)["lattice.pitch_px"], "25")
+    assert form.bench().sensor.lenslet_pitch_m == pitch_m
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "sentence"),
+    [
+        ("sensor.lenslet_pitch_m", "4 s", "Lenslet pitch: type a number in \N{MICRO SIGN}m"),
+        ("sensor.lenslet_pitch_m", "", "Lenslet pitch: type a number"),
+        ("sensor.lenslet_rows", "3.5", "Lenslet rows: must be a whole number"),
+        ("camera.em_read_noise_e", "[1, 2", "EM read noise: write it as in TOML"),
+    ],
+)
+def test_unreadable_text_is_refused(form: SettingsForm, path: str, text: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence.replace("(", r"\(")):
+        form.set(fields(form)[path], text)
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "sentence"),
+    [
+        ("sensor.wavelength_m", "462 mm", "the settings: sensor: wavelength_m must lie between"),
+        ("field.view_spacing_m", "3 mm", "the settings: field: view_spacing_m places views outside"),
+        ("lattice.pitch_px", "", "the settings: lattice.pitch_px: is missing"),
+        ("simulation.source.ellipse_ratio", "2", "the settings: simulation.source: ellipse_ratio must be"),
+    ],
+)
+def test_wrong_bench_names_its_field(form: SettingsForm, path: str, text: str, sentence: str) -> None:
+    form.set(fields(form)[path], text)
+    with pytest.raises(InputError) as fault:
+        form.bench()
+    assert str(fault.value).startswith(sentence)
+    assert form.faulty_path(str(fault.value)) == path
+
+
+def test_empty_lattice_is_found_in_the_reference(form: SettingsForm) -> None:
+    for path in ("center_x_px", "center_y_px", "pitch_px", "rotation_rad"):
+        form.set(fields(form)[f"lattice.{path}"], "")
+    assert form.bench().lattice is None
+    made = fields(SettingsForm.of(form.bench()))
+    assert made["lattice.pitch_px"].text == ""
+
+
+def test_connected_devices_replace_the_simulated_ones(form: SettingsForm) -> None:
+    form.use_device(
+        DiscoveredDevice(kind="camera", driver="genicam", description="Mako", settings={"device": "Mako 1"})
+    )
+    form.set(fields(form)["light.driver"], "manual")
+    bench = form.bench()
+    assert bench == replace(
+        load_bench("live_demo"), camera=GenicamSettings(device="Mako 1"), light=ManualLightSettings()
+    )
+    form.set(fields(form)["camera.exposure_s"], "30")
+    assert form.bench().camera == GenicamSettings(device="Mako 1", exposure_s=0.03)
+    form.set(fields(form)["camera.exposure_s"], "")
+    assert form.bench().camera == GenicamSettings(device="Mako 1")
+
+
+@pytest.mark.parametrize("driver", drivers_of(CameraSettings))
+def test_every_driver_has_a_form(form: SettingsForm, driver: str) -> None:
+    form.set(fields(form)["camera.driver"], driver)
+    assert fields(form)["camera.driver"].text == driver

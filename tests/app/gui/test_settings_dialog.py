@@ -1,0 +1,110 @@
+"""Settings of a bench in the window, and a new bench with connected devices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit
+from pytestqt.qtbot import QtBot
+from support.window_tools import MakeWindow
+
+from app.acquisition.device_kinds import DeviceKind
+from app.bench.config import Bench, load_bench
+from app.gui.bench_files import BenchFiles
+from app.gui.main_window import MainWindow
+from app.gui.settings_dialog import SettingsDialog
+from drivers.discovery import DiscoveredDevice
+from drivers.genicam.settings import GenicamSettings
+from drivers.manual_light import ManualLightSettings
+
+CAMERA = DiscoveredDevice(kind="camera", driver="genicam", description="a camera", settings={"device": "Mako 7"})
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Bench]:
+    """The benches that the window opens."""
+    opened: list[Bench] = []
+    monkeypatch.setattr(MainWindow, "open", lambda self, make, *_: opened.append(make().bench))
+    monkeypatch.setattr(DeviceKind, "discover", lambda kind: ((CAMERA,) if kind.driver == "genicam" else (), ""))
+    return opened
+
+
+@pytest.fixture
+def benches(make_window: MakeWindow, opened: list[Bench]) -> BenchFiles:  # noqa: ARG001 - no device is opened
+    return make_window().benches
+
+
+def dialog_of(benches: BenchFiles) -> SettingsDialog:
+    assert benches.settings is not None
+    return benches.settings
+
+
+def write(dialog: SettingsDialog, path: str, text: str) -> QLineEdit:
+    """Type a text into a field."""
+    line = dialog.editors[path][1]
+    assert isinstance(line, QLineEdit)
+    line.selectAll()
+    QTest.keyClicks(line, text)  # type: ignore[call-arg, arg-type] # PyQt's stub lacks staticmethod
+    return line
+
+
+def choose(dialog: SettingsDialog, path: str, text: str) -> None:
+    choice = dialog.editors[path][1]
+    assert isinstance(choice, QComboBox)
+    choice.setCurrentText(text)
+    choice.textActivated.emit(text)
+
+
+def test_changed_settings_are_opened(benches: BenchFiles, opened: list[Bench]) -> None:
+    benches.edit()
+    dialog = dialog_of(benches)
+    assert dialog.devices.isHidden()
+    wavelength = write(dialog, "sensor.wavelength_m", "0.532 um")
+    choose(dialog, "field.shape", "circle")
+    assert "color" not in wavelength.styleSheet()
+    dialog.apply.click()
+    assert not dialog.isVisible()
+    assert [bench.sensor.wavelength_m for bench in opened] == [532e-9]
+    assert opened[0].field.shape == "circle"
+    assert opened[0].camera == load_bench("live_demo").camera
+
+
+def test_wrong_setting_is_red_and_not_opened(benches: BenchFiles, opened: list[Bench]) -> None:
+    benches.edit()
+    dialog = dialog_of(benches)
+    for text, sentence in (("462 mm", "wavelength_m must lie between"), ("blue", "type a number in nm")):
+        wavelength = write(dialog, "sensor.wavelength_m", text)
+        assert sentence in dialog.problem.text()
+        assert "color" in wavelength.styleSheet()
+        assert not dialog.apply.isEnabled()
+        assert not dialog.save.isEnabled()
+    write(dialog, "sensor.wavelength_m", "500")
+    assert not dialog.problem.text()
+    dialog.apply.click()
+    assert len(opened) == 1
+
+
+def test_new_bench_has_the_connected_camera(
+    benches: BenchFiles, opened: list[Bench], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    benches.make()
+    dialog = dialog_of(benches)
+    qtbot.waitUntil(lambda: dialog.camera.count() == 2)
+    assert dialog.light.currentText().startswith("None found")
+    dialog.camera.setCurrentText(CAMERA.name)
+    dialog.camera.textActivated.emit(CAMERA.name)
+    assert "light.driver is missing" in dialog.problem.text()
+    choose(dialog, "light.driver", "manual")
+    QApplication.processEvents()
+    write(dialog, "sensor.lenslet_rows", "20")
+    path = tmp_path / "mine.toml"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    dialog.save.click()
+    bench = load_bench(path)
+    assert opened == [bench]
+    assert bench.camera == GenicamSettings(device="Mako 7")
+    assert bench.light == ManualLightSettings()
+    assert (bench.sensor.lenslet_rows, bench.lattice) == (20, None)
+    assert benches.recent.paths() == (path,)
