@@ -12,7 +12,7 @@ are in rad without piston. Importing this module loads nothing but this file; ea
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -90,6 +90,7 @@ __all__ = [
     "Unsupported",
     "Wavefront",
     "WrongState",
+    "deconvolve",
     "find_lattice",
     "find_layers",
     "live",
@@ -377,6 +378,72 @@ def find_layers(
 
     ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
     return layers_dataset(search(reconstructor.layers(_wavefront(wavefront)), count, at=ratios), reconstructor.bench)
+
+
+def deconvolve(
+    image: Counts,
+    source: Wavefront | str | Path,
+    bench: Bench,
+    *,
+    method: Literal["richardson-lucy", "wiener"] = "richardson-lucy",
+    iterations: int = 50,
+) -> xr.DataArray:
+    """Remove the aberration of each field position from an image of the sample (docs/corrected_images.md).
+
+    Parameters
+    ----------
+    image
+        Counts, (row, column), taken through the same sample.
+    source
+        A wavefront, a file of results, or the folder of a recording, whose frames are averaged.
+    bench
+        The bench; its `[imaging]` has the scale of the image, and its pupil.
+    method
+        Richardson-Lucy keeps light positive; Wiener is faster.
+    iterations
+        At most; it ends earlier when only noise is left.
+
+    Returns
+    -------
+    xarray.DataArray
+        Corrected counts (row, column), float32, with the coordinate `inside`: True within the measured field, beyond
+        which the image is as before. The attributes have `iterations` and `chi_square`.
+
+    Raises
+    ------
+    InputError
+        If image, wavefront and bench do not go together; the message says why.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo", "imaging.pixel_m=10e-6")
+    >>> images = svwfs.simulate(bench)
+    >>> wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    >>> image = images.frames[0]  # here your own image of the sample
+    >>> corrected = svwfs.deconvolve(image, wavefront, bench, iterations=3)
+    >>> corrected.shape, bool(corrected.inside.any())
+    ((240, 256), True)
+    """
+    from pathlib import Path
+
+    import xarray as xr
+
+    from app.commands.deconvolve import correct
+    from app.measurement.bench_reconstructor import as_image
+    from app.results.field_wavefront import mean_wavefront
+
+    if isinstance(source, str | Path):
+        phase_at = mean_wavefront(Path(source), _bench(bench), None, lambda *_: None)
+    else:
+        phase_at = _wavefront(source).at
+    made = correct(as_image(image, "image"), phase_at, _bench(bench), method, iterations, lambda *_: None, name="image")
+    return xr.DataArray(
+        made.image,
+        dims=("row", "column"),
+        coords={"inside": (("row", "column"), made.inside)},
+        attrs={"units": "counts", "iterations": made.iterations, "chi_square": made.chi_square},
+    )
 
 
 def to_dataset(wavefront: Wavefront) -> xr.Dataset:

@@ -28,6 +28,7 @@ from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights.settings import DC2200Settings
 from reconstruction.arrays import Counts
+from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
@@ -73,6 +74,7 @@ class Bench:
     light: LightSettings = SimulatedLightSettings()
     simulation: Simulation = Simulation()
     streams: StreamSettings = StreamSettings()
+    imaging: Imaging | None = None  # of images to be corrected
 
     def __post_init__(self) -> None:
         has_real_light = not isinstance(self.light, SimulatedLightSettings)

@@ -9,7 +9,7 @@ import typer
 
 from app.cli.answers import layers
 from app.cli.evaluation import benchmark, paper, selftest, study
-from app.cli.frames import calibrate, reconstruct, simulate
+from app.cli.frames import calibrate, deconvolve, reconstruct, simulate
 from app.cli.measuring import devices, live, measure
 from app.cli.recordings import export, recover, replay, report
 
@@ -35,6 +35,6 @@ def _common(
 
 # in the order of the help
 _BENCH = (live, measure, recover, replay, export, report, layers, calibrate, simulate, devices)
-for command in (*_BENCH, selftest, study, benchmark, reconstruct):
+for command in (*_BENCH, selftest, study, benchmark, reconstruct, deconvolve):
     cli.command()(command)
 cli.add_typer(paper, name="paper")

@@ -1,12 +1,13 @@
-"""Commands on image files: `svwfs calibrate`, `simulate` and `reconstruct`."""
+"""Commands on image files: `svwfs calibrate`, `simulate`, `reconstruct` and `deconvolve`."""
 
+import math
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from app.cli.options import BenchOption, OverwriteOption, SetOption, bench_file, load
+from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, bench_file, load
 from app.files import check_outputs
 
 
@@ -125,3 +126,62 @@ def reconstruct(
         print_refinement(reconstructed.changes_rad)
     for reason in reconstructed.quality.reasons.values():
         print_warning(f"doubtful: {reason}")
+
+
+def deconvolve(
+    image: Annotated[Path, typer.Argument(help="Image of the sample: grey, TIFF or NPY.")],
+    *,
+    source: Annotated[
+        Path,
+        typer.Option("--with", metavar="RESULT|RUN", help="Wavefronts: file of results, or folder of a recording."),
+    ],
+    out: Annotated[Path, typer.Option(help="TIFF file to write; its second page is 255 where the image is corrected.")],
+    scale: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Size of a pixel in the field; same as imaging.pixel_m.")
+    ] = None,
+    imaging: Annotated[
+        Path | None, typer.Option(metavar="TOML", help="File with a section [imaging], instead of the bench's.")
+    ] = None,
+    method: Annotated[
+        Literal["richardson-lucy", "wiener"], typer.Option(help="wiener is faster and allows negative values.")
+    ] = "richardson-lucy",
+    iterations: Annotated[
+        int, typer.Option(min=1, max=10_000, help="At most; it ends earlier when only noise is left.")
+    ] = 50,
+    frames: FramesOption = None,
+    overwrite: OverwriteOption = False,
+    setting: SetOption = None,
+) -> None:
+    """Deconvolve an image by the measured aberration of each field position.
+
+    The image was taken through the same sample; the middle of the field is the middle of the image unless
+    imaging.center_x_px and center_y_px say otherwise. Several frames are averaged. Pixels outside the measured field
+    stay as they are. The noise is estimated from the image, or given by imaging.counts_per_electron and
+    read_noise_counts. See docs/corrected_images.md.
+
+    Example: svwfs deconvolve cells.tif --with result.nc --scale 2.5e-6 --out corrected.tif
+
+    Example: svwfs deconvolve cells.tif --with run1 --frames 0:10 --imaging bench.toml --out corrected.tif
+
+    Example: svwfs deconvolve cells.tif --with result.nc --scale 2.5e-6 --set imaging.rotation_rad=1.57 --out c.tif
+    """
+    from app.cli.tables import progress_bar
+    from app.commands.deconvolve import Plan
+    from app.commands.deconvolve import deconvolve as run
+
+    plan = Plan(
+        image=image,
+        source=source,
+        out=out,
+        imaging=imaging,
+        settings=(*(() if scale is None else (f"imaging.pixel_m={scale!r}",)), *(setting or ())),
+        frames=frames,
+        method=method,
+        iterations=iterations,
+        overwrite=overwrite,
+    )
+    with progress_bar() as progress:
+        made = run(plan, progress)
+    known = "noise unknown" if math.isnan(made.chi_square) else f"chi-square {made.chi_square:.2f}"
+    share = f"{100 * made.inside.mean():.0f} % of the pixels lie in the measured field"
+    typer.echo(f"{made.iterations} iterations, {known}; {share}; the image is in {out}")

@@ -94,16 +94,7 @@ class Recording:
 
     def select(self, text: str | None) -> range:
         """Parse FIRST:END, counted from 0, END excluded, each optional; None selects all frames."""
-        if not len(self):
-            raise InputError(f"{self.folder}: holds no frame")
-        try:
-            first, end = (int(part) if part.strip() else None for part in (text or ":").split(":"))
-            frames = range(len(self))[first:end]
-        except ValueError as error:
-            raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100") from error
-        if not frames:
-            raise InputError(f'--frames "{text}" selects no frame; {self.folder} has {len(self)}')
-        return frames
+        return selected(text, len(self), self.folder)
 
     def line(self, index: int) -> FrameLine:
         """Times, exposure, light, calibration and outcome of a frame."""
@@ -218,3 +209,17 @@ class Recording:
 
     def _unreadable(self, error: OSError) -> InputError:
         return InputError(f"{self.folder / FRAME_LINES}: cannot be read: {error.strerror or error}")
+
+
+def selected(text: str | None, count: int, source: Path) -> range:
+    """Parse FIRST:END for a source of `count` frames; see `Recording.select`."""
+    if not count:
+        raise InputError(f"{source}: holds no frame")
+    try:
+        first, end = (int(part) if part.strip() else None for part in (text or ":").split(":"))
+        frames = range(count)[first:end]
+    except ValueError as error:
+        raise InputError(f"--frames {text}: write FIRST:END, counted from 0, for example 0:100") from error
+    if not frames:
+        raise InputError(f'--frames "{text}" selects no frame; {source} has {count}')
+    return frames

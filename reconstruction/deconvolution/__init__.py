@@ -1,0 +1,1 @@
+"""Space-variant deconvolution: images without the measured aberration of their field position."""

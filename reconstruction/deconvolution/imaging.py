@@ -1,0 +1,88 @@
+"""Geometry of an image taken through the same sample: section `[imaging]` of a bench."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from reconstruction.arrays import Floats, Mask
+from reconstruction.geometry import Field, Sensor, require
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imaging:
+    """Section `[imaging]`: how an image shows the field, through which pupil, and with which noise.
+
+    The image's columns are reversed if `is_mirrored`, and then lie along the field's +x axis turned by `rotation_rad`;
+    a positive rotation turns the field's +x towards its +y in the image.
+    """
+
+    pixel_m: float  # size of a pixel in the field
+    center_x_px: float | None = None  # where the middle of the field lies; omitted: the middle of the image
+    center_y_px: float | None = None
+    rotation_rad: float = 0.0
+    is_mirrored: bool = False
+    pupil_diameter_m: float | None = None  # of a round pupil; omitted: the whole lattice
+    numerical_aperture: float | None = None  # in place of the diameter
+    wavelength_m: float | None = None  # omitted: the sensor's
+    dark_counts: float = 0.0  # of a pixel without light
+    counts_per_electron: float | None = None  # omitted: noise is estimated from the image
+    read_noise_counts: float = 0.0
+
+    def __post_init__(self) -> None:
+        given = [self.pupil_diameter_m, self.numerical_aperture, self.wavelength_m, self.counts_per_electron]
+        require(
+            {
+                "pixel_m must be 1e-10 ... 1e-2": 1e-10 <= self.pixel_m <= 1e-2,
+                "rotation_rad must be -4 ... 4": abs(self.rotation_rad) <= 4,
+                "pupil_diameter_m, numerical_aperture, wavelength_m and counts_per_electron must be positive": all(
+                    value is None or 0 < value < math.inf for value in given
+                ),
+                "give pupil_diameter_m or numerical_aperture, not both": None in given[:2],
+                "read_noise_counts must be 0 or positive": 0 <= self.read_noise_counts < math.inf,
+            }
+        )
+
+    @property
+    def to_field(self) -> Floats:
+        """Orthogonal matrix from directions (x, y) in the image to directions in the field."""
+        cosine, sine = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
+        return np.array([[cosine, sine], [-sine, cosine]]) @ np.diag([-1.0 if self.is_mirrored else 1.0, 1.0])
+
+    @property
+    def is_round(self) -> bool:
+        """True for a round pupil, False for the whole lattice."""
+        return (self.pupil_diameter_m or self.numerical_aperture) is not None
+
+    def pupil_width_m(self, sensor: Sensor, field: Field) -> float:
+        """Diameter of a round pupil, or the smaller width of the lattice."""
+        if self.numerical_aperture is not None:
+            return 2 * self.numerical_aperture * field.collimator_focal_length_m
+        return self.pupil_diameter_m or 2 * min(sensor.pupil_half_width_m)
+
+    def light_m(self, sensor: Sensor) -> float:
+        """Wavelength of the image."""
+        return self.wavelength_m or sensor.wavelength_m
+
+    def blur_px(self, sensor: Sensor, field: Field) -> float:
+        """Optical resolution: wavelength over pupil width in the field; 2 pixels just sample it."""
+        resolution_rad = self.light_m(sensor) / self.pupil_width_m(sensor, field)
+        return resolution_rad * field.collimator_focal_length_m / self.pixel_m
+
+    def center_px(self, shape: tuple[int, ...]) -> Floats:
+        """Position (x, y) of the field's middle in an image of that shape."""
+        x, y = self.center_x_px, self.center_y_px
+        return np.array([(shape[1] - 1) / 2 if x is None else x, (shape[0] - 1) / 2 if y is None else y])
+
+    def field_m(self, x_px: Floats, y_px: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+        """Field positions x and y, m, of image positions that broadcast against each other."""
+        center = self.center_px(shape)
+        columns, rows = np.broadcast_arrays(x_px - center[0], y_px - center[1])
+        at_m = self.pixel_m * np.einsum("ij,j...->i...", self.to_field, np.stack([columns, rows]))
+        return at_m[0], at_m[1]
+
+    def inside(self, shape: tuple[int, ...], field: Field) -> Mask:
+        """True for the pixels (row, column) of an image that lie within the measured field."""
+        rows, columns = (np.arange(count, dtype=np.float64) for count in shape)
+        x_m, y_m = self.field_m(columns, rows[:, None], shape)
+        return field.contains(x_m / field.half_width_m, y_m / field.half_width_m)
