@@ -86,11 +86,11 @@ class Tour(QFrame):
         return super().eventFilter(watched, event)
 
     def _advance(self) -> None:
-        self._index += 1
-        if self._index < len(self._steps):
-            self._show_step()
+        if self._index + 1 == len(self._steps):
+            self.close()  # it still receives events until it is deleted
         else:
-            self.close()
+            self._index += 1
+            self._show_step()
 
     def _show_step(self) -> None:
         _, title, text = self._steps[self._index]

@@ -119,6 +119,7 @@ def test_tour_is_offered_once_and_ends(make_window: MakeWindow, tmp_path: Path) 
         tour.next.click()
     assert len(set(titles)) == 5
     assert not tour.isVisible()
+    window.resize(900, 700)  # before it is deleted
     QApplication.sendPostedEvents(None, 52)  # deferred deletion
     offer_tour(window, settings)
     assert window.findChild(Tour) is None
