@@ -192,8 +192,7 @@ class SettingsDialog(QDialog):
         return self.editors[path][1] if path in self.editors else None
 
     def _show_problem(self, sentence: str, at: QWidget | None) -> None:
-        shown = sentence.removeprefix("the settings: ")
-        self.problem.setText(shown[:1].upper() + shown[1:])
+        self.problem.setText(sentence.removeprefix("the settings: "))
         self.problem.setToolTip(sentence)
         for _, editor in self.editors.values():
             editor.setStyleSheet(f"color: {theme.RED.name()};" if editor is at else "")
