@@ -24,6 +24,7 @@ Separator: TypeAlias = Literal["/", "."]  # between the parts of a chunk's name
 METADATA = "zarr.json"  # in the folder of an array or group
 _STEP = 4096  # frames by which an array grows
 _WRITE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
+_TYPES = ("uint16", "float32", "float64")  # of pixels and results
 _CODECS = [{"name": "bytes", "configuration": {"endian": "little"}}]
 
 
@@ -43,12 +44,14 @@ class FrameArray:
             self.length, *shape = (int(count) for count in self._metadata["shape"])
             self._type = np.dtype(self._metadata["data_type"]).newbyteorder("<")
             self._separator = str(self._metadata["chunk_key_encoding"]["configuration"]["separator"])
-            is_ours = self._metadata["codecs"] == _CODECS
+            is_ours = self._metadata["codecs"] == _CODECS and self._metadata["data_type"] in _TYPES
             is_ours &= self._metadata["chunk_grid"]["configuration"]["chunk_shape"] == [1, *shape]
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise InputError(f"{path}: not an array of a recording: {in_words(error)}") from error
         if not is_ours:
-            raise InputError(f"{path}: not an array of a recording, which has one plain chunk for each frame")
+            raise InputError(
+                f"{path}: not an array of a recording, one plain chunk of {' or '.join(_TYPES)} for each frame"
+            )
         self.shape = tuple(shape)
         self._path = path
         self._last = self._separator.join("0" * len(shape))

@@ -39,6 +39,11 @@ def test_folder_without_a_recording_is_reported(tmp_path: Path, make: Callable[[
             use(tmp_path / "r")
 
 
+def retyped(metadata: Path) -> None:
+    """Give counts a sign."""
+    metadata.write_text(metadata.read_text().replace('"uint16"', '"int16"'))
+
+
 @pytest.mark.parametrize(
     ("damage", "use", "said"),
     [
@@ -51,6 +56,7 @@ def test_folder_without_a_recording_is_reported(tmp_path: Path, make: Callable[[
         (lambda r: None, lambda r: r.line(2), "has no frame 2; it has 2"),
         (lambda r: None, lambda r: r.line(-1), "has no frame -1"),
         (lambda r: (r / "frames.zarr/0/zarr.json").write_text("{}"), lambda r: r.pixels(0), "not an array of"),
+        (lambda r: retyped(r / "frames.zarr/0/zarr.json"), lambda r: r.pixels(0), "not an array of a recording"),
         (lambda r: (r / "frames.zarr/0/zarr.json").unlink(), lambda r: r.pixels(0), "pixels of frame 0 are missing"),
     ],
 )
