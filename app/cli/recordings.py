@@ -26,6 +26,8 @@ def recover(recording: RecordingArgument) -> None:
     print_recovered(recovered, recording)
     if not recovered.whole:
         raise RunError(f"{recording}: no frame is whole")
+    if not recovered.has_calibration:
+        raise RunError(f"{recording}: no frame can be reconstructed, because no calibration can be read")
 
 
 def replay(
@@ -66,6 +68,7 @@ def replay(
             progress=progress,
         )
     print_replay(made)
+    _warn_of_missing(recording)
 
 
 def export(
@@ -93,6 +96,7 @@ def export(
     with progress_bar() as progress:
         count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)
     typer.echo(f"{count} frames of {recording} are in {out}")
+    _warn_of_missing(recording)
 
 
 def report(
@@ -134,3 +138,19 @@ def report(
     if residual is not None:
         print_residual(residual)
     typer.echo(f"the report of {summary.sampled_frames} is in {out}")
+    for each in (recording, beside):
+        if each is not None:
+            _warn_of_missing(each)
+
+
+def _warn_of_missing(folder: Path) -> None:
+    """Warn if a complete recording has fewer lines than frames."""
+    from app.cli.tables import print_warning
+    from app.recording.reader import Recording
+
+    recording = Recording(folder)
+    missing = (recording.recorded_frames or 0) - len(recording)
+    if recording.is_complete and missing > 0:
+        print_warning(
+            f"{folder}: {missing} of {recording.recorded_frames} frames have no line; svwfs recover lists them"
+        )

@@ -83,6 +83,13 @@ class Recording:
         return bool(self.run["complete"])
 
     @property
+    def recorded_frames(self) -> int | None:
+        """Number of frames according to `run.json`; None if it does not tell."""
+        counts = self.run.get("frames")
+        recorded = counts.get("recorded") if isinstance(counts, dict) else None
+        return recorded if type(recorded) is int and recorded >= 0 else None  # True is not a number
+
+    @property
     def ended_early(self) -> str:
         """Why the recording ended early; empty if it did not."""
         return str(self.run.get("ended_early", ""))

@@ -32,6 +32,7 @@ class Recovered:
     gaps: int = 0
     damage: tuple[str, ...] = ()  # a sentence for each kind
     whole: list[int] = field(default_factory=list)  # frames whose line and pixels are readable
+    has_calibration: bool = True  # False if frames name calibrations, and none can be read
     rebuilt: tuple[str, ...] = ()  # a sentence for each file of metadata
     put_aside: str = ""  # what was removed from `frames.jsonl`, and where it is
 
@@ -98,10 +99,8 @@ def _length(recording: Recording, lines: FoundLines) -> int:
     """Number of frames, up to the last whole one: after a power failure a line may exist without its frame."""
     most = _BEYOND * (1 + max(len(recording), recording.stored_frames))
     if recording.is_complete:
-        counts = recording.run.get("frames")
-        recorded = counts.get("recorded") if isinstance(counts, dict) else None
-        # True is not a number
-        return recorded if type(recorded) is int and 0 <= recorded <= most else len(recording)
+        recorded = recording.recorded_frames
+        return len(recording) if recorded is None or recorded > most else recorded
     return max((index + 1 for index in lines.spans if index < most and recording.is_whole(index)), default=0)
 
 
@@ -132,7 +131,9 @@ def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress
         (without_results, "what was found live is missing; svwfs replay finds it again"),
     )
     damaged = [f"{frames_in_words(which)}: {what}" for which, what in of_frames if which]
-    found.damage = (*damaged, *_faults(recording.calibration, calibrations), *_faults(recording.bias, biases))
+    unreadable = list(_faults(recording.calibration, calibrations))
+    found.has_calibration = not unreadable or len(unreadable) < len(calibrations - {None})
+    found.damage = (*damaged, *unreadable, *_faults(recording.bias, biases))
 
 
 def _faults(read: Callable[[int], object], numbers: Iterable[int | None]) -> Iterator[str]:

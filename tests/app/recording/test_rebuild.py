@@ -44,14 +44,16 @@ def metadata_of(folder: Path) -> dict[str, Any]:
     return {path.relative_to(folder).as_posix(): json.loads(path.read_text()) for path in files}
 
 
-@pytest.mark.parametrize("damage", ["missing", "empty", "half", "other"])
+@pytest.mark.parametrize("damage", ["missing", "empty", "half", "other", "type"])
 @pytest.mark.parametrize("is_complete", [True, False])
 def test_missing_metadata_are_made_again(recording: Recording, damage: str, is_complete: bool) -> None:
     before = metadata_of(recording.folder)
     for name in (*ARRAYS, "frames.zarr") if damage == "missing" else ARRAYS:
         path = recording.folder / name / "zarr.json"
         text = path.read_bytes()
-        path.unlink() if damage == "missing" else path.write_bytes({"half": text[:90], "other": b"[]"}.get(damage, b""))
+        types = text.replace(b'"uint16"', b'"int16"').replace(b'"float64"', b'"int64"')
+        damaged = {"half": text[:90], "other": b"[]", "type": types}.get(damage, b"")
+        path.unlink() if damage == "missing" else path.write_bytes(damaged)
     if not is_complete:
         path = recording.folder / "run.json"
         path.write_text(json.dumps({**recording.run, "complete": False}))
@@ -104,6 +106,29 @@ def test_recovery_without_whole_frames_fails(
     shutil.rmtree(recording.folder / "frames.zarr")
     assert run(monkeypatch, "recover", recording.folder) == 1
     assert capsys.readouterr().err == f"svwfs: {recording.folder}: no frame is whole\n"
+
+
+def test_recovery_without_any_calibration_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording
+) -> None:
+    (recording.folder / "calibrations/0/reference.npz").write_bytes(b"")
+    assert run(monkeypatch, "recover", recording.folder) == 1
+    said = capsys.readouterr()
+    assert said.err.endswith("no frame can be reconstructed, because no calibration can be read\n")
+    assert "reference.npz" in said.out
+
+
+@pytest.mark.parametrize("command", ["replay {}", "export {} --to csv --out {}.csv"])
+def test_frames_without_a_line_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, command: str
+) -> None:
+    arguments = command.format(recording.folder, recording.folder).split()
+    assert run(monkeypatch, *arguments, "--overwrite") == 0
+    assert "have no line" not in capsys.readouterr().out
+    path = recording.folder / "frames.jsonl"
+    path.write_bytes(path.read_bytes()[:-30])
+    assert run(monkeypatch, *arguments, "--overwrite") == 0
+    assert "1 of 4 frames have no line; svwfs recover lists them" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.timeout(60)
