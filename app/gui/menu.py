@@ -35,7 +35,7 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_HELP_WIDTH = 660  # px
+_HELP_WIDTH = 820  # px
 _HELP_OF_SCREEN = 0.9
 
 Act = Callable[[], object] | QAbstractButton | QMenu  # a button lends its entry tick and greying
@@ -49,7 +49,8 @@ def fill_menus(window: QMainWindow, menus: Mapping[str, Entries], more_help: Ent
         return
     for title, entries in menus.items():
         _fill(bar.addMenu(title), entries)
-    _fill(bar.addMenu("&Help"), (("Shortcuts and conventions", "F1", lambda: _show_help(window, menus)), *more_help))
+    tables = {**menus, "&Help": more_help}
+    _fill(bar.addMenu("&Help"), (("Shortcuts and conventions", "F1", lambda: _show_help(window, tables)), *more_help))
 
 
 def _fill(menu: QMenu | None, entries: Entries) -> None:
@@ -94,7 +95,9 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.setObjectName("help")
     dialog.setWindowTitle("Shortcuts and conventions")
-    columns = "".join(f"<td>{_key_table(title, entries)}</td>" for title, entries in menus.items())
+    tables = [_key_table(title, entries) for title, entries in menus.items()]
+    tables[0] += tables.pop()  # the help below the first, which has few keys
+    columns = "".join(f"<td>{table}</td>" for table in tables)
     text = QLabel(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS}")
     text.setWordWrap(True)
     width = max(_HELP_WIDTH, text.sizeHint().width())
@@ -115,7 +118,7 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
 
 def _key_table(title: str, entries: Entries) -> str:
     rows = "".join(
-        f"<tr><td><b>{key}</b>&nbsp;</td><td>{name}&nbsp; &nbsp;</td></tr>"
+        f"<tr><td><b>{key}</b>&nbsp;</td><td>{name.replace(' ', '&nbsp;')}&nbsp; &nbsp;</td></tr>"
         for name, key, _ in filter(None, entries)
         if key
     )

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.patience import own_time
@@ -189,6 +189,9 @@ def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     next(entry for entry in entries if entry.shortcut().toString() == "F1").trigger()
     dialog = window.findChildren(QWidget, "help")[0]
     assert dialog.isVisible()
+    text = dialog.findChildren(QLabel)[0]
+    assert "Ctrl+L" in text.text()  # the help's own keys, too
+    assert text.width() >= text.minimumSizeHint().width()  # nothing is cut off
     dialog.close()
 
 
