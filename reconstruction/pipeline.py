@@ -276,10 +276,13 @@ class Reconstructor:
 
 def _why_lost(outcome: Outcomes) -> str:
     """Probable cause, if nearly all lenslets are lost."""
-    left, diverged = (np.count_nonzero(outcome == reason) for reason in (Outcome.LEFT_CELL, Outcome.DIVERGED))
+    counts = np.bincount(outcome.ravel(), minlength=len(Outcome)).tolist()
+    left, saturated = counts[Outcome.LEFT_CELL], counts[Outcome.SATURATED]
+    if saturated > outcome.size / 4:
+        return f"{saturated} are saturated, shorten the exposure or lower the light's current"
     if left > outcome.size / 4:
         return f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
-    return f"{diverged} subimages look different: another mask, out of focus, moved or partly blocked?"
+    return f"{counts[Outcome.DIVERGED]} subimages look different: another mask, out of focus, moved or partly blocked?"
 
 
 def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:

@@ -40,6 +40,8 @@ def warning(
     """
     if problem and not status.is_light_on:
         return "the light is off: switch it on (L)"
+    if status.warning and _shows_few(status, status.area):
+        return _cut_off(status, status.area)
     if problem not in {"", status.warning} and status.reference == "good":
         return problem
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
@@ -112,15 +114,30 @@ def exposure_found(found: AutoExposure) -> str:
 
 def area_taken(status: Status, area: SensorArea) -> tuple[str, bool]:
     """Describe the sensor area that the camera took, and return whether no lenslet is cut off."""
+    if _shows_few(status, area):
+        return _cut_off(status, area), False
     retake = "" if status.reference == "good" else "; take a new dark (D) and reference (R)"
-    sensor, lattice = status.bench.sensor, status.lattice
-    outside = 0 if lattice is None else lenslets_outside(lattice, sensor, area)
+    outside = _outside(status, area)
     if outside:
-        return (
-            f"{outside} of {sensor.lenslet_rows * sensor.lenslet_columns} lenslets are cut off by {area}{retake}",
-            False,
-        )
+        return f"{outside} of {_lenslets(status)} lenslets are cut off by {area}{retake}", False
     return f"the camera reads out {area}{retake}", True
+
+
+def _lenslets(status: Status) -> int:
+    return status.bench.sensor.lenslet_rows * status.bench.sensor.lenslet_columns
+
+
+def _outside(status: Status, area: SensorArea) -> int:
+    return 0 if status.lattice is None else lenslets_outside(status.lattice, status.bench.sensor, area)
+
+
+def _shows_few(status: Status, area: SensorArea) -> bool:
+    """Whether most lenslets lie outside a part of the sensor, so that no reference can be used."""
+    return area.region != status.capabilities.sensor is not None and _outside(status, area) > _lenslets(status) / 2
+
+
+def _cut_off(status: Status, area: SensorArea) -> str:
+    return f"{_outside(status, area)} of {_lenslets(status)} lenslets are outside the region of {area}: enlarge it (P)"
 
 
 def recording_ended(state: RecordingState) -> str:

@@ -1,5 +1,6 @@
 """Statistics of a camera frame: histogram, brightest pixel, and pixels that are clipped."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
+from reconstruction.quality.clipping import clip_level
 
 NEARLY_FULL = 0.95  # of the level at which pixels clip
 _BINS = 128
 _STEP = 2e-3  # of the highest count: scatter of clipped pixels, by read noise
-_PILED_UP = 3.0  # times as many pixels in the highest step as in the next one: light has fewer
 _LEAST_SHARE, _MOST_SHARE = 2e-4, 0.5  # of the pixels, that a full well clips; of more, nothing is known
 
 
@@ -42,16 +43,16 @@ def frame_statistics(pixels: NDArray[np.integer[Any]], full_scale: int) -> Frame
     top = full_scale or peak
     edges = np.unique(np.linspace(0, max(top, peak) + 1, _BINS + 1).astype(np.intp))
     of_bins = np.add.reduceat(np.append(by_count, np.zeros(edges[-1] - len(by_count), by_count.dtype)), edges[:-1])
-    clip_level = _clip_level(by_count, full_scale) if full_scale else peak + 1
+    clip_level = _clip_level(pixels, peak, full_scale) if full_scale else peak + 1
     share = float(by_count[clip_level:].sum() / pixels.size)
     return FrameStatistics(edges.astype(np.float64), of_bins, peak, clip_level, share)
 
 
-def _clip_level(by_count: NDArray[np.intp], full_scale: int) -> int:
-    peak, total = len(by_count) - 1, by_count.sum()
+def _clip_level(pixels: NDArray[np.integer[Any]], peak: int, full_scale: int) -> int:
     if peak >= full_scale:
         return full_scale
-    step = max(round(_STEP * peak), 1)
-    piled, below = by_count[-step:].sum(), by_count[-2 * step : -step].sum()
-    is_clipped = piled > _PILED_UP * below and _LEAST_SHARE * total < piled < _MOST_SHARE * total
-    return peak + 1 - step if is_clipped else full_scale
+    level = clip_level(pixels, max(round(_STEP * peak), 1))
+    if level is None:
+        return full_scale
+    lowest = math.floor(level) + 1
+    return lowest if _LEAST_SHARE < np.count_nonzero(pixels >= lowest) / pixels.size < _MOST_SHARE else full_scale

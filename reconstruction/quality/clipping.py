@@ -9,8 +9,8 @@ _BY_CHANCE = 10  # more pixels within that next scatter than seen, where few are
 _FINEST = 1e-3  # of the highest count, where the scatter is unknown
 
 
-def clipped_fraction(counts: Counts, scatter: float = 0.0) -> float:
-    """Share of pixels piled up at the highest count; 0 without a pile.
+def clip_level(counts: Counts, scatter: float = 0.0) -> float | None:
+    """Count above which pixels are clipped: they pile up at the highest count; None without a pile.
 
     A full well may lie below the camera's full scale, and read noise blurs its edge. Light without a limit has ever
     fewer pixels towards its highest count.
@@ -26,4 +26,10 @@ def clipped_fraction(counts: Counts, scatter: float = 0.0) -> float:
     step = max(scatter, 1.0 if np.issubdtype(counts.dtype, np.integer) else 0.0, _FINEST * abs(top))
     piled = np.count_nonzero(counts > top - step)
     below = np.count_nonzero(counts > top - 2 * step) - piled
-    return piled / counts.size if piled > _PILED_UP * (below + _BY_CHANCE) else 0.0
+    return top - step if piled > _PILED_UP * (below + _BY_CHANCE) else None
+
+
+def clipped_fraction(counts: Counts, scatter: float = 0.0) -> float:
+    """Share of the pixels above the `clip_level`."""
+    level = clip_level(counts, scatter)
+    return 0.0 if level is None else np.count_nonzero(counts > level) / counts.size

@@ -45,6 +45,7 @@ _LEAST_SLOPES_PX = 0.01
 _NOISE_PIXELS, _NOISE_SLOPES = 1.3, 2.0  # of the expected variances, not counted as misfit
 _UNLIKE = 0.25  # share of lenslets without a match
 _LEFT = 0.1  # share of lenslets that left their cells
+_SATURATED = 0.1  # share of lenslets with pixels at full scale
 _BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
 _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
 _CLIPPED = 0.01  # of the pixels
@@ -99,6 +100,7 @@ class FrameJudge:
         outcome, count = displacement.outcome, displacement.outcome.size
         counts = np.bincount(outcome[self._lit], minlength=len(Outcome)).tolist()
         unlike, left, dark = counts[Outcome.DIVERGED], counts[Outcome.LEFT_CELL], counts[Outcome.DARK]
+        saturated = counts[Outcome.SATURATED]
         lit = sum(counts)
         deformation_px, spread_px = self._sizes_px(displacement)
         misfit = _misfit(displacement) if self._knows_misfit else 0.0
@@ -113,6 +115,11 @@ class FrameJudge:
         if slopes_px > math.hypot(_LEAST_SLOPES_PX, self._limits.slopes * math.hypot(deformation_px, spread_px)):
             moved = "has the camera turned since the reference, or is the frame torn?"
             yield Fault.SLOPES, f"slopes differ from those of any wavefront by {slopes_px:.2f} px: {moved}"
+        if saturated > _SATURATED * lit:
+            yield (
+                Fault.CLIPPED,
+                f"{saturated} of {count} lenslets are saturated: shorten the exposure or lower the light's current",
+            )
         if left > _LEFT * lit:
             yield Fault.RANGE, f"{left} of {count} subimages have left their cells: the aberration is too strong"
         if dark > _BLOCKED * lit:

@@ -66,7 +66,8 @@ class ReferenceSubimages:
         if np.mean(self.off_camera) > _OFF_CAMERA_FRACTION:
             rows, columns = reference.shape
             raise ReconstructionError(
-                f"most lenslets lie off the frame of {rows} x {columns} pixels: check [lattice] and the frame's size"
+                f"{np.count_nonzero(self.off_camera)} of {self.off_camera.size} lenslets lie outside the frame of"
+                f" {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
         self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
         nearest = np.rint(self.position_px).astype(np.intp)

@@ -115,6 +115,23 @@ def test_saturated_frame_is_refused(small_bench: SmallBench, tilted: NDArray[np.
         )
 
 
+def _touched(small_bench: SmallBench, image: NDArray[np.float32], value: float) -> NDArray[np.float32]:
+    """Set the pixel in the middle of every cell."""
+    frame = image.copy()
+    shape = (small_bench.sensor.lenslet_rows, small_bench.sensor.lenslet_columns)
+    x, y = np.rint(small_bench.lattice.lenslet_centers_px(*shape)).astype(int).reshape(-1, 2).T
+    frame[y, x] = value
+    return frame
+
+
+def test_few_saturated_pixels_in_every_cell_are_named(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    full_scale = 2 * float(tilted.max())
+    correlation = RegistrationSettings(method="correlation")  # it loses every lenslet with a saturated pixel
+    reconstructor = small_bench.reconstructor(full_scale=full_scale, registration=correlation)
+    with pytest.raises(ReconstructionError, match=r"63 are saturated, shorten the exposure"):
+        reconstructor(_touched(small_bench, tilted, full_scale))
+
+
 def test_too_many_modes_are_refused(small_bench: SmallBench) -> None:
     with pytest.raises(ReconstructionError, match="cannot tell 300 pupil modes apart"):
         small_bench.reconstructor(pupil_modes=300)

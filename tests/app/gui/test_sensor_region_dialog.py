@@ -94,6 +94,23 @@ def test_region_is_applied_and_calibrated_again(window: MainWindow, qtbot: QtBot
     qtbot.waitUntil(lambda: window._status is not None and window._status.warning == "")
 
 
+def test_region_without_most_lenslets_is_to_be_enlarged(window: MainWindow, qtbot: QtBot) -> None:
+    press(qtbot, window, Qt.Key.Key_P)
+    dialog = window.region_dialog
+    fill_in(window, Region(0, 0, 120, 130))  # three rows and three columns, from 9.9 and 11.9 px on
+    dialog.apply.click()
+    qtbot.waitUntil(lambda: window._status is not None and window._status.area.region != SENSOR)
+    qtbot.waitUntil(lambda: not dialog.isVisible())
+    advice = "108 of 117 lenslets are outside the region of 120 x 130 pixels from row 0, column 0: enlarge it (P)"
+    qtbot.waitUntil(lambda: text(window) == advice)
+    window.messages.clear_notice()
+    assert text(window) == advice  # and no advice to take a reference, which could not be used
+    window.controls.reference.click()
+    qtbot.waitUntil(window.controller.pending.poll)
+    window.messages.clear_notice()
+    qtbot.waitUntil(lambda: text(window) == advice)
+
+
 def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtBot) -> None:
     window.controls.sensor_region.click()
     dialog = window.region_dialog

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from support.faulty_frames import FAULTY
 from support.optics import FIELD, SmallBench, converged
 
+from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.modes.field_modes import LegendreModes
@@ -165,6 +167,19 @@ def test_200_good_frames_raise_no_alarm(lenslets: tuple[int, int], peak_e: float
         counts = photons * em_gain if em_gain == 1 else rng.gamma(np.maximum(photons, 1e-9), em_gain)
         frame = np.rint(np.maximum(counts + rng.normal(0, READ_NOISE_E, counts.shape), 0)).astype(np.uint32)
         assert not judge(frame, displacement).reasons
+
+
+def test_saturated_lenslets_are_named() -> None:
+    reconstructor, judge = measured_by("cubic", 1e4)
+    frame = exposed(aberrated(0.5), 1e4, 0)
+    found = reconstructor.register(frame)
+    outcome = found.outcome.copy()
+    outcome[:2] = Outcome.SATURATED
+    assert not judge(frame, found).faults
+    worse = judge(frame, replace(found, outcome=outcome))
+    assert worse.faults == Fault.CLIPPED
+    count = 2 * outcome.shape[1]
+    assert worse.sentence.startswith(f"{count} of {outcome.size} lenslets are saturated: shorten the exposure")
 
 
 def test_faults_of_the_reference_are_those_of_each_frame() -> None:
