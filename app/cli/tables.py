@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from app.cli import printable
 from app.evaluation.selftest import Check
 from app.recording.recover import Recovered
 from app.results.quality import QualityTally
@@ -57,17 +58,17 @@ def print_measurement(measured: Measured, out: Path) -> None:
         _print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
     print_quality(measured.quality)
     counts = f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}"
-    Console().print(counts, markup=False)
+    _print_sentence(counts)
 
 
 def print_recovered(recovered: Recovered, folder: Path) -> None:
     """Print the state of a recording, what was repaired, and its damage."""
     state = "was complete" if recovered.was_complete else "is complete now"
     damaged = ", but damaged" if recovered.damage else ""
-    typer.echo(f"{folder}: {state}{damaged}: {recovered.summary}")
+    typer.echo(printable(f"{folder}: {state}{damaged}: {recovered.summary}"))
     for sentence in (*recovered.rebuilt, *recovered.damage, recovered.readable, recovered.put_aside):
         if sentence:
-            typer.echo(f"{folder}: {sentence}")
+            typer.echo(printable(f"{folder}: {sentence}"))
 
 
 def print_replay(made: Replay) -> None:
@@ -88,11 +89,11 @@ def print_replay(made: Replay) -> None:
     if made.unrefined:
         console.print(f"{made.unrefined} frames were refined when they were recorded; with this bench they are not")
     if made.verification is not None:
-        console.print(made.verification.sentence, markup=False, highlight=False, soft_wrap=True)
+        _print_sentence(made.verification.sentence)
     print_quality(made.quality)
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
-    console.print(f"{made.frames} frames{why}", markup=False, highlight=False, soft_wrap=True)
+    _print_sentence(f"{made.frames} frames{why}")
 
 
 def print_quality(quality: QualityTally) -> None:
@@ -105,7 +106,7 @@ def print_residual(residual: Residual) -> None:
     """Print the RMS difference of two recordings' mean wavefronts at every view, and the paper's three numbers."""
     title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
     _print_by_view(residual.field, title, ((f"{value:.3f}" for value in row) for row in residual.rms_rad))
-    Console().print(residual.sentence, markup=False, highlight=False, soft_wrap=True)
+    _print_sentence(residual.sentence)
 
 
 def print_checks(checks: Iterable[Check]) -> bool:
@@ -129,6 +130,11 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=1.0)
         yield lambda text, fraction: progress.update(task, description=text or "waiting", completed=fraction)
+
+
+def _print_sentence(text: str) -> None:
+    """Print text that may come from a file; without control codes, which could change the terminal."""
+    Console().print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def _print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> None:

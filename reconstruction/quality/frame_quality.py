@@ -48,6 +48,7 @@ _LEFT = 0.1  # share of lenslets that left their cells
 _SATURATED = 0.1  # share of lenslets with pixels at full scale
 _BLOCKED = 0.1  # share of the reference's lit lenslets that are dark
 _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may differ from the reference's
+_DIM = 0.01  # of the reference's light; below, what remains may be stray light
 _CLIPPED = 0.01  # of the pixels
 _BACKGROUND_PERCENT = 1.0  # of the pixels, without a dark
 _STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
@@ -136,7 +137,11 @@ class FrameJudge:
         whole = max(float(light.sum()), np.finfo(np.float64).tiny)
         ratio = light * (self._light.sum() / whole) / self._light
         uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))
-        if uneven > _BLOCKED * ratio.size:
+        share = max(float(light.sum()), 0.0) / float(self._light.sum())
+        if share < _DIM:
+            dimmed = "is the light on, and its current as before?"
+            yield Fault.ILLUMINATION, f"the frame has only {100 * share:.2g} % of the reference's light: {dimmed}"
+        elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
         scatter = 0.0

@@ -9,6 +9,9 @@ from reconstruction.quality.clipping import clipped_fraction
 from reconstruction.quality.verdict import Fault, Quality
 
 _OFF_LATTICE = 0.05  # of a pitch; on the bench of docs/estimator.md it changes a wavefront of 4.2 rad by 0.2 rad
+_DARK = 0.25  # of the typical lenslet's contrast
+_MISSING = 0.25  # of the shorter side of the lattice; as many lenslets more lie elsewhere
+_SAMPLES = 16  # across a cell
 _LEAK = 0.01  # of the light in the dark; 0.2 changes a wavefront of 4 rad RMS by 0.9 rad
 _CLIPPED = 0.01  # of the pixels
 
@@ -42,6 +45,9 @@ def reference_quality(
         Number of frames averaged.
     """
     reasons: dict[Fault, str] = {}
+    light = np.asarray(reference, np.float64)
+    if dark is not None:
+        light = light - dark
     if shown is not None:
         off_px = lattice_error_px(lattice, shown, sensor)
         if off_px > _OFF_LATTICE * lattice.pitch_px:
@@ -49,9 +55,14 @@ def reference_quality(
                 f"the reference shows lenslets up to {off_px:.1f} px from [lattice], which is wrong or stale:"
                 " calibrate again, or leave [lattice] out"
             )
-    light = np.asarray(reference, np.float64)
+        elif (more := lit_elsewhere(light, lattice, shown, sensor)) > _MISSING * min(
+            sensor.lenslet_rows, sensor.lenslet_columns
+        ):
+            reasons[Fault.LATTICE] = (
+                f"the reference shows {more} more lenslets whole pitches away from [lattice], which is wrong or stale:"
+                " calibrate again, or leave [lattice] out"
+            )
     if dark is not None:
-        light = light - dark
         leak = leaked_light(np.asarray(dark, np.float64), light)
         if leak > _LEAK:
             reasons[Fault.DARK] = (
@@ -81,7 +92,7 @@ def response_quality(problem: str) -> Quality:
 def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
     """Largest distance of a lenslet from the nearest lenslet of the other lattice, px.
 
-    Whole pitches do not count: a reference may show more lenslets than the sensor has.
+    Whole pitches do not count: a reference may show more lenslets than the sensor has; see `lit_elsewhere`.
     """
     corners = np.array(
         [
@@ -93,6 +104,27 @@ def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
     off = other.from_camera_px(lattice.to_camera_px(corners * lattice.pitch_px)) / other.pitch_px - corners
     off -= np.rint(off.mean(axis=0))
     return float(np.hypot(*off.T).max() * other.pitch_px)
+
+
+def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Sensor) -> int:
+    """Number of lenslets that are lit in another lattice beyond those lit in this one; `light` (row, column), counts.
+
+    Off by a whole pitch, a lattice fits as well as before, but its last row lies in the dark.
+    """
+    here, there = (_contrast(light, each, sensor) for each in (lattice, shown))
+    least = _DARK * np.median(there)
+    return int(np.count_nonzero(there > least) - np.count_nonzero(here > least))
+
+
+def _contrast(light: Floats, lattice: Lattice, sensor: Sensor) -> Floats:
+    """Standard deviation of the light over each cell of a lattice, counts, (L,); 0 beyond the frame."""
+    steps = centered_steps(_SAMPLES) / _SAMPLES
+    columns, rows = centered_steps(sensor.lenslet_columns), centered_steps(sensor.lenslet_rows)
+    x, y = (np.add.outer(centre, steps) for centre in (columns, rows))  # (lenslet, sample), pitches
+    at = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None]), axis=-1).reshape(-1, _SAMPLES**2, 2)
+    column, row = np.moveaxis(np.rint(lattice.to_camera_px(at * lattice.pitch_px)).astype(np.intp), -1, 0)
+    inside = (row >= 0) & (row < light.shape[0]) & (column >= 0) & (column < light.shape[1])
+    return np.asarray(np.std(np.where(inside, light[row * inside, column * inside], 0.0), axis=1))
 
 
 def leaked_light(dark: Floats, light: Floats) -> float:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -421,6 +422,28 @@ def test_flood_of_subscriptions_closes_its_connection(
             wait_until(lambda: publisher._guard._open_from_s > 0)  # the flood was noticed
             wait_until(lambda: publisher._subscriptions == {b"views"})  # and its connection closed
             _until_heard(publisher, subscriber, measurement)  # the other one stays connected
+
+
+def test_no_connection_is_accepted_for_5_s_after_a_flood(
+    publisher: Publisher, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a program that connects again at once floods on."""
+    guard, now_s = publisher._guard, 1000.0
+    closed: list[int] = []
+    clock = SimpleNamespace(monotonic=lambda: now_s)
+    monkeypatch.setattr("app.acquisition.streams.guard.time", clock)
+    monkeypatch.setattr(guard, "_close", closed.append)
+    for _ in range(CHANGES):
+        guard.count_change(SimpleNamespace(get=lambda _: -1))  # type: ignore[arg-type] # a message
+    assert closed == [-1]
+    clock.monotonic = lambda: now_s + 4.99
+    with socket.create_connection(("127.0.0.1", port)):
+        wait_until(lambda: len(closed) == 2 or guard._connected)
+        assert not guard._connected
+    clock.monotonic = lambda: now_s + 5.01
+    with socket.create_connection(("127.0.0.1", port)):
+        wait_until(lambda: guard._connected)
+    assert len(closed) == 2
 
 
 @pytest.mark.parametrize(("address", "is_warned"), [("127.0.0.1", False), ("127.8.9.1", False), ("0.0.0.0", True)])  # noqa: S104 - it is warned of

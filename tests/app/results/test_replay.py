@@ -378,3 +378,13 @@ def test_damaged_recording_is_one_line(
     said = capsys.readouterr().err
     assert sentence in said
     assert said.count("\n") == 1
+
+
+def test_text_of_a_recording_brings_no_control_codes(
+    mine: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edit_line(mine, 2, problem="\x1b[31m")
+    assert run(monkeypatch, "replay", mine.folder) == 0
+    printed = capsys.readouterr().out
+    assert 'frame 2: the problem was "\\x1b[31m"' in printed
+    assert "\x1b[31m" not in printed

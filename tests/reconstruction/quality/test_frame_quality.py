@@ -140,6 +140,57 @@ def test_dim_floating_point_images_are_judged_as_bright_ones() -> None:
     assert not judge(frame, reconstructor.register(frame)).reasons
 
 
+@pytest.mark.parametrize(("share", "is_found"), [(0.011, False), (0.009, True), (1e-3, True), (1e-4, True)])
+def test_light_far_below_the_reference_is_found(share: float, is_found: bool) -> None:
+    """Also where so little noise remains that every lenslet matches."""
+    reconstructor, judge = measured_by("cubic", 1e5)
+    frame = np.asarray(share * 1e5 * aberrated(0.0), np.float32)
+    displacement = reconstructor.register(frame)
+    assert displacement.valid.all()
+    found = judge(frame, displacement)
+    assert (Fault.ILLUMINATION in found.faults) == is_found
+    if is_found:
+        assert f"only {100 * share:.2g} % of the reference's light" in found.reasons[Fault.ILLUMINATION]
+
+
+def with_outcomes(outcome: Outcome, count: int) -> Fault:
+    """Faults of a right frame of which so many lenslets have another outcome."""
+    reconstructor, judge = measured_by("cubic", 1e4)
+    frame = exposed(aberrated(1.0), 1e4, 0)
+    displacement = reconstructor.register(frame)
+    outcomes = displacement.outcome.copy()
+    outcomes.ravel()[:count] = outcome
+    return judge(frame, replace(displacement, outcome=outcomes)).faults
+
+
+@pytest.mark.parametrize(
+    ("outcome", "most", "fault"),
+    [(Outcome.DIVERGED, 15, Fault.MISFIT), (Outcome.LEFT_CELL, 6, Fault.RANGE), (Outcome.DARK, 6, Fault.ILLUMINATION)],
+)
+def test_lost_lenslets_up_to_a_share_pass(outcome: Outcome, most: int, fault: Fault) -> None:
+    """A quarter or a tenth of 63."""
+    assert with_outcomes(outcome, most) == Fault(0)
+    assert with_outcomes(outcome, most + 1) == fault
+
+
+@pytest.mark.parametrize(("factor", "is_found"), [(0.55, False), (0.42, True)])
+def test_light_of_a_tenth_of_the_lenslets_may_differ_by_a_factor_of_2(factor: float, is_found: bool) -> None:
+    light, pitch_px = aberrated(0.0).copy(), BENCH.lattice.pitch_px
+    light[:, : int(BENCH.lattice.center_x_px - 3.5 * pitch_px)] *= factor  # one of nine columns
+    assert verdict("cubic", 1e4, light).faults == (Fault.ILLUMINATION if is_found else Fault(0))
+
+
+@pytest.mark.parametrize(("count", "is_found"), [(10, False), (11, True)])
+def test_one_percent_of_the_pixels_may_be_clipped(count: int, is_found: bool) -> None:
+    """Of 63 x 16 sampled pixels."""
+    reconstructor, judge = measured_by("cubic", 1e4)
+    frame = exposed(aberrated(0.0), 1e4, 0)
+    displacement = reconstructor.register(frame)
+    assert judge._sampled.size == 1008
+    frame.ravel()[judge._sampled[:count, 0]] = 2e4
+    assert (Fault.CLIPPED in judge(frame, displacement).faults) == is_found
+
+
 def test_full_well_below_full_scale_is_found() -> None:
     reconstructor, judge = measured_by("cubic", 1e5)
     frame = exposed(aberrated(1.0), 1e5, 0)
