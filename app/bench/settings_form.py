@@ -111,7 +111,12 @@ class SettingsForm:
         return tuple(
             section
             for field in dataclasses.fields(Bench)
-            for section in _sections(field.name, self._class(field.name, hints[field.name]), self._tree.get(field.name))
+            for section in _sections(
+                field.name,
+                self._class(field.name, hints[field.name]),
+                self._tree.get(field.name),
+                is_optional=type(None) in get_args(hints[field.name]),
+            )
         )
 
     def set(self, field: FormField, text: str) -> None:
@@ -144,7 +149,7 @@ class SettingsForm:
 
     def bench(self) -> Bench:
         """Return the bench; `BenchError` names what is wrong."""
-        tree = {name: section for name, section in self._tree.items() if section or name != "lattice"}
+        tree = {name: section for name, section in self._tree.items() if section}
         return parse_bench(tomli_w.dumps(tree), "the settings")
 
     def _class(self, name: str, hint: Any) -> type:
@@ -154,7 +159,9 @@ class SettingsForm:
         return found
 
 
-def _sections(path: str, cls: Any, values: Mapping[str, Any] | None) -> Iterator[FormSection]:
+def _sections(
+    path: str, cls: Any, values: Mapping[str, Any] | None, *, is_optional: bool = False
+) -> Iterator[FormSection]:
     hints, comments = get_type_hints(cls), dict(_COMMENT.findall(inspect.getsource(cls)))
     limits = _limits(cls, values or {})
     simple, nested = [], []
@@ -165,7 +172,7 @@ def _sections(path: str, cls: Any, values: Mapping[str, Any] | None) -> Iterator
         else:
             told = filter(None, (comments.get(field.name, ""), limits.get(field.name, "")))
             made = _field(path, field.name, hints[field.name], value, ". ".join(map(_sentence, told)))
-            simple.append(dataclasses.replace(made, is_optional=True) if path == "lattice" else made)
+            simple.append(dataclasses.replace(made, is_optional=True) if is_optional else made)
     yield FormSection(path, (inspect.getdoc(cls) or "").splitlines()[0], tuple(simple))
     for one in nested:
         yield from _sections(*one)
