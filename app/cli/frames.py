@@ -100,10 +100,11 @@ def reconstruct(
 
     Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
     """
-    from app.cli.tables import print_refinement, print_views, print_warning, progress_bar
+    from app.cli.tables import print_quality, print_refinement, print_views, progress_bar
     from app.commands.reconstruct import reconstruct_files
     from app.results.dataset import result_dataset, write_results
     from app.results.plot import check_plot_path, plot_views
+    from app.results.quality import QualityTally
 
     loaded = load(bench, setting)
     inputs = (frame, reference, dark, bench_file(bench), *loaded.files)
@@ -124,8 +125,9 @@ def reconstruct(
     print_views(reconstructed.wavefront)
     if refine:
         print_refinement(reconstructed.changes_rad)
-    for reason in reconstructed.quality.reasons.values():
-        print_warning(f"doubtful: {reason}")
+    tally = QualityTally()
+    tally.take(reconstructed.quality)
+    print_quality(tally)
 
 
 def deconvolve(

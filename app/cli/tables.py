@@ -97,9 +97,11 @@ def print_replay(made: Replay) -> None:
 
 
 def print_quality(quality: QualityTally) -> None:
-    """Print a warning for each fault of the frames."""
+    """Print a warning for each fault of the frames, and a note of what could not be judged."""
     for sentence in quality.sentences:
         print_warning(f"doubtful: {sentence}")
+    if quality.unjudged:
+        Console().print(f"note: {quality.unjudged}", markup=False, highlight=False, soft_wrap=True)
 
 
 def print_residual(residual: Residual) -> None:

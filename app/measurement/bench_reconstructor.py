@@ -22,6 +22,7 @@ from reconstruction.geometry import Sensor
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
 from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.sequence import repeated_reference
 from reconstruction.quality.verdict import Quality
 from reconstruction.refinement import Refinement, Round
 from reconstruction.wavefront import Wavefront
@@ -77,7 +78,8 @@ class BenchReconstructor:
 
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
-        return self._judge(as_image(frame, "frame"), wavefront.displacement)
+        counts = as_image(frame, "frame")
+        return repeated_reference(counts, self._reference) | self._judge(counts, wavefront.displacement)
 
     def layers(self, wavefront: Wavefront) -> FrameEquations:
         """Normal equations of a wavefront's displacements for layers at any distance."""

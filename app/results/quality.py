@@ -28,12 +28,14 @@ class QualityTally:
     frames: int = 0
     _counts: Counter[Fault] = field(default_factory=Counter)
     _reasons: dict[Fault, str] = field(default_factory=dict)  # of the first frame with each
+    unjudged: str = ""  # what could not be judged of some frames, and why
 
     def take(self, quality: Quality) -> None:
         """Add one frame."""
         self.frames += 1
         self._counts.update(quality.reasons.keys())
         self._reasons = {**quality.reasons, **self._reasons}
+        self.unjudged = self.unjudged or quality.unjudged
 
     @property
     def sentences(self) -> list[str]:

@@ -74,7 +74,10 @@ class FrameJudge:
         self._sensor, self._noise, self.of_reference = sensor, reference.noise, of_reference
         is_ours = settings.method == "gauss_newton"
         self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
-        self._knows_misfit = is_ours and settings.warp != "translation" and reference.noise is not None
+        has_limit = is_ours and settings.warp != "translation"
+        self._knows_misfit = has_limit and reference.noise is not None
+        why = "the noise of the images is unknown" if has_limit else "it has no limit for this registration"
+        self._unjudged = "" if self._knows_misfit else f"misfit is not judged: {why}"
         self._lit = reference.lit.reshape(reference.lenslets)
         # The light of lenslets holds no period shorter than the blur: a finer grid sees all of it.
         step = min(max(int(reference.blur_px), 1), _STEP_PX)
@@ -94,7 +97,7 @@ class FrameJudge:
         """Judge a frame (row, column), counts, by its displacements."""
         reasons = dict(self._of_matches(displacement))
         reasons |= self._of_pixels(frame.ravel()[self._sampled])
-        return Quality(reasons) | self.of_reference
+        return Quality(reasons, self._unjudged) | self.of_reference
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
         """Faults seen in the outcomes of the lenslets, their residuals and their slopes."""

@@ -20,7 +20,7 @@ class Fault(IntFlag):
     LATTICE = 32  # the reference shows the lenslets elsewhere
     DARK = 64  # the dark contains light
     RESPONSE = 128  # the reference does not look as the bench is modelled
-    FROZEN = 256  # the same bytes as the frame before
+    FROZEN = 256  # the same counts as the frame before, or as the reference
     CLOCK = 512  # not later than the frame before
 
 
@@ -29,6 +29,7 @@ class Quality:
     """Faults with their reasons, the worst first; none if all is well."""
 
     reasons: Mapping[Fault, str] = field(default_factory=dict)
+    unjudged: str = ""  # what could not be judged, and why
 
     @property
     def faults(self) -> Fault:
@@ -42,4 +43,5 @@ class Quality:
 
     def __or__(self, other: Quality) -> Quality:
         """Faults of both; of two reasons for the same fault, the first one's."""
-        return Quality({**other.reasons, **self.reasons} if self.reasons else other.reasons)
+        reasons = {**other.reasons, **self.reasons} if self.reasons else other.reasons
+        return Quality(reasons, self.unjudged or other.unjudged)

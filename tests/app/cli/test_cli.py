@@ -449,3 +449,15 @@ def test_hot_pixel_in_the_reference_is_no_reason_to_refuse(
     tifffile.imwrite(tmp_path / "frame.tif", np.rint(frame * scale).clip(0, full).astype(form))
     command = ("--reference", tmp_path / "reference.tif", "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
     assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *command) == 0
+
+
+def test_unjudged_misfit_and_a_repeated_reference_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    for warp, is_told in (("affine", False), ("translation", True)):
+        command = reconstruct_foreign(tmp_path / f"{warp}.nc", "--set", f"registration.warp={warp}")
+        assert run(monkeypatch, *command) == 0
+        assert ("note: misfit is not judged: " in capsys.readouterr().out) == is_told
+    command = reconstruct_foreign(tmp_path / "again.nc")
+    assert run(monkeypatch, command[0], FRAMES / "square_reference.tif", *command[2:]) == 0
+    assert "doubtful: the frame is the reference itself" in capsys.readouterr().out

@@ -1,6 +1,7 @@
 """Verdicts on frames from image files: integer counts with a dark, whose noise is estimated from the images."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,6 +56,35 @@ def test_right_integer_frame_is_explained_by_its_noise() -> None:
 def test_reference_as_frame_is_right() -> None:
     quality, _ = measured(exposed(light()[0], 3))
     assert quality.faults == Fault(0), quality.sentence
+
+
+@pytest.mark.parametrize("form", [np.uint16, np.uint32, np.float32])
+def test_reference_itself_as_frame_is_flagged(form: type[np.number[Any]]) -> None:
+    quality, _ = measured(exposed(light()[0], 1).astype(form))
+    assert quality.faults == Fault.FROZEN
+    assert "the frame is the reference itself" in quality.sentence
+
+
+def test_averaged_reference_rounded_to_a_frame_is_flagged() -> None:
+    bench = load_bench("small_demo")
+    reference = np.asarray(np.mean([exposed(light()[0], seed) for seed in range(3)], axis=0), np.float32)
+    frame = np.rint(reference).astype(np.uint16)
+    reconstructor = BenchReconstructor(bench, reference, dark=dark(), frame=frame)
+    assert reconstructor.quality(frame, reconstructor(frame)).faults == Fault.FROZEN
+
+
+def test_images_without_noise_leave_misfit_unjudged() -> None:
+    """Their noise cannot be estimated, and blur or gamma would not be seen."""
+    bench = load_bench("small_demo")
+    reference, frame = (np.rint(image + OFFSET).astype(np.uint16) for image in light())
+    for images, said in (
+        ((reference, frame), "the noise of the images is unknown"),
+        ((exposed(light()[0], 1), exposed(light()[1], 2)), ""),
+    ):
+        reconstructor = BenchReconstructor(bench, images[0], dark=dark(), frame=images[1])
+        quality = reconstructor.quality(images[1], reconstructor(images[1]))
+        assert quality.unjudged.endswith(said)
+        assert bool(quality.unjudged) == bool(said)
 
 
 def test_doubled_integer_frame_is_flagged() -> None:

@@ -138,6 +138,7 @@ def test_frozen_camera_and_clock_that_goes_back_are_found() -> None:
     assert sequence_quality(frame, frame.copy(), 0.1).faults == Fault.FROZEN
     assert "back by 0.1 s" in sequence_quality(frame, other, -0.1).sentence
     assert sequence_quality(frame, frame, 0.0).faults == Fault.FROZEN | Fault.CLOCK
+    assert "stood still" in sequence_quality(frame, frame, 0.0).sentence
 
 
 def test_faults_join_with_one_reason_each() -> None:
