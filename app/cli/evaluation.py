@@ -38,8 +38,8 @@ def study(
         list[str] | None,
         typer.Argument(
             metavar="[NAME]...",
-            help="Names of sweeps, or calibration or exposure; all sweeps if omitted. mask, then the masks to predict: "
-            "image files or names such as circle.",
+            help="Names of sweeps, or calibration, exposure or deconvolution; all sweeps if omitted. mask, then the "
+            "masks to predict: image files or names such as circle.",
         ),
     ] = None,
     *,
@@ -58,8 +58,9 @@ def study(
     """Measure the estimator's error against the truth.
 
     The sweeps vary noise, defects and sources (docs/estimator.md). More studies have names: calibration tests how well
-    lattices are found, exposure how fast auto-exposure is (docs/calibration.md), and mask predicts how accurate a mask
-    will be before it is manufactured, beside the square (docs/estimator.md).
+    lattices are found, exposure how fast auto-exposure is (docs/calibration.md), deconvolution how good corrected
+    images are (docs/corrected_images.md), and mask predicts how accurate a mask will be before it is manufactured,
+    beside the square (docs/estimator.md).
 
     Example: svwfs study mask ring.png circle --seeds 1 --out study
     """

@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from app.evaluation.study_kinds import ComparisonTable, Sweep, TrialStudy
+from app.evaluation.study_kinds import ComparisonTable, PhotographStudy, Sweep, TrialStudy
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import without_piston
 
@@ -125,6 +125,21 @@ def table_figure(table: ComparisonTable, data: xr.Dataset) -> Figure:
             axis.set_title(title, fontsize=8)
             axis.set_axis_off()
     figure.colorbar(ScalarMappable(scale, "RdBu_r"), ax=axes, label="wavefront (rad)", shrink=0.6)
+    return figure
+
+
+def photograph_figure(study: PhotographStudy, data: xr.Dataset) -> Figure:
+    """Draw the pictures of the first repeat, a row per object, a column per way; brightness has a gamma of 1/2."""
+    objects, ways = data["object"].values.tolist(), data["way"].values.tolist()
+    mean_db = study.summary(data)["mean_db"].values
+    figure = Figure(figsize=(2.4 * len(ways), 2.65 * len(objects)), layout="constrained")
+    axes = figure.subplots(len(objects), len(ways), squeeze=False)
+    for (row, column), axis in np.ndenumerate(axes):
+        picture = np.sqrt(np.clip(data["image"].values[row, column, 0], 0, 1))
+        axis.imshow(picture, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+        known = f", {mean_db[row, column]:.1f} dB" if np.isfinite(mean_db[row, column]) else ""
+        axis.set_title(f"{ways[column]}{known}", fontsize=8)
+        axis.set_axis_off()
     return figure
 
 

@@ -11,8 +11,17 @@ from matplotlib.figure import Figure
 
 from app.errors import InputError
 from app.evaluation.cases import rows
-from app.evaluation.study_figures import sweep_figure, table_figure, trial_figure
-from app.evaluation.study_kinds import PAPER_NUMBERS, ComparisonTable, Study, StudyResult, Sweep, TrialStudy, sweeps_of
+from app.evaluation.study_figures import photograph_figure, sweep_figure, table_figure, trial_figure
+from app.evaluation.study_kinds import (
+    PAPER_NUMBERS,
+    ComparisonTable,
+    PhotographStudy,
+    Study,
+    StudyResult,
+    Sweep,
+    TrialStudy,
+    sweeps_of,
+)
 from app.files import atomic_write
 
 _OF_SWEEPS = ("study.json", "study.csv", "estimator.png")
@@ -40,6 +49,8 @@ def write_newest(results: Sequence[StudyResult], out: Path) -> None:
             _write_trials(newest.study, newest.data, newest.seeds, out)
         case ComparisonTable():
             _write_table(newest.study, newest.data, out)
+        case PhotographStudy():
+            _write_photographs(newest.study, newest.data, newest.seeds, out)
 
 
 def write_json(path: Path, tree: Mapping[str, Any]) -> None:
@@ -91,6 +102,13 @@ def _write_trials(study: TrialStudy, data: xr.Dataset, seeds: int, out: Path) ->
     write_json(out / f"{study.name}.json", {"seeds": seeds, "title": study.title, "cases": cases})
     _write_csv(out / f"{study.name}.csv", ("case", "name", *quantities, "as_asked", "refusal"), trials)
     _write_png(out / f"{study.name}.png", trial_figure(study, data))
+
+
+def _write_photographs(study: PhotographStudy, data: xr.Dataset, seeds: int, out: Path) -> None:
+    lines = list(rows(study.summary(data), study.dims))
+    write_json(out / f"{study.name}.json", {"seeds": seeds, "title": study.title, "photographs": lines})
+    _write_csv(out / f"{study.name}.csv", lines[0], lines)
+    _write_png(out / f"{study.name}.png", photograph_figure(study, data))
 
 
 def _write_table(table: ComparisonTable, data: xr.Dataset, out: Path) -> None:

@@ -148,6 +148,20 @@ class ComparisonTable(Study):
         return {method: known[-1] for method, texts in of_methods if (known := [text for text in texts if text])}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotographStudy(Study):
+    """Restored photographs of several objects; `data` holds `image` (row, column) over the object's peak, `psnr_db`."""
+
+    dims: ClassVar = ("object", "way")
+
+    @staticmethod
+    def summary(data: xr.Dataset) -> xr.Dataset:
+        """Mean, lowest and highest peak signal-to-noise ratio over the repeats, dB."""
+        psnr_db = data["psnr_db"]
+        numbers = {"mean_db": psnr_db.mean(REPEAT), "least_db": psnr_db.min(REPEAT), "most_db": psnr_db.max(REPEAT)}
+        return xr.Dataset(numbers)
+
+
 @dataclass(frozen=True, slots=True)
 class StudyResult:
     """A finished study."""

@@ -9,7 +9,15 @@ from rich.console import Console
 from rich.table import Table
 
 from app.evaluation.cases import Position, rows
-from app.evaluation.study_kinds import PAPER_NUMBERS, ComparisonTable, StudyResult, Sweep, TrialStudy, sweeps_of
+from app.evaluation.study_kinds import (
+    PAPER_NUMBERS,
+    ComparisonTable,
+    PhotographStudy,
+    StudyResult,
+    Sweep,
+    TrialStudy,
+    sweeps_of,
+)
 
 _SMALL_RAD = 0.01  # below it, residuals are printed with a fourth decimal
 
@@ -26,6 +34,8 @@ def print_results(results: Sequence[StudyResult]) -> None:
                 _print_trials(result.study, result.data)
             case ComparisonTable():
                 _print_comparison(result.study, result.data)
+            case PhotographStudy():
+                _print_photographs(result.study, result.data)
 
 
 def print_table(title: str | None, headings: Sequence[str], lines: Iterable[Sequence[str]], *, width: int) -> None:
@@ -87,6 +97,16 @@ def _print_trials(study: TrialStudy, data: xr.Dataset) -> None:
 def _median_and_worst(row: dict[str, Any]) -> str:
     asked = f" ({row['asked']:g})" if "asked" in row else ""
     return f"{row['median']:.3g} / {row['worst']:.3g}{asked}" if "worst" in row else "-"
+
+
+def _print_photographs(study: PhotographStudy, data: xr.Dataset) -> None:
+    summary = study.summary(data)["mean_db"]
+    ways = [way for way in summary["way"].values.tolist() if summary.sel(way=way).notnull().any()]
+    lines = [
+        [name, *(f"{summary.sel(object=name, way=way).item():.1f}" for way in ways)]
+        for name in summary["object"].values.tolist()
+    ]
+    print_table(study.title, ("object", *ways), lines, width=110)
 
 
 def _print_comparison(table: ComparisonTable, data: xr.Dataset) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from app.errors import InputError
 from app.evaluation.study.camera_noise import EM_GAIN, PHOTONS
+from app.evaluation.study.deconvolution import DECONVOLUTION
 from app.evaluation.study.defects import DEAD, FOCAL_LENGTH, LATTICE
 from app.evaluation.study.exposure_trials import EXPOSURE
 from app.evaluation.study.lattice_trials import calibration_trials
@@ -23,7 +24,9 @@ def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Stu
     calibration, see `calibration_trials`.
     """
     names, masks = _split(names)
-    known: dict[str, Study] = {study.name: study for study in (*SWEEPS, calibration_trials(frames), EXPOSURE)}
+    known: dict[str, Study] = {
+        study.name: study for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION)
+    }
     for name in names:
         if name not in known:
             raise InputError(f"no sweep is called {name}; there are {', '.join(known)}, mask")

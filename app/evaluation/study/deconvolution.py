@@ -1,0 +1,150 @@
+"""Corrected images beside the truth: photographs through a strongly space-variant screen, restored in several ways."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import xarray as xr
+
+from app.bench.config import Bench
+from app.evaluation.cases import CaseResult
+from app.evaluation.noise_free import NoiseFreeFrames, seeded
+from app.evaluation.simulated_frames import simulated_frames
+from app.evaluation.study_kinds import PhotographStudy
+from app.measurement.bench_reconstructor import BenchReconstructor
+from app.progress import Progress
+from reconstruction.arrays import Floats
+from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image
+from reconstruction.deconvolution.imaging import Imaging
+from reconstruction.deconvolution.psf_optics import reach_px
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from simulated_devices.optics.flat_objects import cells, resolution_target, stars
+from simulated_devices.optics.photograph import TruePhase, photographs, true_psf
+from simulated_devices.sample import Sample
+
+# 20 mm behind the mask, so that the point-spread functions of the field have little in common
+_SCREEN = {
+    "placement": "source",
+    "distance_m": 0.02,
+    "correlation_length_m": 0.6e-3,
+    "rms_rad": 3.0,
+    "samples": 481,
+    "sample_spacing_m": 5e-6,
+}
+_RESOLUTION_PX = 2.5  # 2 pixels just sample the optical resolution
+_MARGIN_PX = 20  # of the image around the field
+_NODES_PX = 8  # between true point-spread functions
+_PEAK_E = {"target": 2e3, "cells": 2e3, "stars": 4e4}  # of the object
+_ITERATIONS = 60
+_WIDER_PX = 10  # reach of the true point-spread functions beyond that of ours
+
+
+def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+    screen = replace(bench.simulation.screen, **_SCREEN)  # type: ignore[arg-type] # each has its own type
+    bench = replace(
+        bench,
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(),
+        simulation=replace(bench.simulation, screen=screen),
+    )
+    for done, each in enumerate(seeded(bench, seeds)):
+        progress(f"seed {each.simulation.seed}", done / seeds)
+        yield from _Photographs(each).results()
+
+
+class _Photographs:
+    """Photographs through the screen of one bench, and the ways to restore them."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench, self._sample = bench, NoiseFreeFrames(bench).sample
+        frames = simulated_frames(bench)
+        self._measured = BenchReconstructor(bench, frames.reference, dark=frames.dark)(frames.frames[0])
+        unit = Imaging(pixel_m=1e-6, counts_per_electron=1.0)
+        pixel_m = unit.pixel_m * unit.blur_px(bench.sensor, bench.field) / _RESOLUTION_PX
+        self._imaging = replace(unit, pixel_m=pixel_m)
+        self._side = 2 * (round(bench.field.half_width_m / pixel_m) + _MARGIN_PX)
+
+    def results(self) -> Iterator[CaseResult]:
+        seed = self._bench.simulation.seed
+        generator = np.random.default_rng(seed)
+        side = self._side
+        objects = {"target": resolution_target(side), "cells": cells(side, generator), "stars": stars(side, generator)}
+        truths = np.stack([objects[name] * _PEAK_E[name] for name in objects])
+        for name, truth, mean in zip(objects, truths, self._photographed(truths), strict=True):
+            photograph = generator.poisson(mean).astype(np.float64)
+            for way, image in self._restored(photograph, truth):
+                picture = xr.DataArray(image / truth.max(), dims=("row", "column"))
+                psnr_db = np.nan if way == "object" else self._psnr_db(image, truth)
+                values: dict[str, float | xr.DataArray] = {"psnr_db": psnr_db, "image": picture}
+                yield CaseResult(at={"object": name, "way": way}, values=values, name=f"seed {seed}")
+
+    def _restored(self, photograph: Floats, truth: Floats) -> Iterator[tuple[str, Floats]]:
+        yield "object", truth
+        yield "photograph", photograph
+        field = self._bench.field
+        singles = [
+            self._correct(photograph, _constant(self._measured.at(float(x_m), float(y_m))))
+            for y_m, x_m in product(field.view_y_m, field.view_x_m)
+        ]
+        yield "best single PSF", max(singles, key=lambda image: self._psnr_db(image, truth))
+        yield "measured PSFs", self._correct(photograph, self._measured.at)
+        yield "measured PSFs, Wiener", self._correct(photograph, self._measured.at, is_wiener=True)
+        yield "true PSFs", self._correct(photograph, self._true_phase)
+
+    def _correct(self, photograph: Floats, phase_at: PhaseAt, *, is_wiener: bool = False) -> Floats:
+        made = corrected_image(
+            photograph,
+            phase_at,
+            self._imaging,
+            sensor=self._bench.sensor,
+            field=self._bench.field,
+            method="wiener" if is_wiener else "richardson-lucy",
+            iterations=_ITERATIONS,
+        )
+        return made.image.astype(np.float64)
+
+    def _psnr_db(self, image: Floats, truth: Floats) -> float:
+        inside = self._imaging.inside(truth.shape, self._bench.field)
+        return float(10 * np.log10(truth.max() ** 2 / np.mean((image - truth)[inside] ** 2)))
+
+    def _photographed(self, truths: Floats) -> Floats:
+        bench = self._bench
+        reach = reach_px(self._imaging, bench.sensor, bench.field, self._measured.views) + _WIDER_PX
+
+        def psf_at(x_px: float, y_px: float) -> Floats:
+            x_m, y_m = self._imaging.field_m(np.array(x_px), np.array(y_px), truths.shape[1:])
+            return true_psf(
+                screen_phase(self._sample, float(x_m), float(y_m)),
+                pixel_rad=self._imaging.pixel_m / bench.field.collimator_focal_length_m,
+                wavelength_m=bench.sensor.wavelength_m,
+                pupil_width_m=2 * min(bench.sensor.pupil_half_width_m),
+                reach_px=reach,
+            )
+
+        return photographs(truths, psf_at, spacing_px=_NODES_PX)
+
+    def _true_phase(self, x_m: float, y_m: float) -> Floats:
+        sensor = self._bench.sensor
+        return screen_phase(self._sample, x_m, y_m)(sensor.pupil_x_m, sensor.pupil_y_m)
+
+
+def screen_phase(sample: Sample, x_m: float, y_m: float) -> TruePhase:
+    """Phase of a sample for light from one field position."""
+    rays, screen = sample.ray_map, sample.screen
+
+    def phase(u_m: Floats, v_m: Floats) -> Floats:
+        along_x = screen.basis_x(rays.pupil_scale * u_m + rays.field_scale * x_m)
+        along_y = screen.basis_y(rays.pupil_scale * v_m + rays.field_scale * y_m)
+        return np.asarray(along_y @ screen.coefficients @ along_x.T)
+
+    return phase
+
+
+def _constant(phase: Floats) -> PhaseAt:
+    return lambda _x_m, _y_m: phase
+
+
+DECONVOLUTION = PhotographStudy(
+    name="deconvolution", title="Corrected images: peak signal-to-noise ratio within the field (dB)", measure=_measure
+)
