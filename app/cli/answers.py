@@ -1,11 +1,17 @@
-"""Commands that answer questions about a measured wavefront: `svwfs layers`."""
+"""Commands that answer questions about a measured wavefront: `svwfs layers` and `svwfs corrector`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from app.cli.options import OverwriteOption
+from app.cli.options import FramesOption, OverwriteOption
+from app.errors import InputError
+
+_OriginOption = Annotated[
+    Literal["lenslets", "mask"],
+    typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
+]
 
 
 def layers(
@@ -16,10 +22,7 @@ def layers(
     distance: Annotated[
         list[float] | None, typer.Option(metavar="M", help="Known distance of a layer (m); repeat it for two layers.")
     ] = None,
-    origin: Annotated[
-        Literal["lenslets", "mask"],
-        typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
-    ] = "lenslets",
+    origin: _OriginOption = "lenslets",
     frame: Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")] = 0,
     plot: Annotated[Path | None, typer.Option(help="Picture of curve and maps: PNG, PDF or SVG.")] = None,
     overwrite: OverwriteOption = False,
@@ -47,6 +50,62 @@ def layers(
             frame=frame,
             out=out,
             plot=plot,
+            overwrite=overwrite,
+            progress=progress,
+        )
+    typer.echo("\n".join(summary(found)))
+
+
+def corrector(
+    source: Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")],
+    *,
+    out: Annotated[Path, typer.Option(help="NetCDF file for residuals and command.")],
+    influence: Annotated[
+        Literal["legendre", "zernike", "actuators"], typer.Option("--modes", help="Shapes that the corrector can take.")
+    ] = "zernike",
+    count: Annotated[int, typer.Option(min=2, help="Number of modes with the piston, or of actuators.")] = 45,
+    distance: Annotated[
+        float | None, typer.Option(metavar="M", help="Distance of the corrector (m); the best one if omitted.")
+    ] = None,
+    origin: _OriginOption = "lenslets",
+    command: Annotated[
+        Path | None,
+        typer.Option(help="Phase map of the best command: .npy or .fits in rad, or .png wrapped at 2 pi, 8 bit."),
+    ] = None,
+    pixels: Annotated[int, typer.Option(min=2, max=8192, help="Pixels of the map's longer side.")] = 512,
+    frames: FramesOption = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the residuals: PNG, PDF or SVG.")] = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Tell what one corrector could do, over its distance.
+
+    A corrector conjugate to some distance adds the same phase to every ray that meets it there. For each distance its
+    best command is found, and what it leaves over the field. The mean wavefront of the frames is corrected. See
+    docs/layers.md.
+
+    Example: svwfs corrector run1 --out corrector.nc --plot corrector.png
+
+    Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
+    """
+    from app.cli.tables import progress_bar
+    from app.results.layers.correction import compare_correctors, summary
+    from reconstruction.layers.corrector import Corrector
+
+    try:
+        shapes = Corrector(influence, count)
+    except ValueError as error:
+        raise InputError(f"--count: {error}") from error
+    with progress_bar() as progress:
+        found = compare_correctors(
+            source,
+            corrector=shapes,
+            at_m=distance,
+            origin=origin,
+            frames=frames,
+            out=out,
+            plot=plot,
+            command=command,
+            pixels=pixels,
             overwrite=overwrite,
             progress=progress,
         )

@@ -1,0 +1,120 @@
+"""What a corrector conjugate to some distance leaves: its best command and the residual over the field.
+
+A corrector at the ratio r adds the phase C(u + r x) to the wavefront of the field position x (`layer_modes`). The best
+command minimises the mean variance over the field positions, each without piston.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import Field, Sensor
+from reconstruction.modes.legendre import legendre
+from reconstruction.modes.zernike import zernike
+
+Influence = Literal["legendre", "zernike", "actuators"]
+
+_COUPLING = 0.15  # of an actuator's influence at its neighbour
+_DEPENDENT = 1e-8  # singular value over the largest, below which modes are alike on the lenslets
+
+
+@dataclass(frozen=True, slots=True)
+class Corrector:
+    """Shapes that a corrector can take over its footprint: the rectangle that rays meet.
+
+    Legendre polynomials over the footprint, Zernike polynomials over the circle around it, or Gaussian influences of
+    a square grid of actuators.
+    """
+
+    influence: Influence
+    count: int  # of modes, the piston included, or of actuators
+
+    def __post_init__(self) -> None:
+        least, most = (4, 10_000) if self.influence == "actuators" else (2, 500)
+        if not least <= self.count <= most:
+            raise ValueError(f"the number of {self.influence} modes must be {least} ... {most}")
+        if self.influence == "actuators" and math.isqrt(self.count) ** 2 != self.count:
+            raise ValueError("the number of actuators must be a square, such as 144")
+
+    def shapes(self, x: Floats, y: Floats) -> Floats:
+        """Phases per unit of command at normalised positions, broadcast together: (k, ...); modes without piston."""
+        if self.influence == "legendre":
+            return legendre(self.count, x, y)[1:]
+        if self.influence == "zernike":
+            return zernike(self.count, x / math.sqrt(2), y / math.sqrt(2))[1:]
+        side = math.isqrt(self.count)
+        x, y = np.broadcast_arrays(x, y)
+        at = np.linspace(-1, 1, side)
+        narrow = -math.log(_COUPLING) * ((side - 1) / 2) ** 2
+        along_y = np.exp(-narrow * (y[None] - at.reshape(-1, *[1] * y.ndim)) ** 2)
+        along_x = np.exp(-narrow * (x[None] - at.reshape(-1, *[1] * x.ndim)) ** 2)
+        return np.asarray((along_y[:, None] * along_x).reshape(side**2, *x.shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """Best command of a corrector at one ratio, and what it leaves."""
+
+    corrector: Corrector
+    ratio: float
+    half_width_m: Floats  # of the footprint, (xy,), in coordinates s = u + ratio x
+    command: Floats  # rad, (k,); the corrector adds this phase
+    residual_rad: Floats  # RMS at each field position, (position,)
+    strehl: Floats  # (position,)
+
+    @property
+    def mean_residual_rad(self) -> float:
+        """Root of the mean square of the residuals over the field."""
+        return float(np.sqrt(np.mean(self.residual_rad**2)))
+
+    def phase(self, x_m: Floats, y_m: Floats) -> Floats:
+        """Phase that the corrector adds at positions s, broadcast together, rad."""
+        shapes = self.corrector.shapes(x_m / self.half_width_m[0], y_m / self.half_width_m[1])
+        return np.tensordot(self.command, shapes, axes=1)
+
+
+def best_correction(
+    wavefronts: Floats, positions_m: Floats, sensor: Sensor, field: Field, ratio: float, corrector: Corrector
+) -> Correction:
+    """Find the best command of a corrector.
+
+    Parameters
+    ----------
+    wavefronts : (position, lenslet_row, lenslet_column)
+        Wavefronts at some field positions, rad; NaN where unknown.
+    positions_m : (position, xy)
+        The field positions.
+    ratio : float
+        Of field to pupil position where rays meet the corrector; 0 for one at the pupil.
+
+    Raises
+    ------
+    ValueError
+        If no lenslet is known.
+    """
+    half_width_m = np.array(sensor.pupil_half_width_m) + abs(ratio) * field.half_width_m
+    matrices, data = [], []
+    for wavefront, (x_m, y_m) in zip(wavefronts, positions_m, strict=True):
+        known = np.isfinite(wavefront)
+        if not known.any():
+            continue
+        x = (sensor.pupil_x_m + ratio * x_m) / half_width_m[0]
+        y = (sensor.pupil_y_m[:, None] + ratio * y_m) / half_width_m[1]
+        shapes = corrector.shapes(x, y)[:, known]
+        matrices.append((shapes - shapes.mean(axis=1, keepdims=True)) / math.sqrt(known.sum()))
+        data.append((wavefront[known] - wavefront[known].mean()) / math.sqrt(known.sum()))
+    if not data:
+        raise ValueError("no lenslet has a wavefront")
+    fitted = np.linalg.lstsq(np.concatenate(matrices, axis=1).T, np.concatenate(data), rcond=_DEPENDENT)[0]
+    left = [some - fitted @ matrix for some, matrix in zip(data, matrices, strict=True)]
+    return Correction(
+        corrector,
+        ratio,
+        half_width_m,
+        -fitted,
+        np.array([np.linalg.norm(some) for some in left]),
+        np.array([np.abs(np.mean(np.exp(1j * some * math.sqrt(len(some))))) ** 2 for some in left]),
+    )
