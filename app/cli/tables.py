@@ -89,7 +89,7 @@ def print_replay(made: Replay) -> None:
     if made.unrefined:
         console.print(f"{made.unrefined} frames were refined when they were recorded; with this bench they are not")
     if made.verification is not None:
-        _print_sentence(made.verification.sentence)
+        (print_warning if made.verification.different else _print_sentence)(made.verification.sentence)
     print_quality(made.quality)
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
@@ -101,7 +101,7 @@ def print_quality(quality: QualityTally) -> None:
     for sentence in quality.sentences:
         print_warning(f"doubtful: {sentence}")
     if quality.unjudged:
-        Console().print(f"note: {quality.unjudged}", markup=False, highlight=False, soft_wrap=True)
+        _print_sentence(f"note: {quality.unjudged}")
 
 
 def print_residual(residual: Residual) -> None:
