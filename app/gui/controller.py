@@ -132,8 +132,7 @@ class Controller:
     def save_screenshot(self, picture: QPixmap, path: Path | None) -> bool:
         """Save a picture, by default in the user's picture folder; return whether that succeeded."""
         try:
-            path = path or default_picture()
-            write_picture(path, picture)
+            write_picture(path := path or default_picture(), picture)
         except RunError as error:
             self._messages.warn(str(error))
             return False
@@ -187,11 +186,8 @@ class Controller:
         for intent, command in commands:
             intent.connect(self._device_command(command))
         modes = CameraModes()
-        for intent, set_mode in (
-            (controls.amplifier_requested, modes.set_amplifier),
-            (controls.readout_speed_requested, modes.set_readout_speed),
-        ):
-            intent.connect(self._device_command(set_mode, self._messages.warn))
+        controls.amplifier_requested.connect(self._device_command(modes.set_amplifier, self._messages.warn))
+        controls.readout_speed_requested.connect(self._device_command(modes.set_readout_speed, self._messages.warn))
         controls.mask_requested.connect(lambda mask: self._send(lambda to: to.submit(lambda on: on.set_mask(mask))))
         controls.setting_requested.connect(self._change_setting)
 
@@ -236,11 +232,10 @@ class Controller:
         )
 
     def _change_setting(self, section: str, key: str, value: object) -> None:
-        def change(bench: Bench) -> Bench:
-            changed: dict[str, Any] = {section: replace(getattr(bench, section), **{key: value})}
-            return replace(bench, **changed)
+        self._change_bench(lambda bench: replace(bench, **{section: replace(getattr(bench, section), **{key: value})}))
 
-        self._send(lambda to: to.submit(lambda instrument: instrument.change_settings(change)))
+    def _change_bench(self, change: Callable[[Bench], Bench], then: Callable[[object], object] | None = None) -> None:
+        self._send(lambda to: to.submit(lambda instrument: instrument.change_settings(change)), then)
 
     def _cancel(self) -> None:
         if self.acquisition is not None:
@@ -263,10 +258,8 @@ class Controller:
             act()
 
     def _use_lattice(self, lattice: Lattice) -> None:
-        self._send(
-            lambda to: to.submit(
-                lambda instrument: instrument.change_settings(lambda bench: replace(bench, lattice=lattice))
-            ),
+        self._change_bench(
+            lambda bench: replace(bench, lattice=lattice),
             lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
         )
 
