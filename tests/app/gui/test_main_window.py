@@ -142,7 +142,7 @@ def test_slow_redraw_shows_the_newest_frame(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, camera = live
-    camera.period_s = 0.001
+    camera.period_s = 0.04
     drawn: list[int] = []
     newest_before: list[int] = []  # at the end of the previous drawing
     draw = window.wavefront_panel.show_wavefront
@@ -150,7 +150,7 @@ def test_slow_redraw_shows_the_newest_frame(
     def draw_slowly(wavefront: object) -> None:
         assert window._measurement is not None
         drawn.append(window._measurement.frame.index)
-        time.sleep(0.1)
+        time.sleep(0.2)
         draw(wavefront)  # type: ignore[arg-type] # passed through
         assert window.controller.acquisition is not None
         assert window.controller.acquisition.newest is not None
@@ -159,7 +159,8 @@ def test_slow_redraw_shows_the_newest_frame(
     monkeypatch.setattr(window.wavefront_panel, "show_wavefront", draw_slowly)
     qtbot.waitUntil(lambda: len(newest_before) >= 15)
     assert all(later >= newest for later, newest in zip(drawn[1:], newest_before, strict=False))
-    assert any(newest > index for index, newest in zip(drawn, newest_before, strict=True))
+    behind = np.median(np.subtract(newest_before, drawn))  # counted in frames: a slow computer has fewer of them
+    assert 0 < behind < 0.3 / camera.period_s
     assert window.status_line.acquired.text() != window.status_line.shown_count.text()
 
 
