@@ -99,7 +99,8 @@ def test_recorded_frames_are_reproduced_bit_by_bit(make_live: Callable[..., Live
     assert live.recording.frames == len(lines)
     assert {line.calibration for line in lines} == {0, 1}
     assert any(line.bias is not None for line in lines)
-    assert lines[0].start == -1  # it continued from the previous frame
+    measured = next(line for line in lines if not line.problem)  # a slow computer may pass over the first
+    assert measured.start == -1  # it continued from a frame before the recording
     assert [line.light_current_a for line in (lines[0], lines[-1])] == [0.35, 0.3]
     first = next(at for at, each in enumerate(live.measurements) if each.frame.index == lines[0].camera_index)
     for line, measurement in zip(lines, live.measurements[first:], strict=False):

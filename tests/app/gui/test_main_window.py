@@ -63,9 +63,11 @@ def test_small_window_stays_readable(make_window: MakeWindow) -> None:
     panel = window.camera_panel
     assert panel.caption.geometry().top() > panel._graphics.geometry().bottom()
     assert window.wavefront_panel.grid._has_captions()
+    narrowest = window.width()
+    assert 900 <= narrowest < 1024  # the controls may need more than 900, but fit on the smallest usual screen
     panel.caption.setText("a very long line " * 20)
     QApplication.processEvents()
-    assert window.width() == 900
+    assert window.width() == narrowest
 
 
 def test_window_measures_without_a_click(live: tuple[MainWindow, FakeCamera]) -> None:
