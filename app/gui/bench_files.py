@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from PyQt6.QtCore import QObject, QSettings, QUrl
 from PyQt6.QtGui import QDesktopServices
@@ -85,8 +86,16 @@ class BenchFiles(QObject):
 
     def _settings(self) -> SettingsDialog:
         if self.settings is None:
-            self.settings = SettingsDialog(partial(self._connect_trusted, source=""), self.open, self._window)
+            self.settings = SettingsDialog(self._use, self.open, self._window)
         return self.settings
+
+    def _use(self, bench: Bench, before: Bench | None) -> None:
+        """Connect the devices of a bench, unless it differs from the open one, `before`, in the reconstruction only."""
+        changed: dict[str, Any] = {"registration": bench.registration, "reconstruction": bench.reconstruction}
+        if before is None or self._controller.failure or replace(before, **changed) != bench:
+            self._connect_trusted(bench, source="")
+        else:
+            self._controller.change_settings(lambda now: replace(now, **changed))
 
     def ask(self) -> None:
         """Ask for a bench file, and open it."""

@@ -232,9 +232,10 @@ class Controller:
         )
 
     def _change_setting(self, section: str, key: str, value: object) -> None:
-        self._change_bench(lambda bench: replace(bench, **{section: replace(getattr(bench, section), **{key: value})}))
+        self.change_settings(lambda now: replace(now, **{section: replace(getattr(now, section), **{key: value})}))
 
-    def _change_bench(self, change: Callable[[Bench], Bench], then: Callable[[object], object] | None = None) -> None:
+    def change_settings(self, change: Callable[[Bench], Bench], then: Callable[[object], object] | None = None) -> None:
+        """Change registration, reconstruction or lattice of the open bench; the devices stay open."""
         self._send(lambda to: to.submit(lambda instrument: instrument.change_settings(change)), then)
 
     def _cancel(self) -> None:
@@ -258,7 +259,7 @@ class Controller:
             act()
 
     def _use_lattice(self, lattice: Lattice) -> None:
-        self._change_bench(
+        self.change_settings(
             lambda bench: replace(bench, lattice=lattice),
             lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
         )

@@ -33,14 +33,18 @@ _NO_DEVICE = "Other, or simulated: choose the driver below"
 
 
 class SettingsDialog(QDialog):
-    """Edits a form; `use` receives the bench, `opened` the file of a saved one."""
+    """Edits a form; `use` receives the bench and the one before or None, `opened` the file of a saved one."""
 
-    def __init__(self, use: Callable[[Bench], object], opened: Callable[[str], object], parent: QWidget) -> None:
+    def __init__(
+        self, use: Callable[[Bench, Bench | None], object], opened: Callable[[str], object], parent: QWidget
+    ) -> None:
         super().__init__(parent)
         self.resize(*_SIZE)
         self._use, self._opened = use, opened
         self._form = SettingsForm({})
+        self._before: Bench | None = None  # the edited bench; None for a new one
         self._found: list[DiscoveredDevice] = []
+        self._failed: list[str] = []  # searches and devices that cannot be used, with the reasons
         self._search: threading.Thread | None = None
         self.editors: dict[str, tuple[FormField, QWidget]] = {}
         self.sections, self.pages = QListWidget(), QStackedWidget()
@@ -53,9 +57,12 @@ class SettingsDialog(QDialog):
         connected = QFormLayout(self.devices)
         connected.addRow("Connected camera", self.camera)
         connected.addRow("Connected light", self.light)
+        self.failed = label("", "dim")
+        self.failed.setWordWrap(True)
+        connected.addRow(self.failed)
         self.problem = ElidedLabel()
         self.problem.setStyleSheet(f"color: {theme.RED.name()};")
-        self.apply = button("Open", "Connect the devices with these settings", self._apply)
+        self.apply = button("Open", "", self._apply)
         self.save = button(
             "Save \N{HORIZONTAL ELLIPSIS}", "Save these settings as a bench file, and open it", self._save
         )
@@ -72,7 +79,10 @@ class SettingsDialog(QDialog):
         """Edit the settings of a bench."""
         self.setWindowTitle("Settings of the bench")
         self.devices.hide()
+        self.apply.setText("Apply")
+        self.apply.setToolTip("Use these settings; registration and reconstruction change while the camera runs")
         self._begin(SettingsForm.of(bench))
+        self._before = self._check()
 
     def make(self, template: Bench) -> None:
         """Make a bench, starting from the settings of another, with devices that are searched for."""
@@ -82,21 +92,33 @@ class SettingsDialog(QDialog):
             choice.clear()
             choice.addItem("Searching \N{HORIZONTAL ELLIPSIS}")
             choice.setEnabled(False)
+        self.apply.setText("Open")
+        self.apply.setToolTip("Connect the devices with these settings")
+        self._before = None
         self._begin(SettingsForm.of(template))
         if self._search is None:
-            self._found = []
+            self._found, self._failed = [], []
+            self.failed.setText("")
             self._search = threading.Thread(target=self._discover, name="device search", daemon=True)
             self._search.start()
             self._timer.start()
 
     def _discover(self) -> None:
-        self._found = [device for kind in KINDS for device in kind.discover()[0]]
+        for kind in KINDS:
+            try:
+                devices, missing = kind.discover()
+            except Exception as error:  # noqa: BLE001 - every error is shown, and the other kinds are searched
+                devices, missing = (), f"{type(error).__name__}: {error}"
+            self._found += devices
+            self._failed += [f"{kind.name}: not searched: {missing}"] if missing else []
+            self._failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
 
     def _poll(self) -> None:
         if self._search is None or self._search.is_alive():
             return
         self._search = None
         self._timer.stop()
+        self.failed.setText("\n".join(self._failed))
         for kind, choice in (("camera", self.camera), ("light", self.light)):
             names = [device.name for device in self._found if device.kind == kind]
             choice.clear()
@@ -202,7 +224,7 @@ class SettingsDialog(QDialog):
     def _apply(self) -> None:
         if (bench := self._check()) is not None:
             self.close()
-            self._use(bench)
+            self._use(bench, self._before)
 
     def _save(self) -> None:
         bench = self._check()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit
 from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow
 
 from app.acquisition.device_kinds import DeviceKind
@@ -108,3 +110,44 @@ def test_new_bench_has_the_connected_camera(
     assert bench.light == ManualLightSettings()
     assert (bench.sensor.lenslet_rows, bench.lattice) == (20, None)
     assert benches.recent.paths() == (path,)
+
+
+def test_reconstruction_changes_without_opening_devices(
+    live: tuple[MainWindow, FakeCamera], opened: list[Bench], qtbot: QtBot
+) -> None:
+    window, camera = live
+    window.benches.edit()
+    dialog = dialog_of(window.benches)
+    choose(dialog, "reconstruction.method", "zonal")
+    write(dialog, "reconstruction.pupil_modes", "21")
+    choose(dialog, "registration.warp", "affine")
+    dialog.apply.click()
+    qtbot.waitUntil(lambda: window._status is not None and window._status.bench.reconstruction.method == "zonal")
+    status = window.controller.status
+    assert status is not None
+    assert (status.bench.registration.warp, status.bench.reconstruction.pupil_modes) == ("affine", 21)
+    assert not opened
+    assert camera.is_running
+    window.benches.edit()
+    write(dialog, "sensor.wavelength_m", "500")
+    dialog.apply.click()
+    assert [bench.sensor.wavelength_m for bench in opened] == [500e-9]
+
+
+def test_reason_of_a_failed_search_is_shown(benches: BenchFiles, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    unusable = replace(CAMERA, missing="install Aravis")
+
+    def discover(kind: DeviceKind) -> tuple[tuple[DiscoveredDevice, ...], str]:
+        if kind.driver == "coolled":
+            raise OSError("no such bus")
+        return {"genicam": ((unusable,), ""), "dcam": ((), "the DCAM-API is missing")}.get(kind.driver, ((), ""))
+
+    monkeypatch.setattr(DeviceKind, "discover", discover)
+    benches.make()
+    dialog = dialog_of(benches)
+    qtbot.waitUntil(lambda: dialog.camera.count() == 2)
+    lines = dialog.failed.text().splitlines()
+    assert len(lines) == 3
+    assert lines[0].endswith("over the DCAM-API: not searched: the DCAM-API is missing")
+    assert lines[1] == f"{CAMERA.name} cannot be used yet: install Aravis"
+    assert lines[2].endswith("on serial ports: not searched: OSError: no such bus")
