@@ -48,16 +48,19 @@ def print_refinement(changes_rad: Sequence[float]) -> None:
 
 def print_measurement(measured: Measured, out: Path) -> None:
     """Print mean and scatter of every view's RMS over the frames, and the folder of the results."""
-    title = f"RMS (rad) of the wavefront, mean +- scatter of {measured.reconstructed} frames"
+    has_scatter = measured.reconstructed > 1
+    of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else ""
     rows = zip(measured.mean_rms_rad, measured.scatter_rms_rad, strict=True)
-    cells = ((f"{mean:.3f} +- {scatter:.3f}" for mean, scatter in zip(*row, strict=True)) for row in rows)
-    _print_by_view(measured.bench.field, title, cells)
+    cells = (
+        (f"{mean:.3f}" + f" +- {scatter:.3f}" * has_scatter for mean, scatter in zip(*row, strict=True)) for row in rows
+    )
+    _print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
     failed = measured.recorded - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
         _print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
     print_quality(measured.quality)
-    counts = f"{measured.recorded} frames{why}, {measured.lost} lost by the camera; all is in {out}"
+    counts = f"{_frames(measured.recorded)}{why}, {measured.lost} lost by the camera; all is in {out}"
     _print_sentence(counts)
 
 
@@ -93,7 +96,11 @@ def print_replay(made: Replay) -> None:
     print_quality(made.quality)
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
-    _print_sentence(f"{made.frames} frames{why}")
+    _print_sentence(f"{_frames(made.frames)}{why}")
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' * (count != 1)}"
 
 
 def print_quality(quality: QualityTally) -> None:

@@ -203,6 +203,8 @@ def _load_simple_itk() -> Any:
         import SimpleITK  # noqa: PLC0415 - an optional extra that takes a second to load
     except ImportError as error:
         raise ReconstructionError("this method needs SimpleITK: pip install 'svwfs[peers]'") from error
+    # It warns of each lost lenslet, whose outcome says it.
+    SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)  # type: ignore[no-untyped-call] # it declares no types
     return SimpleITK
 
 

@@ -123,3 +123,10 @@ def test_missing_simple_itk_names_the_package_to_install(
     monkeypatch.setitem(sys.modules, "SimpleITK", None)  # importing it raises ImportError
     with pytest.raises(ReconstructionError, match=r"needs SimpleITK: pip install 'svwfs\[peers\]'"):
         prepare(reference)
+
+
+def test_lost_subimage_prints_nothing(reference: ReferenceSubimages, capfd: pytest.CaptureFixture[str]) -> None:
+    windows = np.zeros((2, 24, 24), np.float32)
+    windows[1] = np.nan
+    ItkAffine(reference)._align(*windows)
+    assert capfd.readouterr().err == ""
