@@ -135,13 +135,13 @@ def verdict(found: Isoplanatism) -> str:
     if math.isnan(found.error_rad):
         return "No lenslet is valid over the whole field"
     patch = _patch(found.curve.patch_m)
-    return f"A single correction leaves {number(found.error_rad, 2)} rad RMS; isoplanatic patch {patch}"
+    return f"A single correction would leave {number(found.error_rad, 2)} rad RMS. Isoplanatic patch: {patch}"
 
 
 def _explanation(found: Isoplanatism) -> str:
     return (
-        "The correction is the mean wavefront of the field. The isoplanatic patch ends where two wavefronts differ by\n"
-        "1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
+        "The correction is the mean wavefront of the field. The isoplanatic patch ends\n"
+        "where two wavefronts differ by 1 rad RMS (mean square 1 rad\N{SUPERSCRIPT TWO}).\n"
         f"Tip and tilt removed, which only displace the image: {number(found.error_without_tilt_rad, 2)} rad RMS;"
         f" patch {_patch(found.curve_without_tilt.patch_m)}."
     )

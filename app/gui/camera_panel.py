@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QMouseEvent
 from PyQt6.QtWidgets import QWidget
 
@@ -28,13 +28,17 @@ _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 
 class _Picture(Canvas):
-    def __init__(self, double_clicked: Callable[[], None]) -> None:
+    def __init__(self, double_clicked: Callable[[], None], left: Callable[[], None]) -> None:
         super().__init__()
-        self._double_clicked = double_clicked
+        self._double_clicked, self._left = double_clicked, left
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         super().mouseDoubleClickEvent(event)
         self._double_clicked()
+
+    def leaveEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        super().leaveEvent(event)
+        self._left()
 
 
 class CameraPanel(QWidget):
@@ -70,7 +74,7 @@ class CameraPanel(QWidget):
         self.colours.setToolTip("Colours of the camera image")
         self.colours.currentTextChanged.connect(self._show_colours)
 
-        self._graphics = _Picture(self.reset_zoom)
+        self._graphics = _Picture(self.reset_zoom, self._point_at)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
         self._graphics.setMinimumSize(220, 120)
@@ -236,8 +240,9 @@ class CameraPanel(QWidget):
         corner = self._view.mapViewToScene(QPointF(-0.5, -0.5))
         self.legend.move(max(round(corner.x()), 0) + 4, max(round(corner.y()), 0) + 4)
 
-    def _point_at(self, position: QPointF) -> None:
-        self._pointer = self._view.mapSceneToView(position)
+    def _point_at(self, position: QPointF | None = None) -> None:
+        """Show the pixel at a position, or none."""
+        self._pointer = None if position is None else self._view.mapSceneToView(position)
         self.update_text()
 
     def _pointed_at(self) -> str:

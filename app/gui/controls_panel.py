@@ -30,7 +30,7 @@ _PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest
 _LAMPS: dict[Validity, QColor] = {"missing": theme.DIM, "doubtful": theme.AMBER, "good": theme.GREEN}
 _STATES: dict[Validity, str] = {"missing": "Missing", "doubtful": "Stale", "good": "Good"}
 _DARK_TIP = "Average frames with the light off: the background of all frames (D)"
-_REFERENCE_TIP = "Average frames without the sample: zero point of the displacements (R)"
+_REFERENCE_TIP = "Average frames without the sample: spot positions that count as zero (R)"
 
 
 class ControlsPanel(QFrame):
@@ -79,7 +79,6 @@ class ControlsPanel(QFrame):
         self.em_gain = NumberField(
             name="Gain", decimals=1, tool_tip="Electron-multiplying gain: more signal above the read noise"
         )
-        self.em_gain.setPrefix("\N{MULTIPLICATION SIGN} ")
         self.em_gain.entered.connect(self.em_gain_requested)
         self.amplifier = _choice("Output amplifier; a change restarts the camera", self.amplifier_requested)
         self.readout_speed = _choice(

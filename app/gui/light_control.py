@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Protocol
+from typing import Literal, Protocol
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
@@ -76,17 +76,25 @@ class LightControl:
         if self._must_ask(on=False):
             self._ask_by_hand(on=False, then=lambda: self._take_dark(frames))
         else:
-            self._send(lambda to: to.take_dark(frames), lambda _: self._light_again())
+            self._send(lambda to: to.take_dark(frames), lambda _: self._dark_taken(frames))
 
     def _take_reference(self, frames: int) -> None:
         if self._must_ask(on=True):
             self._ask_by_hand(on=True, then=lambda: self._take_reference(frames))
         else:
-            self._send(lambda to: to.take_reference(frames), None)
+            self._send(lambda to: to.take_reference(frames), lambda _: self._confirm("reference", frames))
 
-    def _light_again(self) -> None:
+    def _dark_taken(self, frames: int) -> None:
+        self._confirm("dark", frames)
         if self._must_ask(on=True):
             self._ask_by_hand(on=True, then=lambda: None)
+
+    def _confirm(self, name: Literal["dark", "reference"], frames: int) -> None:
+        """Tell that an average was taken; if it is unusable, the warning tells why."""
+        acquisition = self._acquisition()
+        status = None if acquisition is None else acquisition.status
+        if status is not None and getattr(status, name) == "good":
+            self._messages.inform(f"{name} taken: mean of {frames} frame{'s' * (frames != 1)}")
 
     def _must_ask(self, *, on: bool) -> bool:
         acquisition = self._acquisition()

@@ -145,8 +145,8 @@ class NumberField(QDoubleSpinBox):
         return value * _PREFIXES[unit[:-1]] / self._factor
 
     def _typed(self, text: str) -> str:
-        """Return a text without prefix and suffix, which stay while the number is replaced."""
-        return text.removeprefix(self.prefix()).removesuffix(self.suffix()).strip()
+        """Return a text without the suffix, which stays while the number is replaced."""
+        return text.removesuffix(self.suffix()).strip()
 
     def _problem(self, text: str | None = None) -> str:
         """Return why what is typed cannot be used; empty if it can."""
@@ -172,7 +172,7 @@ class NumberField(QDoubleSpinBox):
         """Show the value in force again."""
         if (line := self.lineEdit()) is not None:
             word = self.specialValueText() if self.value() == self.minimum() else ""
-            line.setText(word or self.prefix() + self.textFromValue(self.value()) + self.suffix())
+            line.setText(word or self.textFromValue(self.value()) + self.suffix())
         if self._latest is not None:
             self.show_value(*self._latest)
 

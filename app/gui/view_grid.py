@@ -14,6 +14,7 @@ from reconstruction.arrays import Floats
 
 _GAP = 10
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
+_LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
 _SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
 _MARGIN = 3  # px around all views, for the selection frame
 _STALE_OPACITY = 0.5
@@ -98,7 +99,8 @@ class ViewGrid(QWidget):
         if self._has_captions():
             self._paint_captions(painter)
         self._paint_selection(painter)
-        self._paint_color_bar(painter, maps)
+        if self._bar_space():
+            self._paint_color_bar(painter, maps)
 
     def event(self, event: QEvent | None) -> bool:
         """Show the value under the pointer as a tool tip."""
@@ -157,13 +159,18 @@ class ViewGrid(QWidget):
     def _has_captions(self) -> bool:
         return self._layout(captions=True)[1].width() >= _SMALLEST_CAPTIONED
 
+    def _bar_space(self) -> int:
+        """Return the width of the colour bar and its numbers; 0 if the views need it: tool tips have the values."""
+        space, line = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width, self.fontMetrics().height()
+        return space if self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line else 0
+
     def _layout(self, *, captions: bool | None = None) -> tuple[QPoint, QSize, QSize]:
         """Return the first view's corner, the size of each, and the step from one to the next."""
         if self.maps is None:
             return QPoint(), QSize(), QSize()
         view_rows, view_columns, rows, columns = self.maps.values.shape
         has_captions = self._has_captions() if captions is None else captions
-        bar_space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
+        bar_space = self._bar_space()
         below = 2 * self.fontMetrics().height() + 4 if has_captions else 0
         gap = _GAP if has_captions else 3
         width = (self.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
@@ -201,23 +208,31 @@ class ViewGrid(QWidget):
         painter.drawRect(self.tile(*self.selection).adjusted(-1, -1, 1, 1))
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
-        view_rows, view_columns = maps.values.shape[:2]
-        top, bottom = self.tile(0, view_columns - 1), self.tile(view_rows - 1, view_columns - 1)
-        line = self.fontMetrics().height()
-        bar = QRect(top.right() + _BAR_MARGIN, top.top() + line + 4, _BAR_WIDTH, bottom.bottom() - top.top() - line - 3)
+        line, bar = self.fontMetrics().height(), self._bar(maps)
         painter.drawImage(bar, self._dimmed(_image(maps.scale.bar[::-1, None])))
         painter.setPen(theme.TEXT)
-        title = QRect(bar.left(), top.top(), self.width(), line)
+        title = QRect(bar.left(), bar.top() - line - 4, self.width(), line)
         painter.drawText(title, Qt.AlignmentFlag.AlignVCenter, maps.scale.title)
-        ticks = maps.scale.ticks
-        if len(ticks) * line > bar.height():  # both ends and the middle fit in any case
-            ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
-        for fraction, text in ticks:
+        for fraction, text in self._ticks(maps.scale, bar):
             y = bar.top() + round((1 - fraction) * (bar.height() - 1))
             text_y = min(max(y - line // 2, bar.top() - 2), bar.bottom() + 2 - line)
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
             place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
             painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
+
+    def _bar(self, maps: Maps) -> QRect:
+        """Return the place of the colour bar, below its title."""
+        view_rows, view_columns = maps.values.shape[:2]
+        top, bottom = self.tile(0, view_columns - 1), self.tile(view_rows - 1, view_columns - 1)
+        first = top.top() + self.fontMetrics().height() + 4
+        return QRect(top.right() + _BAR_MARGIN, first, _BAR_WIDTH, bottom.bottom() - first + 1)
+
+    def _ticks(self, scale: ColourScale, bar: QRect) -> tuple[tuple[float, str], ...]:
+        """Return all numbers, both ends with the middle, or the ends only, as fit beside the bar."""
+        ticks, most = tuple(scale.ticks), bar.height() // self.fontMetrics().height()
+        if len(ticks) > most:
+            ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
+        return ticks[:: len(ticks) - 1] if len(ticks) > most else ticks
 
 
 def _image(pixels: Pixels) -> QImage:

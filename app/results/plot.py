@@ -83,7 +83,7 @@ def _draw_psf(figure: SubFigure, wavefront: Wavefront) -> None:
     middle = angle_rad.size // 2
     captions = [[f"Strehl {one[middle, middle]:.3f}  peak {one.max():.3f}" for one in row] for row in maps]
     scale = PowerNorm(0.5, 0, float(np.nanmax(maps, initial=0)) or 1.0)
-    title = f"point-spread function within $\\pm${angle_rad[-1] * 1e3:.2g} mrad (ideal peak 1)"
+    title = f"point-spread function within $\\pm${angle_rad[-1] * 1e3:.2g} mrad (1 = perfect peak)"
     draw_maps(figure, maps, _with_places(wavefront.field, captions), ("inferno", scale, title))
 
 
@@ -101,7 +101,7 @@ def draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:
 
 def draw_structure(axis: Axes, found: Isoplanatism) -> None:
     """Draw the difference of wavefronts over their separation in the field, with and without tilt."""
-    for name, curve in (("all", found.curve), ("without tilt", found.curve_without_tilt)):
+    for name, curve in (("with tilt", found.curve), ("tilt removed", found.curve_without_tilt)):
         separation_mm = np.append(0.0, curve.separation_m * 1e3)
         rms_rad, least_rad, most_rad = (
             np.append(0.0, values) for values in (curve.rms_rad, curve.least_rad, curve.most_rad)
@@ -109,8 +109,8 @@ def draw_structure(axis: Axes, found: Isoplanatism) -> None:
         (line,) = axis.plot(separation_mm, rms_rad, label=name)
         axis.fill_between(separation_mm, least_rad, most_rad, color=line.get_color(), alpha=0.15, linewidth=0)
     axis.axhline(1.0, linestyle="--", linewidth=0.8, color="0.4")
-    title = f"one wavefront for the whole field is off by {found.error_rad:.2f} rad RMS"
-    axis.set(title=title, xlabel="separation in the field (mm)", ylabel="RMS difference (rad)", xlim=(0, None))
+    title = f"a single correction would leave {found.error_rad:.2f} rad RMS"
+    axis.set(title=title, xlabel="separation in the field (mm)", ylabel="wavefront change (rad RMS)", xlim=(0, None))
     axis.set_ylim(0, None)
     axis.legend(fontsize=8)
 

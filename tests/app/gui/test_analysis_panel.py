@@ -221,9 +221,9 @@ def curve(*rms_rad: float) -> StructureCurve:
 
 def test_verdict_states_error_and_patch() -> None:
     found = Isoplanatism(curve(0.5, 1.5), curve(0.1, 0.2), 0.42, 0.1, np.zeros((3, 3)))
-    assert verdict(found) == "A single correction leaves 0.42 rad RMS; isoplanatic patch 0.15 mm"
+    assert verdict(found) == "A single correction would leave 0.42 rad RMS. Isoplanatic patch: 0.15 mm"
     wide = Isoplanatism(curve(0.1, 0.2), curve(0.1, 0.2), 0.04, 0.01, np.zeros((3, 3)))
-    assert verdict(wide).endswith("leaves 0.040 rad RMS; isoplanatic patch wider than the field")
+    assert verdict(wide).endswith("would leave 0.040 rad RMS. Isoplanatic patch: wider than the field")
 
 
 def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:
@@ -242,4 +242,4 @@ def test_space_variant_sample_leaves_an_error_of_single_correction(make_window: 
     wait_for_wavefront(qtbot, window)
     sentence = window.analysis_panel.sentence
     qtbot.waitUntil(lambda: sentence.text().startswith("A single correction"))
-    assert float(sentence.text().partition("leaves ")[2].partition(" rad")[0]) > 0.1
+    assert float(sentence.text().partition("leave ")[2].partition(" rad")[0]) > 0.1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPoint
+from PyQt6.QtCore import QEvent, QPoint
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
@@ -62,3 +62,14 @@ def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     assert magnification == 20
     np.testing.assert_allclose([x[0], y[0]], [215.0, 150.5])  # the lattice's middle
     np.testing.assert_allclose([x[1] - x[0], y[1] - y[0]], [1.2 * magnification, 0.3 * magnification])
+
+
+def test_pixel_is_named_only_under_the_pointer(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    panel = window.camera_panel
+    panel._point_at(panel._view.mapViewToScene(QPoint(7, 5).toPointF()))
+    assert "x 7  y 5: 1000 counts" in panel.caption.text()
+    QApplication.sendEvent(panel._graphics, QEvent(QEvent.Type.Leave))
+    window.update_text()
+    assert "counts" not in panel.caption.text()

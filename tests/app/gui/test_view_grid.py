@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint
+from pytestqt.qtbot import QtBot
 from support.gui_bench import make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture
 
 from app.gui.adaptive_scale import MAGNIFICATIONS, RANGES, AdaptiveScale
-from app.gui.colours import diverging
+from app.gui.colours import ColourScale, diverging
 from app.gui.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 
@@ -81,3 +82,22 @@ def test_scale_rises_at_once_and_falls_only_when_clearly_too_large() -> None:
     scale = AdaptiveScale(MAGNIFICATIONS)
     assert [scale.follow(needed) for needed in (1.7, 2.1, 1.9, 1.7, 1.5, np.nan, 0.0)] == [2, 5, 5, 5, 2, 2, 2]
     assert AdaptiveScale(RANGES).follow(11) == 15
+
+
+def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
+    grid = ViewGrid()
+    qtbot.addWidget(grid)
+    grid.setMinimumSize(1, 1)
+    line = grid.fontMetrics().height()
+    scale = ColourScale("inferno", 0.0, 46260.0, "", (0.0, 0.5, 1.0))
+    maps = Maps(np.ones((1, 1, 20, 20)), scale, lambda *_: "")
+    grid.show_maps(maps)
+    for width, height in ((90, 4 * line), (90, 150), (300, 4 * line)):
+        grid.resize(width, height)
+        assert grid.tile(0, 0).width() >= min(width, height) - 6  # all but the margins
+    for height in range(5 * line, 12 * line):  # no two numbers overlap
+        grid.resize(300, height)
+        bar = grid._bar(maps)
+        places = sorted(bar.top() + (1 - fraction) * bar.height() for fraction, _ in grid._ticks(scale, bar))
+        assert len(places) in {2, 3}
+        assert min(np.diff(places)) >= line - 1

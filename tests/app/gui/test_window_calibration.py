@@ -125,3 +125,26 @@ def test_alarm_stays_until_it_is_dismissed(live: tuple[MainWindow, FakeCamera], 
     press(qtbot, window, Qt.Key.Key_Escape)
     window.update_text()
     assert window.messages.text.text() == "Something nice"
+
+
+def test_dark_and_reference_are_confirmed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    window.controls.frames.setValue(3)
+    for key, name in ((Qt.Key.Key_D, "Dark"), (Qt.Key.Key_R, "Reference")):
+        press(qtbot, window, key)
+        qtbot.waitUntil(partial(says, window, f"{name} taken: mean of 3 frames"))
+
+
+def says(window: MainWindow, text: str) -> bool:
+    return window.messages.text.text() == text
+
+
+def test_highest_gain_is_shown_in_full(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    window.resize(900, 640)
+    gain = window.controls.em_gain
+    gain.setValue(1200)
+    qtbot.waitUntil(lambda: gain.text() == "1200.0")
+    line = gain.lineEdit()
+    assert line is not None
+    assert line.width() >= gain.fontMetrics().horizontalAdvance(gain.text())
