@@ -170,7 +170,7 @@ def _print_rotation(rotation: Circulation, *, rotates: bool) -> None:
 
 def print_warning(sentence: str) -> None:
     """Print a warning."""
-    Console().print(f"[yellow]warning:[/] {escape(sentence)}", highlight=False, soft_wrap=True)
+    Console().print(f"[yellow]warning:[/] {escape(printable(sentence))}", highlight=False, soft_wrap=True)
 
 
 def lenslet_summary(wavefront: Wavefront) -> str:
