@@ -228,6 +228,11 @@ class Reconstructor:
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
         """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""
         at_rest = self._at_rest
+        lenslets = np.count_nonzero(at_rest.valid)
+        if count is not None and 0 < lenslets < count:  # known before minutes of preparation
+            raise ReconstructionError(
+                f"{lenslets} valid lenslets cannot tell {count} pupil modes apart: lower pupil_modes, or leave it out"
+            )
         modes, parameters = pupil_modes(self.sensor, basis, count), _parameters(self._register, at_rest)
         return ModalSolver(
             modes,

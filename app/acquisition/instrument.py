@@ -117,7 +117,7 @@ class Instrument:
         now = self._now()
         problem = self._problem if self._reconstructor is None else ""
         of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
-        of_images = "" if self._judge is None else self._judge.of_reference.sentence
+        of_reference = of_reference or ("" if self._judge is None else self._judge.of_reference.sentence)
         return Status(
             bench=self.bench,
             camera_name=camera.name,
@@ -140,7 +140,7 @@ class Instrument:
             dark_note=self.darks.note(of_dark),
             reference_note=self.references.note(problem or of_reference),
             lattice=self._lattice,
-            warning=problem or of_dark or of_reference or of_images,
+            warning=problem or of_dark or of_reference,
             temperature_c=camera.temperature_c,
         )
 

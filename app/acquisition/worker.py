@@ -73,8 +73,9 @@ class Acquisition(AcquisitionLoop):
         """Stop the camera, and reconstruct and publish the frame that `choose` returns, as if it came from there."""
 
         def command(instrument: Instrument) -> None:
+            frame = choose(instrument)  # may refuse: the camera goes on
             instrument.devices.camera.stop()
-            self._path.process_single(choose(instrument), instrument, self._light())
+            self._path.process_single(frame, instrument, self._light())
 
         return self.submit(command)
 

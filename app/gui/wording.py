@@ -25,6 +25,7 @@ LOST_REASONS = {
     Outcome.OFF_CAMERA: "cell not fully on the camera",
 }
 _SLOW_S = 1.0  # a frame shown for longer is explained
+_SATURATED = "saturated"  # in a problem of a frame
 
 
 def warning(
@@ -35,14 +36,14 @@ def warning(
 ) -> str:
     """Return why wavefronts are missing or doubtful and which keys help; empty if all is well.
 
-    Without light, or with a reference for other frames, a `problem` of the newest frame is a consequence; else it comes
-    first, then its `quality`; subimages of its `wavefront` that rotate come last.
+    Without light, or with a reference for other frames, a `problem` of the newest frame is a consequence, unless it is
+    saturated; else it comes first, then its `quality`; subimages of its `wavefront` that rotate come last.
     """
     if problem and not status.is_light_on:
         return "the light is off: switch it on (L)"
     if status.warning and _shows_few(status, status.area):
         return _cut_off(status, status.area)
-    if problem not in {"", status.warning} and status.reference == "good":
+    if problem not in {"", status.warning} and (status.reference == "good" or _SATURATED in problem):
         return problem
     stale = (("D: dark", status.dark), ("R: reference", status.reference))
     keys = ", ".join(key for key, validity in stale if validity != "good")

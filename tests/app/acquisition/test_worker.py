@@ -172,6 +172,22 @@ def test_saturated_frame_keeps_loop_running(running: Running) -> None:
     wait_until(lambda: running.measurements[-1].wavefront is not None)
 
 
+def test_reference_clipped_by_the_full_well_is_doubtful(small_toml: Path) -> None:
+    """Its counts stay below the camera's full scale."""
+    clipped = ("camera.full_well_e=20000.0", "camera.em_gain=1.0", "camera.exposure_s=0.1")
+    running = Running(load_bench(small_toml, clipped))
+    try:
+        running.begin()
+        status = running.acquisition.status
+        assert status is not None
+        assert status.dark == "good"
+        assert status.reference == "doubtful"
+        assert status.warning in status.reference_note
+        assert status.warning
+    finally:
+        running.acquisition.close()
+
+
 def test_reference_without_light_is_a_warning(running: Running) -> None:
     running.begin()
     running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)

@@ -91,7 +91,7 @@ def test_unusable_frame_is_refused(
     np.save(tmp_path / "frame.npy", pixels)
     drop(window, tmp_path / "frame.npy")
     qtbot.waitUntil(lambda: problem in window.log.text)
-    assert camera.state in {"stopped", "running"}
+    assert camera.state == "running"  # nothing was shown instead
     assert not window.controller.failure
 
 

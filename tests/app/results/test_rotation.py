@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -105,6 +106,7 @@ class Good:
     """The part of a status that the warning depends on, when all is well."""
 
     warning, dark, reference, is_light_on = "", "good", "good", True
+    area, capabilities = SimpleNamespace(region=None), SimpleNamespace(sensor=None)
 
 
 class NoDark(Good):
