@@ -2,6 +2,7 @@
 
 import json
 import sys
+from glob import escape
 from itertools import chain, count
 from pathlib import Path
 from typing import IO, Any
@@ -58,12 +59,16 @@ def check_free(folder: Path) -> None:
 
 
 def new_folder(wanted: Path) -> Path:
-    """Make a new folder, named with -2, -3, ... if the name is taken (also by another program at the same moment)."""
+    """Make a new folder, named with -2, -3, ... if the name is taken (also by another program at the same moment).
+
+    It is taken, too, by a recording of the same second that got a longer name meanwhile.
+    """
     try:
         check_writable(wanted.parent)
         wanted.parent.mkdir(parents=True, exist_ok=True)
         numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
-        return next(folder for folder in chain([wanted], numbered) if _is_made(folder))
+        renamed = any(wanted.parent.glob(f"{escape(wanted.name)}-*"))
+        return next(folder for folder in chain([] if renamed else [wanted], numbered) if _is_made(folder))
     except OSError as error:
         raise _unusable(wanted, error) from error
 
