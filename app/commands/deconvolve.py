@@ -23,7 +23,7 @@ _READING = 0.1  # share of the work
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What to deconvolve, and how."""
+    """Image, wavefronts, output and settings of a deconvolution."""
 
     image: Path
     source: Path  # file of results, or folder of a recording

@@ -36,7 +36,7 @@ class AnalysisTabs(QObject):
 
     @property
     def is_visible(self) -> bool:
-        """Whether any panel is visible."""
+        """True if a panel is visible."""
         return any(panel.isVisible() for panel in self.panels.values())
 
     def show_analysis(self, analysis: Analysis) -> None:

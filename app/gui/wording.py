@@ -133,7 +133,7 @@ def _outside(status: Status, area: SensorArea) -> int:
 
 
 def _shows_few(status: Status, area: SensorArea) -> bool:
-    """Whether most lenslets lie outside a part of the sensor, so that no reference can be used."""
+    """True if most lenslets lie outside a part of the sensor, so that no reference can be used."""
     return area.region != status.capabilities.sensor is not None and _outside(status, area) > _lenslets(status) / 2
 
 

@@ -23,7 +23,7 @@ from reconstruction.wavefront import Wavefront
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
-_HARM = 1.2  # rise of the misfit by a harmful correction; noise and a growing wavefront stay below
+_HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
 _NICENESS = 10
 _WAIT_S = 0.2

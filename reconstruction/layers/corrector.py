@@ -1,4 +1,4 @@
-"""What a corrector conjugate to some distance leaves: its best command and the residual over the field.
+"""Best command of a corrector conjugate to some distance, and the residual that it leaves over the field.
 
 A corrector at the ratio r adds the phase C(u + r x) to the wavefront of the field position x (`layer_modes`). The best
 command minimises the mean variance over the field positions, each without piston.

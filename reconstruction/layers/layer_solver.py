@@ -25,7 +25,7 @@ from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.solve.evidence import log_evidence, maximize_evidence
 from reconstruction.solve.expected_errors import ExpectedErrors
 
-_HIGHEST_DEGREE = 13  # of a layer's phase; with 10 a rough screen is not resolved
+_HIGHEST_DEGREE = 13  # of a layer's phase, if there are as many lenslets
 _PRIOR_EXPONENT, _PRIOR_PER_FIELD_DEGREE = 5.0, 0.5  # as in `solve.modal`
 _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 _AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
