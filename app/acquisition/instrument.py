@@ -27,7 +27,7 @@ from reconstruction.lattice.search import Survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.sequence import sequence_quality
-from reconstruction.quality.verdict import Quality
+from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.wavefront import Wavefront
 
 
@@ -117,7 +117,8 @@ class Instrument:
         now = self._now()
         problem = self._problem if self._reconstructor is None else ""
         of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
-        of_reference = of_reference or ("" if self._judge is None else self._judge.of_reference.sentence)
+        judged = Quality() if self._judge is None else self._judge.of_reference
+        of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
         return Status(
             bench=self.bench,
             camera_name=camera.name,
@@ -140,7 +141,7 @@ class Instrument:
             dark_note=self.darks.note(of_dark),
             reference_note=self.references.note(problem or of_reference),
             lattice=self._lattice,
-            warning=problem or of_dark or of_reference,
+            warning=problem or of_dark or of_reference or judged.sentence,
             temperature_c=camera.temperature_c,
         )
 
