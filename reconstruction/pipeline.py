@@ -13,6 +13,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.layers.layer_fit import LayerFit
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
@@ -184,6 +185,10 @@ class Reconstructor:
     def layers(self, displacement: Displacement) -> FrameEquations:
         """Normal equations of a frame's displacements for layers at any distance; the first takes about a second."""
         return self._layers(displacement, self.weights_of(displacement))
+
+    def layer(self, displacement: Displacement, ratio: float) -> LayerFit:
+        """Fit one layer at a known ratio of field to pupil position; later frames take less than a millisecond."""
+        return self._layers.at(ratio)(displacement, self.weights_of(displacement))
 
     @cached_property
     def _layers(self) -> LayerSolver:

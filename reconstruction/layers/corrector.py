@@ -18,7 +18,7 @@ from reconstruction.modes.zernike import zernike
 Influence = Literal["legendre", "zernike", "actuators"]
 
 _COUPLING = 0.15  # of an actuator's influence at its neighbour
-_DEPENDENT = 1e-8  # singular value over the largest, below which modes are alike on the lenslets
+_DEPENDENT = 1e-13  # eigenvalue over the largest, below which modes are alike on the lenslets
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +62,30 @@ class Correction:
     ratio: float
     half_width_m: Floats  # of the footprint, (xy,), in coordinates s = u + ratio x
     command: Floats  # rad, (k,); the corrector adds this phase
-    residual_rad: Floats  # RMS at each field position, (position,)
+    residual_rad: Floats  # RMS at each field position, (position,); NaN where no lenslet is known
     strehl: Floats  # (position,)
 
     @property
     def mean_residual_rad(self) -> float:
         """Root of the mean square of the residuals over the field."""
-        return float(np.sqrt(np.mean(self.residual_rad**2)))
+        return float(np.sqrt(np.nanmean(self.residual_rad**2)))
 
     def phase(self, x_m: Floats, y_m: Floats) -> Floats:
         """Phase that the corrector adds at positions s, broadcast together, rad."""
         shapes = self.corrector.shapes(x_m / self.half_width_m[0], y_m / self.half_width_m[1])
         return np.tensordot(self.command, shapes, axes=1)
+
+    def phase_map(self, pixels: int) -> tuple[Floats, Floats, Floats]:
+        """Positions x (column,) and y (row,) over the footprint, m, and the phase there without piston, (row, column).
+
+        There are `pixels` along the longer side.
+        """
+        x_m, y_m = (
+            np.linspace(-half_m, half_m, max(2, round(pixels * half_m / max(self.half_width_m))))
+            for half_m in self.half_width_m
+        )
+        phase = self.phase(x_m, y_m[:, None])
+        return x_m, y_m, np.asarray(phase - phase.mean())
 
 
 def best_correction(
@@ -95,26 +107,32 @@ def best_correction(
     ValueError
         If no lenslet is known.
     """
-    half_width_m = np.array(sensor.pupil_half_width_m) + abs(ratio) * field.half_width_m
-    matrices, data = [], []
-    for wavefront, (x_m, y_m) in zip(wavefronts, positions_m, strict=True):
-        known = np.isfinite(wavefront)
-        if not known.any():
-            continue
-        x = (sensor.pupil_x_m + ratio * x_m) / half_width_m[0]
-        y = (sensor.pupil_y_m[:, None] + ratio * y_m) / half_width_m[1]
-        shapes = corrector.shapes(x, y)[:, known]
-        matrices.append((shapes - shapes.mean(axis=1, keepdims=True)) / math.sqrt(known.sum()))
-        data.append((wavefront[known] - wavefront[known].mean()) / math.sqrt(known.sum()))
-    if not data:
+    known = np.isfinite(wavefronts)
+    lenslets = np.count_nonzero(known, axis=(1, 2))[:, None, None]
+    if not lenslets.any():
         raise ValueError("no lenslet has a wavefront")
-    fitted = np.linalg.lstsq(np.concatenate(matrices, axis=1).T, np.concatenate(data), rcond=_DEPENDENT)[0]
-    left = [some - fitted @ matrix for some, matrix in zip(data, matrices, strict=True)]
+    half_width_m = np.array(sensor.pupil_half_width_m) + abs(ratio) * field.half_width_m
+    x_m, y_m = positions_m.T[:, :, None, None]
+    x = (sensor.pupil_x_m + ratio * x_m) / half_width_m[0]
+    y = (sensor.pupil_y_m[:, None] + ratio * y_m) / half_width_m[1]
+    share = known / np.maximum(lenslets, 1)
+
+    def without_piston(phase: Floats) -> Floats:
+        return np.asarray((phase - np.sum(phase * share, axis=(-2, -1), keepdims=True)) * np.sqrt(share))
+
+    matrix = without_piston(corrector.shapes(x, y)).reshape(-1, known.size)
+    data = without_piston(np.where(known, wavefronts, 0.0)).ravel()
+    square, vectors = np.linalg.eigh(matrix @ matrix.T)
+    seen = square > _DEPENDENT * square[-1]
+    fitted = vectors[:, seen] @ (vectors[:, seen].T @ (matrix @ data) / square[seen])
+    left = (data - fitted @ matrix).reshape(known.shape)
+    phase = np.where(known, left / np.sqrt(np.where(known, share, 1.0)), 0.0)
+    is_known = lenslets.ravel() > 0
     return Correction(
         corrector,
         ratio,
         half_width_m,
         -fitted,
-        np.array([np.linalg.norm(some) for some in left]),
-        np.array([np.abs(np.mean(np.exp(1j * some * math.sqrt(len(some))))) ** 2 for some in left]),
+        np.where(is_known, np.sqrt(np.sum(left**2, axis=(1, 2))), np.nan),
+        np.where(is_known, np.abs(np.sum(np.exp(1j * phase) * share, axis=(1, 2))) ** 2, np.nan),
     )

@@ -13,9 +13,10 @@ import numpy as np
 from scipy import optimize
 
 from reconstruction.arrays import Floats
-from reconstruction.layers.layer_solver import FrameEquations, LayerFit
+from reconstruction.layers.layer_fit import LayerFit
+from reconstruction.layers.layer_solver import FrameEquations
 
-Verdict = Literal["one layer", "two layers", "not one or two layers"]
+Verdict = Literal["one layer", "two layers", "not a single layer", "not one or two layers"]
 
 # The search runs over t = ratio / (1 + ratio), even between layers near the lenslets (0) and near the source (1).
 _GRID, _GRID_OF_TWO = np.linspace(0.0, 0.96, 49), np.linspace(0.0, 0.95, 20)
@@ -49,9 +50,9 @@ class LayerSearch:
         """Number of layers that explain the displacements."""
         if self._explains(self.one):
             return "one layer"
-        if self.two is not None and self._explains(self.two):
-            return "two layers"
-        return "not one or two layers"
+        if self.two is None:
+            return "not a single layer"
+        return "two layers" if self._explains(self.two) else "not one or two layers"
 
     def _explains(self, fit: LayerFit) -> bool:
         least, most = _UNEXPLAINED

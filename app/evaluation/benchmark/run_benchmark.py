@@ -11,6 +11,7 @@ from app.bench.config import Bench
 from app.evaluation.benchmark import contestants
 from app.evaluation.benchmark.forward import forward_times
 from app.evaluation.benchmark.growth import DIMS, growth, large_camera
+from app.evaluation.benchmark.layer_times import layer_times
 from app.evaluation.benchmark.ours import OURS, OURS_ONE_THREAD, coefficients_of, frames_per_s, ours
 from app.evaluation.benchmark.stopwatch import side_by_side, summaries
 from app.evaluation.benchmark.timed_frames import TimedFrames, noise_free, noisy
@@ -52,6 +53,8 @@ def run_benchmark(plan: BenchmarkPlan, progress: Progress) -> Json:
         result["frames_per_s"] = frames_per_s(grainy, plan.budget_s)
         progress("zonal solve", 0.55)
         result["zonal"] = zonal_times(grainy, plan.budget_s / 2)
+        progress("one layer", 0.58)
+        result["layer"] = layer_times(grainy, plan.budget_s / 2)
         progress("forward model", 0.6)
         result["forward"], problem = forward_times(clean, plan.budget_s)
         if problem:

@@ -99,6 +99,17 @@ def test_impossible_correctors_are_refused(influence: str, count: int, sentence:
         Corrector(influence, count)  # type: ignore[arg-type] # a name
 
 
+def test_positions_without_lenslets_are_left_out() -> None:
+    phases = wavefronts(0.8)
+    part = best_correction(phases[1:], POSITIONS_M[1:], SENSOR, FIELD, 0.3, Corrector("legendre", 10))
+    phases[0] = np.nan
+    made = correct(phases, 0.3, Corrector("legendre", 10))
+    np.testing.assert_allclose(made.command, part.command, atol=1e-9)
+    np.testing.assert_allclose(made.residual_rad, [np.nan, *part.residual_rad], atol=1e-9)
+    assert np.isnan(made.strehl[0])
+    assert made.mean_residual_rad == pytest.approx(part.mean_residual_rad)
+
+
 def test_no_lenslets_are_refused() -> None:
     with pytest.raises(ValueError, match="no lenslet"):
         correct(np.full_like(wavefronts(0.0), np.nan), 0.0, Corrector("legendre", 6))
