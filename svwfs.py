@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         WrongState,
     )
     from reconstruction.arrays import Counts
+    from reconstruction.deconvolution.corrected_image import PhaseAt
     from reconstruction.displacement import Displacement, Outcome
     from reconstruction.errors import ReconstructionError
     from reconstruction.geometry import Lattice
@@ -91,6 +92,7 @@ __all__ = [
     "Wavefront",
     "WrongState",
     "deconvolve",
+    "find_corrector",
     "find_lattice",
     "find_layers",
     "live",
@@ -380,6 +382,67 @@ def find_layers(
     return layers_dataset(search(reconstructor.layers(_wavefront(wavefront)), count, at=ratios), reconstructor.bench)
 
 
+def find_corrector(
+    source: Wavefront | str | Path,
+    bench: Bench,
+    *,
+    modes: Literal["zernike", "legendre", "actuators"] = "zernike",
+    count: int = 45,
+    distance_m: float | None = None,
+) -> xr.Dataset:
+    """Find what a corrector conjugate to each distance would leave, and its best command (docs/layers.md).
+
+    Parameters
+    ----------
+    source
+        A wavefront, a file of results, or the folder of a recording, whose frames are averaged.
+    bench
+        The bench of the wavefront.
+    modes
+        Shapes that the corrector can take over its footprint.
+    count
+        Number of modes, the piston included, or of actuators, which is a square.
+    distance_m
+        Distance of the corrector from the lenslets; the best one if omitted.
+
+    Returns
+    -------
+    xarray.Dataset
+        `residual(distance)` in rad and `strehl(distance)` over the distance from the lenslets, `uncorrected` in rad;
+        `corrector_distance_m`, `corrector_residual`, `command(shape)` and `command_phase(y, x)` in rad of one corrector.
+
+    Raises
+    ------
+    InputError
+        If source, modes or distance cannot be used; the message says why.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    >>> found = svwfs.find_corrector(wavefront, bench)
+    >>> bool(abs(found["corrector_distance_m"] - 0.195) < 0.01)  # that of the screen
+    True
+    >>> bool(found["corrector_residual"] < 0.1 * found["residual"].sel(distance=0))
+    True
+    """
+    from app.errors import InputError
+    from app.results.layers.correction import compare_correctors, correction_dataset
+    from app.results.layers.dataset import ratio_at
+    from reconstruction.layers.corrector import Corrector
+
+    bench = _bench(bench)
+    ratio = None if distance_m is None else ratio_at(distance_m, "lenslets", bench)
+    phase_at = _phase_at(source, bench)
+    try:
+        made = compare_correctors(phase_at, bench.sensor, bench.field, Corrector(modes, count), ratio)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return correction_dataset(made, bench)
+
+
 def deconvolve(
     image: Counts,
     source: Wavefront | str | Path,
@@ -425,19 +488,13 @@ def deconvolve(
     >>> corrected.shape, bool(corrected.inside.any())
     ((240, 256), True)
     """
-    from pathlib import Path
-
     import xarray as xr
 
     from app.commands.deconvolve import correct
     from app.measurement.bench_reconstructor import as_image
-    from app.results.field_wavefront import mean_wavefront
 
-    if isinstance(source, str | Path):
-        phase_at = mean_wavefront(Path(source), _bench(bench), None, lambda *_: None)
-    else:
-        phase_at = _wavefront(source).at
-    made = correct(as_image(image, "image"), phase_at, _bench(bench), method, iterations, lambda *_: None, name="image")
+    phase_at, bench = _phase_at(source, bench), _bench(bench)
+    made = correct(as_image(image, "image"), phase_at, bench, method, iterations, lambda *_: None, name="image")
     return xr.DataArray(
         made.image,
         dims=("row", "column"),
@@ -624,6 +681,17 @@ def _bench(bench: object) -> Bench:
     if not isinstance(bench, Bench):
         raise InputError(f"a bench is needed, as load_bench returns it, not {type(bench).__name__}")
     return bench
+
+
+def _phase_at(source: Wavefront | str | Path, bench: Bench) -> PhaseAt:
+    """Return the wavefront at any field position, of a wavefront, a file of results or a recording."""
+    from pathlib import Path
+
+    from app.results.field_wavefront import mean_wavefront
+
+    if isinstance(source, str | Path):
+        return mean_wavefront(Path(source), _bench(bench), None, lambda *_: None)
+    return _wavefront(source).at
 
 
 def _wavefront(wavefront: object) -> Wavefront:

@@ -88,7 +88,8 @@ def corrector(
     Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
     """
     from app.cli.tables import progress_bar
-    from app.results.layers.correction import compare_correctors, summary
+    from app.results.layers.correction import summary
+    from app.results.layers.correction_run import correct
     from reconstruction.layers.corrector import Corrector
 
     try:
@@ -96,7 +97,7 @@ def corrector(
     except ValueError as error:
         raise InputError(f"--count: {error}") from error
     with progress_bar() as progress:
-        found = compare_correctors(
+        found = correct(
             source,
             corrector=shapes,
             at_m=distance,

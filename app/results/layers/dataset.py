@@ -1,5 +1,6 @@
 """Layers as a dataset with names and units (docs/layers.md)."""
 
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -9,6 +10,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.results.view_quality import about
 from reconstruction.arrays import Floats
+from reconstruction.layers.layer_fit import Layer
 from reconstruction.layers.layer_search import LayerSearch
 
 Origin = Literal["lenslets", "mask"]
@@ -43,21 +45,33 @@ def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
     return np.asarray(focal_length_m * np.asarray(ratio) if origin == "lenslets" else focal_length_m / (1 + ratio))
 
 
+def layer_maps(
+    layers: tuple[Layer, ...], origin: Origin, values: Callable[[Layer, Floats, Floats], Floats], points: int = _POINTS
+) -> tuple[Floats, Floats, Floats]:
+    """Positions x and y on the layers, m, and values there, (layer, y, x): `Layer.phase` or `Layer.sigma`.
+
+    In the collimated beam the positions are those of the pupil, near the mask smaller.
+    """
+    scales = [1 / (1 + layer.ratio) if origin == "mask" else 1.0 for layer in layers]
+    reach_m = np.max([layer.half_width_m * scale for layer, scale in zip(layers, scales, strict=True)], axis=0)
+    x_m, y_m = (np.linspace(-most, most, points) for most in reach_m)
+    maps = [values(layer, x_m / scale, y_m[:, None] / scale) for layer, scale in zip(layers, scales, strict=True)]
+    return x_m, y_m, np.array(maps)
+
+
+def distances_and_sigma_m(layers: tuple[Layer, ...], origin: Origin, bench: Bench) -> tuple[Floats, Floats]:
+    """Distances of the layers and their standard deviations, m; NaN for given distances."""
+    ratio, ratio_sigma = (np.array([getattr(layer, name) for layer in layers]) for name in ("ratio", "ratio_sigma"))
+    per_ratio_m = bench.field.collimator_focal_length_m * (1 + ratio) ** (-2.0 if origin == "mask" else 0.0)
+    return distance_m(ratio, origin, bench), per_ratio_m * ratio_sigma
+
+
 def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
     """Return distances, phase maps and what explains the displacements of a frame."""
     layers = found.fit.layers
-    ratio, ratio_sigma = (np.array([getattr(layer, name) for layer in layers]) for name in ("ratio", "ratio_sigma"))
-    # Positions on a layer: in the collimated beam those of the pupil, near the mask smaller.
-    scale = 1 / (1 + ratio) if origin == "mask" else np.ones(len(layers))
-    focal_length_m = bench.field.collimator_focal_length_m
-    per_ratio_m = focal_length_m * scale**2 if origin == "mask" else np.full(len(layers), focal_length_m)
-    reach_m = np.max([layer.half_width_m * of_layer for layer, of_layer in zip(layers, scale, strict=True)], axis=0)
-    x_m, y_m = (np.linspace(-most, most, _POINTS) for most in reach_m)
-    maps = [
-        (layer.phase(x_m / of_layer, y_m[:, None] / of_layer), layer.sigma(x_m / of_layer, y_m[:, None] / of_layer))
-        for layer, of_layer in zip(layers, scale, strict=True)
-    ]
-    phase, sigma = (np.array(values) for values in zip(*maps, strict=True))
+    distances_m, sigma_m = distances_and_sigma_m(layers, origin, bench)
+    x_m, y_m, phase = layer_maps(layers, origin, Layer.phase)
+    *_, sigma = layer_maps(layers, origin, Layer.sigma)
     fits = {"one layer": found.one, "two layers": found.two, "any wavefront": found.any_wavefront}
     made = {name: fit for name, fit in fits.items() if fit is not None}
     tried_m = distance_m(found.ratios, origin, bench)
@@ -65,8 +79,8 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets"
     from_where = f"from the {origin}"
     return xr.Dataset(
         {
-            "distance_m": ("layer", distance_m(ratio, origin, bench), about("m", f"distance {from_where}")),
-            "distance_sigma_m": ("layer", per_ratio_m * ratio_sigma, about("m", "standard deviation; NaN if given")),
+            "distance_m": ("layer", distances_m, about("m", f"distance {from_where}")),
+            "distance_sigma_m": ("layer", sigma_m, about("m", "standard deviation; NaN if given")),
             "layer_phase": (("layer", "y", "x"), phase, about("rad", "phase on the layer; NaN where no ray meets it")),
             "layer_phase_sigma": (("layer", "y", "x"), sigma, about("rad", "standard deviation of layer_phase")),
             "chi_square": ("distance", found.chi_squares[order], about("1", "reduced, of a single layer there")),

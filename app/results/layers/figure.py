@@ -52,7 +52,7 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
         ylim=(0, None),
         xlabel=f"distance from the {found.attrs['distances_from']} (mm)",
         ylabel="unexplained share",
-        title=f"The displacements come from {found.attrs['verdict']}",
+        title=f"Verdict: {found.attrs['verdict']}",
     )
     axes.legend(fontsize=8)
 

@@ -33,11 +33,15 @@ def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
 def _of_recording(folder: Path, frame: int) -> tuple[Bench, FrameEquations]:
     recording = Recording(folder)
     if not 0 <= frame < len(recording):
-        raise InputError(f"{folder}: has {len(recording)} frames, counted from 0: there is no frame {frame}")
+        raise _missing(folder, frame, len(recording))
     (made,) = reprocess(recording, [frame])
     if made.wavefront is None or made.calibration is None:
         raise InputError(f"{folder}: frame {frame} has no wavefront: {made.problem}")
     return made.calibration.bench, made.calibration.reconstructor().layers(made.wavefront.displacement)
+
+
+def _missing(source: Path, frame: int, count: int) -> InputError:
+    return InputError(f"{source}: there is no frame {frame}; frames are counted from 0, their number is {count}")
 
 
 def _of_result(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
@@ -48,7 +52,7 @@ def _of_result(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
         if "frame" in results.dims:
             if not 0 <= frame < results.sizes["frame"]:
-                raise InputError(f"{path}: has {results.sizes['frame']} frames: there is no frame {frame}")
+                raise _missing(path, frame, results.sizes["frame"])
             results = results.isel(frame=frame)
         bench = parse_bench(str(results.attrs.get("bench", "")), f"{path}: bench", is_recorded=True)
         return bench, _equations(results.load(), bench)

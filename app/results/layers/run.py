@@ -66,5 +66,5 @@ def summary(found: xr.Dataset) -> list[str]:
         lines.append(
             f"{name}: {100 * misfit:.2g} % of the displacements unexplained, reduced chi-square {chi_square:.2f}"
         )
-    lines.append(f"the displacements come from {found.attrs['verdict']}")
+    lines.append(f"verdict: {found.attrs['verdict']}")
     return lines

@@ -1,9 +1,10 @@
-"""`svwfs layers` on a recording and on a results file."""
+"""`svwfs layers` and `svwfs corrector` on a recording and its results, and the files of a corrector's command."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import xarray as xr
@@ -13,6 +14,7 @@ from app.bench.config import load_bench
 from app.errors import InputError
 from app.results.layers.dataset import distance_m, ratio_at
 from app.results.layers.figure import layers_figure
+from app.results.layers.phase_files import wrapped, write_phase
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -74,15 +76,79 @@ def test_distances_and_ratios_belong_together() -> None:
             ratio_at(distance, origin, bench)  # type: ignore[arg-type] # a name
 
 
+def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, plot, command = tmp_path / "c.nc", tmp_path / "c.png", tmp_path / "command.npy"
+    files = ("--out", out, "--plot", plot, "--command", command, "--pixels", "65")
+    assert run(monkeypatch, "corrector", recording, "--modes", "legendre", *files) == 0
+    assert plot.stat().st_size > 10_000
+    with xr.open_dataset(out, engine="h5netcdf") as found:
+        assert found["corrector_distance_m"].item() == pytest.approx(0.195, rel=0.05)
+        assert found["corrector_residual"].item() < 0.05 * found["residual"].values[0]
+        assert found["distance"].values[0] == 0
+        assert found["field_residual"].size == 49
+        distance_m = found["corrector_distance_m"].item()
+    bench = load_bench("small_demo")
+    screen = make_sample(bench.simulation, bench.sensor, bench.field).screen
+    phase = np.load(command)
+    half_m = 1.75e-3 + distance_m / 0.2 * 0.6e-3
+    at_m = np.linspace(-half_m, half_m, 65)
+    inner = slice(8, -8)
+    sum_rad = (phase + screen.at(at_m, at_m[:, None]))[inner, inner]  # the command is the opposite of the screen
+    assert np.std(sum_rad) < 0.1 * np.std(phase[inner, inner])
+
+
+def test_residual_at_the_pupil_is_the_change_over_the_field(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the pupil all positions get the same phase: what remains is the deviation from the mean wavefront."""
+    out = tmp_path / "c.nc"
+    assert run(monkeypatch, "corrector", recording, "--distance", "0", "--count", "36", "--out", out) == 0
+    bench = load_bench("small_demo")
+    sensor, screen = bench.sensor, make_sample(bench.simulation, bench.sensor, bench.field).screen
+    along_m = np.linspace(-1, 1, 7) * bench.field.half_width_m
+    x_m = sensor.pupil_x_m + 0.975 * along_m[:, None]  # (field, lenslet)
+    true = screen.at(x_m[None, :, None, :], x_m[:, None, :, None]).reshape(49, *(2 * [sensor.lenslet_rows]))
+    true -= true.mean(axis=(1, 2), keepdims=True)
+    expected = np.sqrt(np.mean((true - true.mean(axis=0)) ** 2))
+    with xr.open_dataset(out, engine="h5netcdf") as found:
+        assert found["corrector_residual"].item() == pytest.approx(expected, rel=0.1)
+
+
+def test_command_files_hold_the_phase(tmp_path: Path) -> None:
+    phase = np.add.outer(np.linspace(-3, 9, 12), np.linspace(0, 5, 20))
+    for suffix in ("npy", "fits", "png"):
+        write_phase(tmp_path / f"c.{suffix}", phase)
+    np.testing.assert_allclose(np.load(tmp_path / "c.npy"), phase, rtol=1e-6)
+    grey = np.asarray(cv2.imread(str(tmp_path / "c.png"), cv2.IMREAD_UNCHANGED))
+    back = grey.astype(float) / 256 * 2 * np.pi
+    np.testing.assert_allclose(np.exp(1j * back), np.exp(1j * phase), atol=2 * np.pi / 256)
+    content = (tmp_path / "c.fits").read_bytes()
+    assert len(content) == 2 * 2880
+    cards = [content[at : at + 80].decode("ascii") for at in range(0, 2880, 80)]
+    assert cards[0] == f"{'SIMPLE  =                    T':80}"
+    assert [card[:8].strip() for card in cards[:7]] == ["SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "BUNIT", "END"]
+    assert int(cards[3][10:]) == 20
+    np.testing.assert_allclose(np.frombuffer(content[2880 : 2880 + 960], ">f4").reshape(12, 20), phase, rtol=1e-6)
+
+
+def test_wave_has_256_levels() -> None:
+    assert wrapped(np.array([0.0, np.pi, 2 * np.pi, -0.01, 2 * np.pi * 255 / 256])).tolist() == [0, 128, 0, 0, 255]
+
+
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("words", "sentence"),
     [
-        (["--distance", "-1"], "lies outside the bench"),
-        (["--distance", "0.1", "--distance", "0.1"], "two different distances"),
-        (["--distance", "1", "--distance", "2", "--distance", "3"], "at most two"),
-        (["--frame", "7"], "has 1 frames"),
-        (["--plot", "layers.xyz"], "picture"),
-        (["--out", "results.nc"], "exists already"),
+        (["layers", "--distance", "-1"], "lies outside the bench"),
+        (["layers", "--distance", "0.1", "--distance", "0.1"], "two different distances"),
+        (["layers", "--distance", "1", "--distance", "2", "--distance", "3"], "at most two"),
+        (["layers", "--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 1"),
+        (["layers", "--plot", "layers.xyz"], "picture"),
+        (["layers", "--out", "exists.nc"], "exists already"),
+        (["corrector", "--modes", "actuators", "--count", "20"], "square"),
+        (["corrector", "--count", "900"], "2 ... 500"),
+        (["corrector", "--distance", "-0.1"], "lies outside the bench"),
+        (["corrector", "--command", "c.bmp"], "ends in one of"),
+        (["corrector", "--frames", "5:9"], "frame"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -90,12 +156,12 @@ def test_bad_input_is_one_line(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
+    words: list[str],
     sentence: str,
 ) -> None:
-    (tmp_path / "results.nc").touch()
+    (tmp_path / "exists.nc").touch()
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "layers", recording, "--out", "layers.nc", *arguments) == 2
-    last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert sentence in last
-    assert not (tmp_path / "layers.nc").exists()
+    command, *options = words
+    assert run(monkeypatch, command, recording, "--out", "out.nc", *options) == 2
+    assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
+    assert [path.name for path in tmp_path.iterdir()] == ["exists.nc"]

@@ -1,0 +1,28 @@
+"""Figure of correctors: residual over the distance, and over the field."""
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+
+def correction_figure(found: xr.Dataset) -> Figure:
+    """Return the figure: residual over the distance, and over the field."""
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
+    left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
+    at_mm, residual = float(found["corrector_distance_m"]) * 1e3, float(found["corrector_residual"])
+    left.plot([at_mm], [residual], "o", color="#d1495b", label=f"{at_mm:.0f} mm: {residual:.2g} rad")
+    left.set(
+        xlim=(0, max(300, 2 * at_mm)),
+        ylim=(0, None),
+        xlabel=f"distance of the corrector from the {found.attrs['distances_from']} (mm)",
+        ylabel="residual over the field (rad RMS)",
+        title=f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes",
+    )
+    left.legend()
+    shown = right.scatter(
+        found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
+    )
+    right.set(xlabel="field x (mm)", ylabel="field y (mm)", aspect="equal", title="Residual (rad RMS)")
+    right.invert_yaxis()  # +y down, as on the camera
+    figure.colorbar(shown, ax=right)
+    return figure
