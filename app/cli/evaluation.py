@@ -106,6 +106,7 @@ def benchmark(
         Path | None, typer.Option(metavar="FOLDER", help="With --live: folder of the temporary recording.")
     ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="With --live: do not record.")] = False,
+    panels: Annotated[bool, typer.Option("--panels", help="With --live: open all panels of the analysis.")] = False,
     bench: Annotated[
         str | None,
         typer.Option("--bench", "-b", metavar="TOML", help=f"With --live: simulated bench [default: {_LIVE_BENCH}]."),
@@ -125,11 +126,12 @@ def benchmark(
     if live is not None:
         settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
         loaded = load(bench or _LIVE_BENCH, list(settings))
-        _benchmark_live(loaded, live, None if no_record else record_in or Path(gettempdir()), json=json, check=check)
+        folder = None if no_record else record_in or Path(gettempdir())
+        _benchmark_live(loaded, live, folder, with_panels=panels, json=json, check=check)
         return
-    if bench or setting or record_in or no_record:
+    if bench or setting or record_in or no_record or panels:
         raise InputError(
-            "--bench, --set, --record-in and --no-record are only for the live benchmark: add --live SECONDS"
+            "--bench, --set, --record-in, --no-record and --panels are only for the live benchmark: add --live SECONDS"
         )
     from app.cli.tables import progress_bar
     from app.evaluation.benchmark.baseline import load_baseline, worsened
@@ -147,7 +149,9 @@ def benchmark(
         raise RunError("slower relative to the peers than the baseline: " + "; ".join(slower))
 
 
-def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, json: Path | None, check: bool) -> None:
+def _benchmark_live(
+    bench: Bench, seconds: float, record_in: Path | None, *, with_panels: bool, json: Path | None, check: bool
+) -> None:
     """Measure the live path, print and write the figures; with `check`, raise if a limit is missed."""
     from app.cli.tables import progress_bar
     from app.commands.acquisition_benchmark import benchmark_acquisition
@@ -155,7 +159,7 @@ def _benchmark_live(bench: Bench, seconds: float, record_in: Path | None, *, jso
     from app.evaluation.benchmark.live_path.plan import LivePlan
     from app.evaluation.study_files import write_json
 
-    plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in)
+    plan = LivePlan(bench=bench, seconds=seconds, record_in=record_in, with_panels=with_panels)
     with progress_bar() as progress:
         figures = benchmark_acquisition(plan, progress)
     print_figures(figures)

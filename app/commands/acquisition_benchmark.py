@@ -34,7 +34,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
                 record_into=folder,
                 sinks=sinks,
             )
-            _run_in_window(with_window)
+            _run_in_window(with_window, with_panels=plan.with_panels)
         without_window = Course(
             plan.bench,
             named(between(progress, middle, 1.0), "no window"),
@@ -52,14 +52,16 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     )
 
 
-def _run_in_window(course: Course) -> None:
+def _run_in_window(course: Course, *, with_panels: bool) -> None:
     from app.gui.application import run_window
+    from app.gui.main_window import MainWindow
 
-    run_window(
-        None,
-        until=course.poll,
-        open_first=lambda window: window.open(lambda: course.acquisition, lambda _: course.begin()),
-    )
+    def open_course(window: MainWindow) -> None:
+        if with_panels:
+            window.docks.float_analysis()
+        window.open(lambda: course.acquisition, lambda _: course.begin())
+
+    run_window(None, until=course.poll, open_first=open_course, remembers=False)
 
 
 def _run(course: Course) -> None:

@@ -31,6 +31,7 @@ def run_window(
     until: Callable[[], bool] | None = None,
     make_for: Callable[[Bench], Acquisition] = acquisition_of,
     open_first: Callable[[MainWindow], object] = MainWindow.connect_devices,
+    remembers: bool = True,
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
@@ -50,6 +51,8 @@ def run_window(
         Makes the acquisition of a bench that is opened in the window.
     open_first
         Opens a bench or a recording in the new window; without it, `make_acquisition` does.
+    remembers
+        The window looks as at its last end, and offers the tour once. An unattended run always looks the same.
 
     Raises
     ------
@@ -66,7 +69,7 @@ def run_window(
         application = QApplication(sys.argv[:1])
     application.setApplicationName("svwfs")
     apply_theme(application)
-    settings = settings_file() if offscreen_s is None else None  # an unattended run always looks the same
+    settings = settings_file() if remembers and offscreen_s is None else None
     window = MainWindow(make_acquisition, settings=settings, make_for=make_for)
     if offscreen_s is not None:
         until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).is_done
@@ -80,7 +83,7 @@ def run_window(
     with ended_by(end):  # Python handles signals when the window's timer fires
         try:
             window.show()
-            if offscreen_s is not None:
+            if settings is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             if settings is not None:
                 offer_tour(window, settings)

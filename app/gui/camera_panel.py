@@ -292,4 +292,7 @@ def _curve(view: pg.ViewBox, colour: QColor, alpha: int = 255, width: int = 1) -
 
 
 def _draw(item: pg.PlotCurveItem, ends: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> None:
-    item.setData(x=ends[:, 0], y=ends[:, 1])
+    """Set the ends of an item's segments; the same ends are not made into a path again."""
+    x, y = item.getData()
+    if x is None or not (np.array_equal(x, ends[:, 0]) and np.array_equal(y, ends[:, 1])):
+        item.setData(x=ends[:, 0], y=ends[:, 1])

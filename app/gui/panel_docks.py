@@ -32,6 +32,8 @@ class Dock(QDockWidget):
         policy.setRetainSizeWhenHidden(True)
         panel.setSizePolicy(policy)
         self.visibilityChanged.connect(panel.setVisible)  # Qt calls a panel behind another tab visible
+        # From behind a tab it floats without that signal.
+        self.topLevelChanged.connect(lambda floats: panel.setVisible(floats or panel.isVisible()))
 
 
 class _TitleBar(QWidget):
@@ -119,6 +121,12 @@ class PanelDocks:
             if dock.panel is panel:
                 dock.show()
                 dock.raise_()
+
+    def float_analysis(self) -> None:
+        """Make each panel of the analysis a window of its own, so that all are visible."""
+        for dock in self._analysis:
+            dock.setFloating(True)
+            dock.show()
 
     def menu(self) -> QMenu:
         """Return a menu that opens and closes the panels."""

@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from PyQt6.QtCore import QEvent, QPoint, QRect, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
 from app.gui.colours import ColourScale, Pixels
 from reconstruction.arrays import Floats
 
-_GAP = 10
+_GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
 _LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
 _SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
@@ -35,6 +36,21 @@ class Maps:
     reach_unit: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Places of the views in the widget."""
+
+    first: QPoint  # corner of the first view
+    size: QSize  # of each
+    step: QSize  # from one to the next
+    bar_space: int  # width of the colour bar and its numbers; 0 if the views need it: tool tips have the values
+    has_captions: bool
+
+    def tile(self, view_row: int, view_column: int) -> QRect:
+        """Return the rectangle of a view without its caption."""
+        return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
+
+
 class ViewGrid(QWidget):
     """Paints the maps as the views lie in the field and frames the selected view."""
 
@@ -47,6 +63,7 @@ class ViewGrid(QWidget):
         self.empty = "no wavefront"  # shown without maps
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._number_width = 0  # px
+        self._laid_out_for: tuple[int, ...] = ()
         self.is_stale = False  # whether the maps are grey, since dark or reference no longer fit
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
@@ -74,8 +91,7 @@ class ViewGrid(QWidget):
 
     def tile(self, view_row: int, view_column: int) -> QRect:
         """Return the rectangle of a view without its caption."""
-        first, size, step = self._layout()
-        return QRect(first + QPoint(view_column * step.width(), view_row * step.height()), size)
+        return self.places.tile(view_row, view_column)
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint all views."""
@@ -85,21 +101,33 @@ class ViewGrid(QWidget):
             painter.setPen(theme.DIM)
             painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, self.empty)
             return
-        hatching = theme.hatching()
-        for row, column in np.ndindex(self._pixels.shape[:2]):
-            tile, view = self.tile(row, column), self._pixels[row, column]
-            is_known = view.all()  # unknown pixels are transparent
-            if not is_known:
-                painter.fillRect(tile, theme.RAISED)
-                painter.fillRect(tile, hatching)
-            painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, maps.is_smooth and bool(is_known))
-            painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
-            painter.drawImage(tile, self._dimmed(_image(view)))
+        places, hatching = self.places, theme.hatching()
+        view_rows, view_columns, rows, columns = self._pixels.shape
+        is_known = self._pixels.all()  # unknown pixels are transparent
+        if not is_known:
+            for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
+                painter.fillRect(places.tile(row, column), theme.RAISED)
+                painter.fillRect(places.tile(row, column), hatching)
+        whole = self._pixels.swapaxes(1, 2).reshape(view_rows * rows, view_columns * columns)
+        painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, maps.is_smooth and bool(is_known))
+        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
+        pixmap = QPixmap.fromImage(self._dimmed(_image(whole)))
+        fragments = [
+            QPainter.PixmapFragment.create(
+                QRectF(places.tile(row, column)).center(),
+                QRectF(column * columns, row * rows, columns, rows),
+                places.size.width() / columns,
+                places.size.height() / rows,
+            )
+            for row, column in np.ndindex(view_rows, view_columns)
+        ]
+        painter.drawPixmapFragments(fragments, pixmap)  # type: ignore[arg-type] # it takes a list
         painter.setOpacity(1.0)
-        if self._has_captions():
+        places = self.places
+        if places.has_captions:
             self._paint_captions(painter)
         self._paint_selection(painter)
-        if self._bar_space():
+        if places.bar_space:
             self._paint_color_bar(painter, maps)
 
     def event(self, event: QEvent | None) -> bool:
@@ -156,31 +184,21 @@ class ViewGrid(QWidget):
         text = self.maps.describe(row, column, float(values[row, column]))
         return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
 
-    def _has_captions(self) -> bool:
-        return self._layout(captions=True)[1].width() >= _SMALLEST_CAPTIONED
-
-    def _bar_space(self) -> int:
-        """Return the width of the colour bar and its numbers; 0 if the views need it: tool tips have the values."""
-        space, line = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width, self.fontMetrics().height()
-        return space if self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line else 0
-
-    def _layout(self, *, captions: bool | None = None) -> tuple[QPoint, QSize, QSize]:
-        """Return the first view's corner, the size of each, and the step from one to the next."""
-        if self.maps is None:
-            return QPoint(), QSize(), QSize()
-        view_rows, view_columns, rows, columns = self.maps.values.shape
-        has_captions = self._has_captions() if captions is None else captions
-        bar_space = self._bar_space()
-        below = 2 * self.fontMetrics().height() + 4 if has_captions else 0
-        gap = _GAP if has_captions else 3
-        width = (self.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
-        height = (self.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
-        scale = max(min(width / columns, height / rows), 0)
-        size = QSize(int(scale * columns), int(scale * rows))
-        step = QSize(size.width() + gap, size.height() + below + gap)
-        used = QSize(view_columns * step.width() - gap + bar_space, view_rows * step.height() - gap)
-        left, top = (self.width() - used.width()) // 2, (self.height() - used.height()) // 2
-        return QPoint(max(left, _MARGIN), max(top, _MARGIN)), size, step
+    @property
+    def places(self) -> "_Places":
+        """Return the places of the views, computed again when something that they depend on has changed."""
+        shape = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
+        line = self.fontMetrics().height()
+        key = (self.width(), self.height(), line, self._number_width, *shape)
+        if key != self._laid_out_for:
+            self._laid_out_for = key
+            space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
+            has_bar = self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line
+            arrange = partial(_arrange, self.size(), shape, bar_space=space if has_bar else 0)
+            captioned = arrange(below=2 * line + 4, gap=_GAP)
+            has_captions = captioned.size.width() >= _SMALLEST_CAPTIONED
+            self._places = captioned if has_captions else arrange(below=0, gap=_NARROW_GAP)
+        return self._places
 
     def _paint_captions(self, painter: QPainter) -> None:
         line = self.fontMetrics().height()
@@ -196,7 +214,7 @@ class ViewGrid(QWidget):
 
     def _wording(self, line: int) -> int | None:
         """Return the longest wording of a line that fits under all views, if any."""
-        width, advance = self._layout()[1].width(), self.fontMetrics().horizontalAdvance
+        width, advance = self.places.size.width(), self.fontMetrics().horizontalAdvance
         by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 
@@ -233,6 +251,22 @@ class ViewGrid(QWidget):
         if len(ticks) > most:
             ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
         return ticks[:: len(ticks) - 1] if len(ticks) > most else ticks
+
+
+def _arrange(room: QSize, shape: tuple[int, ...], *, bar_space: int, below: int, gap: int) -> _Places:
+    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them."""
+    view_rows, view_columns, rows, columns = shape
+    if not min(shape):
+        return _Places(QPoint(), QSize(), QSize(), 0, has_captions=False)
+    width = (room.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
+    height = (room.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
+    scale = max(min(width / columns, height / rows), 0)
+    size = QSize(int(scale * columns), int(scale * rows))
+    step = QSize(size.width() + gap, size.height() + below + gap)
+    used = QSize(view_columns * step.width() - gap + bar_space, view_rows * step.height() - gap)
+    left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
+    first = QPoint(max(left, _MARGIN), max(top, _MARGIN))
+    return _Places(first, size, step, bar_space, has_captions=bool(below))
 
 
 def _image(pixels: Pixels) -> QImage:

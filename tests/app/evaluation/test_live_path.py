@@ -33,9 +33,11 @@ from app.evaluation.benchmark.live_path.course import Course, Span
 from app.evaluation.benchmark.live_path.figures import LiveFigures, print_figures
 from app.evaluation.benchmark.live_path.plan import LivePlan, recording_folder
 from app.evaluation.benchmark.live_path.tally import FrameCounts, Tally, resident_mb
+from app.gui.coefficients_panel import CoefficientsPanel
 from app.measurement.measurement import SKIPPED, FrameTotals
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
+from app.results.mode_coefficients import ModeCoefficients
 from app.signals import ended_by
 from app.timing import Stage, Timings
 from drivers.interface import Devices, Disconnected, Frame
@@ -58,6 +60,7 @@ class Seen:
     lost: int
     is_complete: bool
     nbytes: int
+    shown_bars: int  # times that bars of coefficients were drawn
     reports: list[tuple[str, float]]
 
     def between(self, first_s: float, last_s: float) -> list[Frame]:
@@ -101,12 +104,17 @@ def seen(small_toml: Path, qapp: QApplication, tmp_path_factory: pytest.TempPath
         remove(path)
 
     remove = shutil.rmtree
+
+    def show_bars(panel: CoefficientsPanel, coefficients: ModeCoefficients | None) -> None:
+        kept["shown_bars"] = kept.get("shown_bars", 0) + (panel.isVisible() and coefficients is not None)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("QT_QPA_PLATFORM", "offscreen")
+        patch.setattr(CoefficientsPanel, "show_coefficients", show_bars)
         patch.setattr(course, "open_devices", open_watched)
         patch.setattr(shutil, "rmtree", inspect_and_remove)
         figures = benchmark_acquisition(
-            LivePlan(bench=load_bench(small_toml), seconds=2.0, record_in=folder, warm_up_s=0.5),
+            LivePlan(bench=load_bench(small_toml), seconds=2.0, record_in=folder, warm_up_s=0.5, with_panels=True),
             lambda text, fraction: reports.append((text, fraction)),
         )
     assert not list(folder.iterdir())
@@ -153,6 +161,10 @@ def test_bare_run_draws_and_records_nothing(seen: Seen) -> None:
     times = bare.timings.summary()
     assert (bare.redrawn_hz, times["draw"].count, times["record"].count) == (0, 0, 0)
     assert seen.figures.rate_ratio == window.rate_hz / bare.rate_hz
+
+
+def test_panels_asked_for_are_open(seen: Seen) -> None:
+    assert seen.shown_bars > 1
 
 
 def test_progress_increases(seen: Seen) -> None:
@@ -205,10 +217,12 @@ def test_tally_counts_frames_by_outcome() -> None:
     assert math.isnan(FrameCounts().share)
 
 
-def span_of(*, redraws: int = 200, late_s: float = 0.02, rate_hz: float = 70.0, **changes: Any) -> Span:
+def span_of(
+    *, redraws: int = 200, draw_s: float = 0.008, late_s: float = 0.02, rate_hz: float = 70.0, **changes: Any
+) -> Span:
     """Return ten good seconds, with changes."""
     timings = Timings()
-    for count, stage, seconds in ((redraws, "draw", 0.01), (1000, "to_result", late_s), (1000, "record", 0.01)):
+    for count, stage, seconds in ((redraws, "draw", draw_s), (1000, "to_result", late_s), (1000, "record", 0.01)):
         for _ in range(count):
             timings.note(stage, seconds)  # type: ignore[arg-type] # each is a stage
     frames = FrameCounts(acquired=700, reconstructed=round(10 * rate_hz))
@@ -216,16 +230,16 @@ def span_of(*, redraws: int = 200, late_s: float = 0.02, rate_hz: float = 70.0, 
     return Span(**{"timings": timings, **how, **changes})
 
 
-def figures_of(window: Span, bare: Span | None = None, problem: str = "") -> LiveFigures:
+def figures_of(window: Span, bare: Span | None = None, problem: str = "", *, with_panels: bool = False) -> LiveFigures:
     state = RecordingState(Path("r"), "ended early" if problem else "finished", 700, 0, 10.0, 60.0, problem)
-    planned = LivePlan(bench=BENCH, seconds=10, record_in=Path())
+    planned = LivePlan(bench=BENCH, seconds=10, record_in=Path(), with_panels=with_panels)
     return LiveFigures(plan=planned, is_seen=True, window=window, recording=state, bare=bare or span_of())
 
 
 def test_good_run_misses_no_limit() -> None:
     figures = figures_of(span_of())
     assert figures.missed() == []
-    assert len(figures.checks()) == 9
+    assert len(figures.checks()) == 10
     assert figures.memory_growth == pytest.approx(0.01)
 
 
@@ -236,6 +250,7 @@ def test_good_run_misses_no_limit() -> None:
         ("lost", span_of(frames=FrameCounts(acquired=7000, reconstructed=7000, lost=1))),
         ("to_result_p99_s", span_of(late_s=0.03)),
         ("redrawn_hz", span_of(redraws=199)),
+        ("draw_p50_s", span_of(draw_s=0.0081)),
         ("rate_ratio", span_of(frames=FrameCounts(acquired=660, reconstructed=660))),
         ("first_wavefront_s", span_of(first_wavefront_s=15.0)),
         ("memory_growth", span_of(memory_mb=(800.0, 816.0))),
@@ -243,6 +258,10 @@ def test_good_run_misses_no_limit() -> None:
 )
 def test_each_limit_is_missed_alone(name: str, window: Span) -> None:
     assert [line.split()[0] for line in figures_of(window).missed()] == [name]
+
+
+def test_redraw_with_all_panels_has_no_limit_of_its_own() -> None:
+    assert figures_of(span_of(draw_s=0.03), with_panels=True).missed() == []
 
 
 @pytest.mark.parametrize(("stage", "name"), [("record", "record_p99_s"), ("to_result", "to_result_p99_s")])
@@ -263,7 +282,8 @@ def test_early_end_of_recording_is_reported(capsys: pytest.CaptureFixture[str]) 
 def test_empty_run_misses_limits_and_is_valid_json() -> None:
     empty = span_of(frames=FrameCounts(), timings=Timings(), memory_mb=(None, None))
     figures = replace(figures_of(empty, empty), recording=None)
-    assert {line.split()[0] for line in figures.missed()} == {"share", "to_result_p99_s", "redrawn_hz", "rate_ratio"}
+    names = {line.split()[0] for line in figures.missed()}
+    assert names == {"share", "to_result_p99_s", "redrawn_hz", "draw_p50_s", "rate_ratio"}
     assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["memory"]["growth"] is None
     print_figures(figures)
 

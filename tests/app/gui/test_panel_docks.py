@@ -106,6 +106,14 @@ def test_header_floats_and_docks_a_panel(window: MainWindow, title: str) -> None
     check_same(layout(window), before)
 
 
+def test_all_panels_of_the_analysis_float_visibly(window: MainWindow) -> None:
+    window.docks.float_analysis()
+    QApplication.processEvents()
+    for panel in window.tabs.panels.values():
+        assert panel.isVisible()
+        assert panel.window() is not window
+
+
 def test_closed_panel_returns_from_the_menu(window: MainWindow) -> None:
     before = layout(window)
     press_button(dock(window, "Camera"), "Close")

@@ -55,6 +55,7 @@ class LiveFigures:
             "lost": _check(window.frames.lost, le, 0, "none"),
             "to_result_p99_s": _check(times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms"),
             "redrawn_hz": _check(window.redrawn_hz, ge, 20.0, ">= 20 /s"),
+            **({} if self.plan.with_panels else {"draw_p50_s": _check(times["draw"].p50_s, le, 0.008, "half <= 8 ms")}),
             "rate_ratio": _check(self.rate_ratio, ge, 0.95, ">= 95 %"),
             "first_wavefront_s": _check(window.first_wavefront_s, lt, 15.0, "< 15 s, warm"),
         }
@@ -134,6 +135,7 @@ def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
         ("camera to result", _milliseconds(times["to_result"]), "to_result_p99_s"),
         ("camera to screen", _milliseconds(times["to_screen"]), ""),
         ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),
+        ("redraw, all panels" if figures.plan.with_panels else "redraw", _milliseconds(times["draw"]), "draw_p50_s"),
         *recorded,
         (f"memory, last {figures.plan.memory_s:.0f} s", _memory(figures), "memory_growth"),
         (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", ""),
