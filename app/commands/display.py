@@ -41,7 +41,7 @@ def _wayland() -> str:
 
 def _answers(path: str) -> bool:
     """True if something listens at a local socket."""
-    if not path:
+    if not path or sys.platform == "win32":
         return False
     with socket.socket(socket.AF_UNIX) as client:
         try:

@@ -41,7 +41,7 @@ def read_calibration(folder: Path) -> Calibration:
     bench = load_bench(folder / "bench.toml", is_recorded=True)
     check_readable(folder / "camera.json")
     try:
-        full_scale = float(json.loads((folder / "camera.json").read_text())["full_scale"])
+        full_scale = float(json.loads((folder / "camera.json").read_text("utf-8"))["full_scale"])
         if not 0 < full_scale <= MOST_COUNTS:
             raise ValueError(f"full_scale = {full_scale}")  # noqa: TRY301 - one way out
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:

@@ -40,7 +40,7 @@ class FrameArray:
         """Open an array; `InputError` if it is not one of a recording."""
         check_readable(path / METADATA)
         try:
-            self._metadata = json.loads((path / METADATA).read_text())
+            self._metadata = json.loads((path / METADATA).read_text("utf-8"))
             self.length, *shape = (int(count) for count in self._metadata["shape"])
             self._type = np.dtype(self._metadata["data_type"]).newbyteorder("<")
             self._separator = str(self._metadata["chunk_key_encoding"]["configuration"]["separator"])

@@ -229,10 +229,10 @@ def load_library() -> tuple[ctypes.CDLL, ...]:
             with suppress(OSError):
                 return (ctypes.CDLL(path), *(ctypes.CDLL(str(part)) for part in parts))
     for name in (*_NAMES.get(sys.platform, ()), *_SEARCHED):
-        path = ctypes.util.find_library(name) if name in _SEARCHED else name
+        found = ctypes.util.find_library(name) if name in _SEARCHED else name
         with suppress(OSError):
-            if path:
-                return (ctypes.CDLL(path),)
+            if found:
+                return (ctypes.CDLL(found),)
     raise Unsupported(f"GenICam cameras need the library Aravis 0.8, which is not installed: {HOW_TO_INSTALL}")
 
 

@@ -8,6 +8,7 @@ line has been silent for one timeout.
 
 import errno
 import re
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -19,10 +20,10 @@ import serial
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected
 from drivers.serial_lights.ports import connected, no_permission
 
-try:
+if sys.platform == "win32":
+    TerminalError = OSError  # the only error there
+else:
     from termios import error as TerminalError  # noqa: N812 - a class in spite of its lower-case name
-except ImportError:  # Windows
-    TerminalError = OSError  # type: ignore[misc, assignment] # the only error there
 
 _SLICE_S = 0.02  # longest wait of one call of the port
 _GRACE_S = 0.05  # end of the timeout, restarted if this computer stalled

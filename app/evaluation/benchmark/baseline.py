@@ -14,7 +14,7 @@ _TOLERANCE = 0.2
 
 def load_baseline() -> dict[str, float]:
     """Return the committed ratios."""
-    ratios: dict[str, float] = json.loads(_BASELINE.read_text())["ratios"]
+    ratios: dict[str, float] = json.loads(_BASELINE.read_text("utf-8"))["ratios"]
     return ratios
 
 

@@ -1,6 +1,6 @@
 """Times of frames against the number of lenslets and of field modes, and of a 4-megapixel camera."""
 
-import resource
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -68,6 +68,10 @@ def _timed(frames: TimedFrames, warp: Warp, budget_s: float) -> CaseResult:
 
 
 def _peak_memory_mb() -> float:
-    """The largest resident memory of this process so far."""
+    """The largest resident memory of this process so far; NaN where the system does not tell."""
+    if sys.platform == "win32":
+        return math.nan
+    import resource  # noqa: PLC0415 - not there on Windows
+
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 2**20 if sys.platform == "darwin" else peak / 2**10

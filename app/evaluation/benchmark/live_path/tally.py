@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 import time
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -58,6 +59,8 @@ class Tally:
 
 def resident_mb() -> float | None:
     """Return the resident memory of this process, MB of 2**20 bytes; None if the system does not report it."""
+    if sys.platform == "win32":
+        return None
     try:
         pages = int(_STATM.read_text().split()[1])
     except OSError:

@@ -1,0 +1,79 @@
+"""The product for Windows and macOS, which no test runs on: it uses nothing that exists on Linux only."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.paths import ROOT
+from support.patience import HANG_S
+
+PACKAGES = ["app", "drivers", "reconstruction", "simulated_devices"]
+STAND_INS = ROOT / "simulated_devices" / "wires"
+SOURCES = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py") if STAND_INS not in path.parents)
+MODULES = sorted({".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES})
+PATHS_OF_ONE_SYSTEM = {
+    "app/commands/display.py": {"/tmp/.X11-unix/X"},  # noqa: S108 - asked on Linux only
+    "app/evaluation/benchmark/live_path/tally.py": {"/proc/self/statm"},
+    "app/run_facts.py": {"/proc/cpuinfo"},
+    "drivers/genicam/library.py": {"/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"},
+    "drivers/usb_lights/usbtmc.py": {"/etc/udev/rules.d/70-svwfs.rules"},
+}
+
+WITHOUT_POSIX = """
+import importlib, os, select, signal, socket, sys
+import cv2, h5netcdf, h5py, matplotlib.pyplot, numba, PyQt6.QtWidgets, pyqtgraph, rich, scipy.optimize, serial
+import serial.tools.list_ports, tifffile, typer, usb.core, xarray, zarr, zmq
+
+for name in ("fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"):
+    sys.modules[name] = None  # importing it fails
+for module, names in {
+    os: "fork forkpty getuid geteuid getpgid killpg mkfifo nice openpty O_DIRECTORY O_NOFOLLOW O_NONBLOCK setpriority"
+    " setsid sched_getaffinity statvfs sysconf uname",
+    select: "poll epoll",
+    signal: "SIGHUP SIGKILL SIGALRM SIGUSR1 SIGUSR2 SIGCHLD SIGPIPE alarm pthread_kill setitimer",
+    socket: "AF_UNIX",
+}.items():
+    for name in names.split():
+        if hasattr(module, name):
+            delattr(module, name)
+sys.platform = "win32"
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+"""
+
+
+@pytest.mark.parametrize("system", ["win32", "darwin"])
+def test_every_function_of_python_exists_there(system: str, tmp_path: Path) -> None:
+    """Mypy knows the standard library of each system; what `sys.platform` guards is not checked."""
+    arguments = ["--config-file", "/dev/null", "--no-site-packages", "--ignore-missing-imports"]
+    arguments += ["--platform", system, "--cache-dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mypy", *arguments, *map(str, SOURCES), str(ROOT / "svwfs.py")]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S, check=False)  # noqa: S603 - our own
+    assert f"checked {len(SOURCES) + 1} source files" in told.stdout
+    missing = [line for line in told.stdout.splitlines() if "Module " in line and "has no attribute" in line]
+    assert not missing
+
+
+def test_modules_import_without_posix() -> None:
+    command = [sys.executable, "-c", WITHOUT_POSIX, *MODULES]
+    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S, check=False)  # noqa: S603 - our own
+    assert told.returncode == 0, told.stderr
+
+
+def test_paths_of_one_system_are_known() -> None:
+    found: dict[str, set[str]] = {}
+    for path in SOURCES:
+        tree = ast.parse(path.read_text("utf-8"))
+        texts = {
+            node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        }
+        beginnings = tuple(
+            f"/{folder}/" for folder in ("dev", "etc", "home", "opt", "proc", "run", "sys", "tmp", "usr", "var")
+        )
+        if named := {text for text in texts if text.startswith(beginnings)}:
+            found[path.relative_to(ROOT).as_posix()] = named
+    assert found == PATHS_OF_ONE_SYSTEM
