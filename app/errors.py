@@ -1,5 +1,6 @@
 """Errors that end a command: one sentence each, and an exit status for scripts."""
 
+SHOWN = "shown in the window"  # note on an error that the user has seen there
 SETTINGS_CHANGED = "the settings changed between these frames: select frames with equal settings (--frames)"
 
 

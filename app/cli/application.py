@@ -10,7 +10,7 @@ import typer
 from app.cli.answers import corrector, layers
 from app.cli.evaluation import benchmark, paper, selftest, study
 from app.cli.frames import calibrate, deconvolve, reconstruct, simulate
-from app.cli.measuring import devices, live, measure
+from app.cli.measuring import desktop, devices, live, measure
 from app.cli.recordings import export, recover, replay, report
 
 cli = typer.Typer(
@@ -34,7 +34,7 @@ def _common(
 
 
 # in the order of the help
-_BENCH = (live, measure, recover, replay, export, report, layers, corrector, calibrate, simulate, devices)
+_BENCH = (live, measure, recover, replay, export, report, layers, corrector, calibrate, simulate, devices, desktop)
 for command in (*_BENCH, selftest, study, benchmark, reconstruct, deconvolve):
     cli.command()(command)
 cli.add_typer(paper, name="paper")

@@ -110,6 +110,27 @@ def measure(
     print_measurement(measured, out)
 
 
+def desktop(
+    *,
+    bench: Annotated[
+        str | None, typer.Option("--bench", "-b", metavar="TOML", help="Bench file or preset that the entry opens.")
+    ] = None,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove the entry.")] = False,
+) -> None:
+    """Add svwfs to the menu of a Linux desktop, for the present user.
+
+    The entry starts svwfs-window: the window without a terminal, with errors in a dialog.
+
+    Example: svwfs desktop --bench bench.toml
+    """
+    from app.commands.desktop import add_entry, remove_entry
+
+    if remove:
+        remove_entry()
+    else:
+        typer.echo(f"entry: {add_entry(bench)}")
+
+
 def devices(
     *,
     check: Annotated[

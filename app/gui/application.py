@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QApplication
 from app.acquisition.start_up import acquisition_of
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
-from app.errors import Interrupted, RunError
+from app.errors import SHOWN, Interrupted, RunError
 from app.gui.main_window import WINDOW_SIZE, MainWindow
 from app.gui.theme import apply_theme
 from app.gui.tour import offer_tour
@@ -101,10 +101,12 @@ def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
     """Raise why the window ended, unless its user closed it and all is well."""
     if window.controller.is_stuck:
         raise RunError("a device does not answer, so the light may still be on: switch it off by hand")
-    if window.controller.failure:  # may have come while closing
-        raise window.controller.error
-    if window.controller.acquisition is None and window.benches.error is not None:
-        raise window.benches.error
+    error = window.controller.error if window.controller.failure else None  # may have come while closing
+    if error is None and window.controller.acquisition is None:
+        error = window.benches.error
+    if error is not None:
+        error.add_note(SHOWN)
+        raise error
     if is_interrupted:
         status_at_end = window.controller.status
         is_by_hand = status_at_end is not None and status_at_end.bench.has_manual_light

@@ -1,6 +1,8 @@
 """Colours, style sheet and icons of the window: dark for a dark room, or light as the desktop."""
 
-from PyQt6.QtCore import QPointF, QRectF, Qt
+from pathlib import Path
+
+from PyQt6.QtCore import QPointF, Qt
 from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QApplication
 
@@ -108,7 +110,7 @@ def _colour(application: QApplication) -> None:
         palette.setColor(QPalette.ColorGroup.Disabled, role, DISABLED)
     application.setPalette(palette)
     application.setStyleSheet(_style())
-    application.setWindowIcon(_window_icon())
+    application.setWindowIcon(QIcon(str(Path(__file__).with_name("svwfs.svg"))))
 
 
 def lamp(colour: QColor) -> QIcon:
@@ -151,20 +153,5 @@ def _icon(path: QPainterPath, colour: QColor) -> QIcon:
     painter = QPainter(pixmap)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     painter.fillPath(path, colour)
-    painter.end()
-    return QIcon(pixmap)
-
-
-def _window_icon() -> QIcon:
-    """Nine spots with different displacements."""
-    pixmap = QPixmap(64, 64)
-    pixmap.fill(BACKGROUND)
-    painter = QPainter(pixmap)
-    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-    painter.setPen(Qt.PenStyle.NoPen)
-    painter.setBrush(ACCENT)
-    for row in range(3):
-        for column in range(3):
-            painter.drawEllipse(QRectF(8 + 18 * column + 2 * row, 8 + 18 * row - 2 * column, 11, 11))
     painter.end()
     return QIcon(pixmap)

@@ -1,0 +1,57 @@
+"""The command `svwfs-window`: `svwfs live` without a terminal, as a desktop starts it."""
+
+import io
+import sys
+import traceback
+from contextlib import redirect_stderr, redirect_stdout
+from typing import TextIO
+
+from app.cli import main as run_command
+from app.errors import SHOWN, Interrupted
+
+
+class _Copied(io.StringIO):
+    """Keeps a text and passes it on to a stream, if there is one."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        super().__init__()
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        if self._stream is not None:
+            self._stream.write(text)
+        return super().write(text)
+
+
+def main() -> None:
+    """Run `svwfs live`; what would be the last line in a terminal is shown in a dialog."""
+    sys.argv[1:1] = ["live"]
+    # Windows starts the program without any stream
+    with redirect_stderr(_Copied(sys.stderr)) as errors, redirect_stdout(sys.stdout or _Copied(None)):
+        status, cause = _outcome()
+    lines = errors.getvalue().strip().splitlines()
+    is_told = cause is not None and (isinstance(cause, Interrupted) or SHOWN in getattr(cause, "__notes__", ()))
+    if status and lines and not is_told:
+        _show(lines)
+    raise SystemExit(status)
+
+
+def _outcome() -> tuple[int, BaseException | None]:
+    """Run the command; return its exit status and the reason, if it gave one."""
+    try:
+        run_command()
+    except SystemExit as leaving:
+        return (leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)), leaving.__cause__
+    except Exception as error:  # noqa: BLE001 - the traceback of a fault would be lost
+        traceback.print_exc()
+        return 1, error
+    return 0, None
+
+
+def _show(lines: list[str]) -> None:
+    from app.commands.display import use_display
+
+    if use_display():
+        from app.gui.ending_dialog import show_ending
+
+        show_ending(lines[-1].removeprefix("svwfs: "), "\n".join(lines[:-1]))

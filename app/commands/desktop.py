@@ -1,0 +1,77 @@
+"""`svwfs desktop`: the entry of svwfs in the menu of a Linux desktop."""
+
+import re
+import sys
+from pathlib import Path
+
+import platformdirs
+
+import app.gui
+from app.bench.bench_files import bench_file
+from app.bench.config import load_bench
+from app.errors import InputError, RunError
+from app.files import atomic_write
+
+_ICON = Path(app.gui.__file__).with_name("svwfs.svg")
+_ENTRY = """[Desktop Entry]
+Type=Application
+Name=svwfs
+GenericName=Wavefront sensor
+Comment=Live wavefronts at every position of the field
+Exec={command}
+Icon=svwfs
+Terminal=false
+Categories=Science;Physics;
+StartupWMClass=svwfs
+"""
+
+
+def add_entry(bench: str | None) -> Path:
+    """Add the entry for the present user, replacing an older one, and return its file.
+
+    Parameters
+    ----------
+    bench
+        Bench file or preset that the entry opens; None for the command's own default.
+
+    Raises
+    ------
+    InputError
+        The bench cannot be used, or this is not Linux.
+    RunError
+        `svwfs-window` is not installed, or the entry cannot be written.
+    """
+    program = Path(sys.executable).with_name("svwfs-window")
+    if not sys.platform.startswith("linux"):
+        raise InputError(f"an entry can be made on Linux only: make a shortcut to {program} by hand")
+    if not program.exists():
+        raise RunError(f"{program}: no such program; install svwfs with pip or pipx")
+    words = [str(program)]
+    if bench is not None:
+        load_bench(bench)
+        words += ["--bench", bench if bench_file(bench) != Path(bench) else str(Path(bench).absolute())]
+    entry, icon = _files()
+    with atomic_write(icon) as temporary:
+        temporary.write_bytes(_ICON.read_bytes())
+    with atomic_write(entry) as temporary:
+        temporary.write_text(_ENTRY.format(command=" ".join(map(_quoted, words))), "utf-8")
+    return entry
+
+
+def remove_entry() -> None:
+    """Remove the entry and its icon; `InputError` if there is none."""
+    entry, icon = _files()
+    if not entry.exists():
+        raise InputError(f"{entry}: no such entry")
+    for path in (entry, icon):
+        path.unlink(missing_ok=True)
+
+
+def _files() -> tuple[Path, Path]:
+    data = platformdirs.user_data_path()
+    return data / "applications" / "svwfs.desktop", data / "icons" / "hicolor" / "scalable" / "apps" / "svwfs.svg"
+
+
+def _quoted(word: str) -> str:
+    """Quote a word of a command as the Desktop Entry Specification says: escaped in quotes, then as any text."""
+    return '"' + re.sub(r'(["`$\\])', r"\\\1", word).replace("\\", "\\\\").replace("%", "%%") + '"'
