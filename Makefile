@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.venv/cache/numba
 export MPLCONFIGDIR ?= $(CURDIR)/.venv/cache/matplotlib
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help setup run check test soak storms screenshots lint lock clean qt-libraries c-compiler
+.PHONY: help setup run check test soak storms screenshots docs lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile
@@ -44,6 +44,9 @@ storms: setup c-compiler ## 10,000 random sequences of commands and faults for e
 
 screenshots: setup ## pictures of every panel and state into build/screenshots, some of them into docs; ten minutes
 	PYTHONPATH=tests .venv/bin/python -m support.screenshots build/screenshots
+
+docs: .venv/ready ## the documentation as web pages in build/docs; warnings and broken links are errors
+	.venv/bin/sphinx-build -q -W --keep-going -d build/docs.cache docs build/docs
 
 lint: .venv/ready ## style, types, and who may import whom
 	.venv/bin/ruff check

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.documents import python_blocks
-from support.paths import DOCS, FOREIGN_FRAMES, ROOT
+from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, wait_until
 
 import svwfs
@@ -47,17 +46,6 @@ def test_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = doctest.testmod(svwfs)
     assert result.attempted > 40
     assert result.failed == 0
-
-
-DOCUMENTS = [DOCS / "python.md", DOCS / "paper.md", ROOT / "README.md"]
-
-
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_documented_python_runs(document: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    program = python_blocks(document)
-    assert "svwfs." in program
-    exec(compile(program, document.name, "exec"), {})  # noqa: S102 - our own document
 
 
 def test_import_loads_no_library() -> None:

@@ -98,7 +98,7 @@ class Bench:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files and folders that the settings name as inputs: phase screen, mask image, recording."""
+        """Files and folders that the settings name as inputs, such as a phase screen, a mask image or a recording."""
         played = (Path(self.camera.folder),) if isinstance(self.camera, RecordingSettings) else ()
         return self.simulation.files + played
 

@@ -9,7 +9,7 @@ from drivers.frame import Region
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DcamSettings:
-    """Selection and settings of a DCAM camera; None keeps the camera's value.
+    """Selection and settings of a DCAM camera; what is omitted keeps the camera's value.
 
     Opening the camera checks what depends on its mode: exposure, EM gain, binning, region.
     """

@@ -10,7 +10,7 @@ from drivers.genicam.pixel_formats import PIXEL_FORMATS
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GenicamSettings:
-    """Selection and settings of a GigE Vision or USB3 Vision camera; None keeps the camera's value."""
+    """Selection and settings of a GigE Vision or USB3 Vision camera; what is omitted keeps the camera's value."""
 
     driver: Literal["genicam"] = "genicam"
     device: str = ""  # name in `svwfs devices`, serial number or address; "" takes the only one

@@ -10,7 +10,7 @@ from drivers.frame import Region
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MicroManagerSettings:
-    """Selection and settings of a camera; None keeps the camera's value.
+    """Selection and settings of a camera; what is omitted keeps the camera's value.
 
     Opening the camera checks what depends on it: exposure, binning, region, properties.
     """

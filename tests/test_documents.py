@@ -1,0 +1,191 @@
+"""README and documentation: they build without a warning, links lead somewhere, commands and programs run."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import reduce
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pytest
+import typer.main
+from conftest import SMALL_TOML
+from support.command_line import run
+from support.documents import commands, named_commands, python_blocks
+from support.paths import DOCS, FOREIGN_FRAMES, ROOT
+from support.patience import HANG_S
+from support.recordings import record
+
+import svwfs
+from app.bench.config import Bench
+from app.bench.presets import PRESETS
+from app.cli.application import cli
+
+DOCUMENTS = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+# These have tests of their own, on a bench like theirs and with a program that sends.
+COMMANDS = [path for path in DOCUMENTS if commands(path) and path.name != "experiment.md"]
+PROGRAMS = [path for path in DOCUMENTS if python_blocks(path) and path.name != "streams.md"]
+QUICK = {
+    "--frames 20": "--frames 2",
+    "0:10": "0:2",
+    "100:200": "0:2",
+    "--refine 3": "--refine 1",
+    "FILE...": "four_holes.npy",
+}
+BENCH = f"{SMALL_TOML}\n[imaging]\npixel_m = 10e-6\n"
+
+
+def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", f"{out}.cache", str(source), str(out)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False)  # noqa: S603 - our own
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The documentation as web pages."""
+    out = tmp_path_factory.mktemp("docs") / "pages"
+    told = build(DOCS, out)
+    assert (told.returncode, told.stderr) == (0, "")
+    return out
+
+
+def text_of(page: Path) -> str:
+    return re.sub(r"<[^>]+>", "", page.read_text("utf-8")).replace("&quot;", '"')
+
+
+def test_pages_need_no_network_and_can_be_searched(pages: Path) -> None:
+    assert (pages / "searchindex.js").stat().st_size > 10_000
+    loading = re.compile(
+        r"""<(?:script|img|link)[^>]+(?:src|href)=["']?(?:https?:)?//|@import|url\(["']?(?:https?:)?//"""
+    )
+    files = [path for kind in ("*.html", "*.css", "*.js") for path in pages.rglob(kind)]
+    assert len(files) > 40
+    assert not [path.name for path in files if loading.search(path.read_text("utf-8"))]
+
+
+def settings_of(hint: Any) -> Iterator[str]:
+    """Names of all settings of a section, also of its parts and of all drivers."""
+    for cls in get_args(hint) or (hint,):
+        if dataclasses.is_dataclass(cls):
+            for name, part in get_type_hints(cls).items():
+                yield from settings_of(part) if dataclasses.is_dataclass(part) else (name,)
+
+
+def test_bench_reference_has_every_setting(pages: Path) -> None:
+    text = text_of(pages / "bench.html")
+    for section, hint in get_type_hints(Bench).items():
+        assert f"[{section}]" in text
+        names = set(settings_of(hint)) - {"driver"}
+        assert names
+        assert not {name for name in names if not re.search(rf"^{name}$", text, re.MULTILINE)}
+    assert 'driver = "thorlabs_dc4100"' in text
+    assert re.search(
+        r"^exposure_s\ns\n0.014\d+\nmust be 0.0139 ... 1 with this amplifier and speed$", text, re.MULTILINE
+    )
+    assert re.search(r"^lenslet_rows\n\nrequired\n.*Must be 2 ... 1000$", text, re.MULTILINE)
+
+
+def test_references_have_every_command_and_name(pages: Path) -> None:
+    text = text_of(pages / "commands.html")
+    for command in ("live", "deconvolve", "paper table1", "desktop"):
+        assert f"Usage: svwfs {command} [OPTIONS]" in text
+    text = text_of(pages / "api.html")
+    assert not [
+        name for name in svwfs.__all__ if not re.search(rf"^(?:class |exception )?{name}\b", text, re.MULTILINE)
+    ]
+
+
+def test_broken_links_fail(tmp_path: Path) -> None:
+    shutil.copy(DOCS / "conf.py", tmp_path)
+    (tmp_path / "index.md").write_text("# A\n\n[a](b.md) [c](#d) ![e](f.png) [g](../h.json)\n")
+    told = build(tmp_path, tmp_path / "out")
+    assert told.returncode != 0
+    assert all(name in told.stderr for name in ("b.md", "'d'", "f.png", "h.json"))
+
+
+@pytest.mark.parametrize("name", ["README.md", "CHANGELOG.md"])
+def test_links_of_readme_and_changelog_exist(name: str) -> None:
+    links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / name).read_text("utf-8"))
+    assert len(links) > 5
+    assert not [link for link in links if not (ROOT / link).exists()]
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the documents name: benches, images, results, masks and a recording."""
+    folder = tmp_path_factory.mktemp("inputs")
+    for name in ("bench.toml", "other.toml"):
+        (folder / name).write_text(BENCH)
+    record(folder / "bench.toml", folder / "RUN", frames=3)
+    shutil.copytree(FOREIGN_FRAMES, folder / "FRAMES")
+    np.save(folder / "four_holes.npy", np.eye(40, dtype=np.float32))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert run(patch, "simulate", "--bench", "bench.toml", "--out", ".") == 0
+        files = ("--reference", "reference.tif", "--dark", "dark.tif", "--bench", "bench.toml", "--out", "RESULT")
+        assert run(patch, "reconstruct", "frame.tif", *files) == 0
+    (folder / "frame.tif").rename(folder / "IMAGE")
+    return folder
+
+
+@pytest.fixture
+def at_work(inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with the inputs."""
+    shutil.copytree(inputs, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("document", COMMANDS, ids=lambda path: path.stem)
+def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in PRESETS:
+        monkeypatch.setitem(PRESETS, name, at_work / "bench.toml")
+    monkeypatch.setattr("app.evaluation.run_studies.run_studies", lambda *_: ())  # they have tests of their own
+    for command in commands(document):
+        words = shlex.split(reduce(lambda text, change: text.replace(*change), QUICK.items(), command))
+        if words[0] == "live":
+            words += ["--seconds", "0.1"]
+        if words[0] in {
+            "deconvolve",
+            "layers",
+            "live",
+            "paper",
+            "study",
+        }:  # a document writes the same file again and again
+            words += ["--overwrite"]
+        assert run(monkeypatch, *words) == 0, command
+
+
+@pytest.mark.usefixtures("at_work")
+@pytest.mark.parametrize("document", PROGRAMS, ids=lambda path: path.stem)
+def test_programs_run(document: Path) -> None:
+    exec(compile(python_blocks(document), document.name, "exec"), {})  # noqa: S102 - our own document
+
+
+def test_program_that_needs_hardware_is_left_out(tmp_path: Path) -> None:
+    block = "```python\n{}\n```\n"
+    (tmp_path / "d.md").write_text(
+        f"a\n{block.format('b')}\n<!-- needs hardware -->\n{block.format('c')}\n{block.format('d')}"
+    )
+    assert python_blocks(tmp_path / "d.md") == "b\n\nd\n"
+
+
+@pytest.mark.parametrize("document", [path for path in DOCUMENTS if named_commands(path)], ids=lambda path: path.stem)
+def test_named_commands_and_options_exist(document: Path) -> None:
+    known: Any = typer.main.get_command(cli)
+    for text in named_commands(document):
+        words = [word.rstrip(",;:") for word in text.split()]
+        command = known if words[0].startswith("-") else known.commands.get(words[0])
+        assert command is not None or text in {"COMMAND --help", "recording 1"}, text  # one is the format of recordings
+        parts = getattr(command, "commands", {}).values()
+        options = {option for one in (command, *parts) if one for each in one.params for option in each.opts} | {
+            "--help"
+        }
+        assert {word.strip("[]") for word in words if word.strip("[").startswith("--")} <= options, text
