@@ -1,6 +1,7 @@
 """Reader of recordings: finished, cut short, or still growing."""
 
 from array import array
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,13 +22,15 @@ from reconstruction.arrays import Floats
 
 _PIECE_BYTES = 1 << 20
 _HINT = "svwfs recover lists the readable frames"
+_UNCHANGED = ("began", "began_host_s", "bench")  # keys of `run.json` that tell recordings apart
 
 
 class Recording:
     """A recording on disk, opened for reading; nothing on disk is changed.
 
     It holds no pixels: each call reads one frame, so that memory does not grow with the number of frames. Frames are
-    counted from 0; `len` is the number of complete lines in `frames.jsonl`.
+    counted from 0; `len` is the number of complete lines in `frames.jsonl`. If the folder is renamed meanwhile, the
+    recording is found again under its new name.
 
     Parameters
     ----------
@@ -37,7 +40,7 @@ class Recording:
     Attributes
     ----------
     folder
-        Path of the folder.
+        Path of the folder; changes if it is renamed.
     run
         Contents of `run.json`.
 
@@ -107,6 +110,7 @@ class Recording:
         """Times, exposure, light, calibration and outcome of a frame."""
         if not 0 <= index < len(self):
             raise InputError(f"{self.folder}: has no frame {index}; it has {len(self)}")
+        self._follow_renaming()
         try:
             with (self.folder / FRAME_LINES).open("rb") as file:
                 file.seek(self._ends[index])
@@ -199,6 +203,21 @@ class Recording:
         return self._read(
             f"{RESULTS.format(line.calibration)}/displacement", line.start
         )  # always of the same calibration
+
+    def _follow_renaming(self) -> None:
+        """Find the folder under its new name, if a person named the recording while it is replayed, say."""
+        with suppress(OSError):  # the disk is gone: what is read next tells
+            if not self.folder.exists():
+                beside = (one for one in self.folder.parent.iterdir() if (one / RUN).is_file())
+                self.folder = next(filter(self._is_in, beside), self.folder)
+                self._arrays.clear()
+
+    def _is_in(self, folder: Path) -> bool:
+        try:
+            run = read_run(folder)
+        except InputError:
+            return False
+        return all(run.get(key) == self.run.get(key) for key in _UNCHANGED)
 
     def _result(self, name: str, index: int) -> Floats | None:
         calibration = self.line(index).calibration

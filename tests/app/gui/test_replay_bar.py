@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from support.window_tools import press
 from app.acquisition.worker import Acquisition
 from app.gui.main_window import MainWindow
 from app.measurement.measurement import Measurement
+from app.recording.description import describe
 from app.recording.reader import Recording
 from app.results.replay.player import Player
 
@@ -147,6 +149,37 @@ def test_speed_multiplies_the_recorded_rate(window: MainWindow, qtbot: QtBot, re
     recorded_s = np.diff([recording.line(index).host_time_s for index in range(2, FRAMES)])
     shortest_s = min(recorded_s.min(), recording.line(0).exposure_s)  # at the repeat the exposure takes its place
     assert np.diff(times_s[1:]).min() >= 0.999 * 4 * shortest_s  # the first may have been scheduled before
+
+
+@pytest.fixture
+def own_recording(recording: Recording, tmp_path: Path) -> Recording:
+    shutil.copytree(recording.folder, tmp_path / "20261122-130100")
+    return Recording(tmp_path / "20261122-130100")
+
+
+def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
+    player = Player(own_recording.folder)
+    window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
+    named = describe(own_recording.folder, name="mouse 7", note="")
+    before = window.status_line.shown
+    qtbot.waitUntil(lambda: window.status_line.shown > before + 2 * FRAMES)
+    assert not window.controller.failure
+    window.replay.slider.setValue(3)
+    qtbot.waitUntil(lambda: shown_frame(window, Recording(named)) == 3)
+    qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100-mouse 7"))
+
+
+def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
+    player = Player(own_recording.folder)
+    window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
+    shutil.rmtree(own_recording.folder)
+    qtbot.waitUntil(lambda: "cannot be read" in window.messages.text.text())
+    text = window.messages.text.text()
+    assert text.endswith("the replay has ended: open the recording again (Ctrl+Shift+O)")
+    assert not window.messages.reconnect.isVisible()
 
 
 def test_bar_is_hidden_at_live_devices(live: tuple[MainWindow, object], qtbot: QtBot) -> None:

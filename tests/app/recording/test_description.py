@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.records import make_record, write
 
@@ -35,6 +37,24 @@ def test_note_is_kept_beside_the_facts(tmp_path: Path) -> None:
     assert Recording(folder).run == {**before, "note": "3 % agarose"}
     describe(folder, name="", note="")
     assert Recording(folder).run["note"] == ""
+
+
+def test_opened_recording_is_found_under_its_new_name(tmp_path: Path) -> None:
+    """Also beside a folder that cannot be read as a recording."""
+    folder = finished(tmp_path / "20261122-130100")
+    opened = Recording(folder)
+    line, pixels = opened.line(1), opened.pixels(2)
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    for name in ("broken", "of another bench"):
+        write(tmp_path / name, [make_record(0)])
+    (tmp_path / "broken" / "run.json").write_text("{")
+    named = describe(folder, name="mouse 7", note="fed")
+    assert opened.line(1) == line
+    assert opened.folder == named
+    np.testing.assert_array_equal(opened.pixels(2), pixels)
+    shutil.rmtree(named)
+    with pytest.raises(InputError, match=r"mouse 7/frames\.jsonl: cannot be read: No such file"):
+        opened.line(0)
 
 
 @pytest.mark.parametrize("name", ["a/b", "..", ".hidden", "a\\b", "x" * 101, 'a"b'])

@@ -63,7 +63,8 @@ class Stick:
     """A copy of a recording without a dark, on a removable disk."""
 
     def __init__(self, recording: Path, folder: Path) -> None:
-        self.path, self._away = folder / "run", folder / "away"
+        self.path, self._away = folder / "run", folder / "elsewhere" / "run"  # beside it, it would be found
+        self._away.parent.mkdir()
         shutil.copytree(recording, self.path)
         (self.path / "calibrations/0/dark.npz").unlink()
         self._camera: RecordedCamera | None = None

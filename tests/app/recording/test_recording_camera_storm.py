@@ -40,13 +40,14 @@ class Folder:
 
     def __init__(self) -> None:
         self._keeper = tempfile.TemporaryDirectory()
-        self.path, self._away = Path(self._keeper.name) / "run", Path(self._keeper.name) / "away"
+        self.path, self._away = Path(self._keeper.name) / "run", Path(self._keeper.name) / "elsewhere" / "run"
         self.close = self._keeper.cleanup
         self.clock = ManualClock()
         self.restore()
 
     def vanish(self) -> None:
         if self.path.exists():
+            self._away.parent.mkdir(exist_ok=True)  # beside its old place it would be found again
             self.path.rename(self._away)
 
     def restore(self) -> None:
