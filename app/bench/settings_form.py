@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import tomli_w
 
 from app.bench.config import Bench, CameraSettings, LightSettings, drivers_of, parse_bench, write_bench
+from app.bench.settings_words import in_unit
 from app.errors import InputError
 from drivers.discovery import DiscoveredDevice
 from drivers.frame import Region
@@ -34,6 +35,7 @@ _PREFIXED = {"m", "s", "A", "m/s"}
 _NUMBER = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\D*)")
 _COMMENT = re.compile(r"^    (\w+): [^#\n]*#\s*(.+)$", re.MULTILINE)
 _UNIONS: dict[str, Any] = {"camera": CameraSettings, "light": LightSettings}
+_OF_LENSLETS = ("sensor", "field")  # sections without useful defaults: their data are on no computer
 _ABSURD = (-(10.0**30), 10.0**30)  # beyond all limits, to learn them
 
 Kind = Literal["switch", "choice", "integer", "number", "text", "toml"]
@@ -52,6 +54,7 @@ class FormField:
     choices: tuple[str, ...] = ()
     is_optional: bool = False  # empty: chosen by the program or kept by the device
     help: str = ""
+    example: str = ""  # of a value that must be typed
 
     def parse(self, text: str) -> Any:
         """Return the value that a text stands for, None for an empty optional one; `InputError` if it is none."""
@@ -96,20 +99,25 @@ class FormSection:
 class SettingsForm:
     """The settings of a bench while they are edited; nothing is checked before `bench`."""
 
-    def __init__(self, tree: Mapping[str, Any]) -> None:
-        """Edit a copy of a parsed bench file."""
+    def __init__(self, tree: Mapping[str, Any], *, is_new: bool = False) -> None:
+        """Edit a copy of a parsed bench file; a new bench takes the mandatory data of its lenslets as examples."""
         self._tree: dict[str, Any] = tomllib.loads(tomli_w.dumps(tree))
+        self._is_new = is_new
+        self._typed: set[str] = set()  # paths
 
     @classmethod
-    def of(cls, bench: Bench) -> "SettingsForm":
-        """Edit a bench."""
-        return cls(tomllib.loads(write_bench(bench)))
+    def of(cls, bench: Bench, *, is_new: bool = False) -> "SettingsForm":
+        """Edit a bench, or make a new one after its example."""
+        return cls(tomllib.loads(write_bench(bench)), is_new=is_new)
 
     def sections(self) -> tuple[FormSection, ...]:
-        """Return all sections with the present values; those of camera and light belong to their drivers."""
+        """Return all sections with the present values; those of camera and light belong to their drivers.
+
+        A new bench has none of the simulation, and the fields that must be typed are empty.
+        """
         hints = get_type_hints(Bench)
         return tuple(
-            section
+            self._emptied(section)
             for field in dataclasses.fields(Bench)
             for section in _sections(
                 field.name,
@@ -117,7 +125,21 @@ class SettingsForm:
                 self._tree.get(field.name),
                 is_optional=type(None) in get_args(hints[field.name]),
             )
+            if not (self._is_new and field.name == "simulation")
         )
+
+    def _emptied(self, section: FormSection) -> FormSection:
+        """Turn the values that must still be typed into examples."""
+        if not self._is_new or section.path not in _OF_LENSLETS:
+            return section
+        cls = get_type_hints(Bench)[section.path]
+        mandatory = {one.name for one in dataclasses.fields(cls) if _default(one) is dataclasses.MISSING}
+        wanted = {f"{section.path}.{name}" for name in mandatory} - self._typed
+        fields = (
+            dataclasses.replace(field, text="", example=field.text) if field.path in wanted else field
+            for field in section.fields
+        )
+        return dataclasses.replace(section, fields=tuple(fields))
 
     def set(self, field: FormField, text: str) -> None:
         """Enter a text into a field; `InputError` if it cannot be read. Another driver has other settings."""
@@ -134,6 +156,7 @@ class SettingsForm:
             tree.pop(key, None)  # the last one leaves an empty section
         elif text.strip() != field.text:  # else the digits that the text does not show stay
             tree[key] = value
+            self._typed.add(field.path)
 
     def use_device(self, device: DiscoveredDevice) -> None:
         """Replace the settings of the camera or the light by those of a connected device."""
@@ -170,15 +193,16 @@ def _sections(
         if dataclasses.is_dataclass(hints[field.name]):
             nested.append((f"{path}.{field.name}", hints[field.name], (values or {}).get(field.name)))
         else:
-            told = filter(None, (comments.get(field.name, ""), limits.get(field.name, "")))
-            made = _field(path, field.name, hints[field.name], value, ". ".join(map(_sentence, told)))
+            told = comments.get(field.name, ""), limits.get(field.name, "")
+            made = _field(path, field.name, hints[field.name], value, told)
             simple.append(dataclasses.replace(made, is_optional=True) if is_optional else made)
     yield FormSection(path, (inspect.getdoc(cls) or "").splitlines()[0], tuple(simple))
     for one in nested:
         yield from _sections(*one)
 
 
-def _field(path: str, name: str, hint: Any, value: Any, told: str) -> FormField:
+def _field(path: str, name: str, hint: Any, value: Any, told: tuple[str, str]) -> FormField:
+    """Make a field; `told` is what it means, and its limits in SI units."""
     is_optional = type(None) in get_args(hint)
     if is_optional:
         hint = next(one for one in get_args(hint) if one is not type(None))
@@ -186,7 +210,7 @@ def _field(path: str, name: str, hint: Any, value: Any, told: str) -> FormField:
     end = next((end for end in _UNITS if name.endswith(end)), "")
     kind: Kind = "toml"
     choices: tuple[str, ...] = ()
-    factor, prefix = 1.0, ""
+    factor = 1.0
     if name == "driver":
         kind, choices = "choice", tuple(drivers_of(_UNIONS[path]))
     elif get_origin(hint) is Literal:
@@ -199,8 +223,7 @@ def _field(path: str, name: str, hint: Any, value: Any, told: str) -> FormField:
             prefix = _prefix(value)
             unit, factor = prefix + unit, _PREFIXES[prefix]
     words = [_WORDS.get(word, word) for word in name.removesuffix(end).split("_")]
-    if factor != 1 and "must" in told.lower():
-        told += f" (in {unit.removeprefix(prefix)})"
+    about = filter(None, (told[0], in_unit(told[1], unit, factor)))
     return FormField(
         f"{path}.{name}",
         _sentence(" ".join(words)),
@@ -210,7 +233,7 @@ def _field(path: str, name: str, hint: Any, value: Any, told: str) -> FormField:
         factor,
         choices,
         is_optional or (kind == "text" and value == ""),
-        told,
+        ". ".join(map(_sentence, about)),
     )
 
 

@@ -21,6 +21,7 @@ from PyQt6.QtWidgets import (
 from app.acquisition.device_kinds import KINDS
 from app.bench.config import Bench, write_bench
 from app.bench.settings_form import FormField, SettingsForm
+from app.bench.settings_words import in_words
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui import theme
@@ -85,7 +86,7 @@ class SettingsDialog(QDialog):
         self._before = self._check()
 
     def make(self, template: Bench) -> None:
-        """Make a bench, starting from the settings of another, with devices that are searched for."""
+        """Make a bench after the example of another, with devices that are searched for."""
         self.setWindowTitle("New bench from my camera")
         self.devices.show()
         for choice in (self.camera, self.light):
@@ -95,7 +96,7 @@ class SettingsDialog(QDialog):
         self.apply.setText("Open")
         self.apply.setToolTip("Connect the devices with these settings")
         self._before = None
-        self._begin(SettingsForm.of(template))
+        self._begin(SettingsForm.of(template, is_new=True))
         if self._search is None:
             self._found, self._failed = [], []
             self.failed.setText("")
@@ -177,7 +178,7 @@ class SettingsDialog(QDialog):
             choice.textActivated.connect(lambda text: self._enter(field, choice, text))
             return choice
         line = QLineEdit(field.text)
-        line.setPlaceholderText("automatic" if field.is_optional else "")
+        line.setPlaceholderText(f"for example {field.example}" if field.example else "automatic" * field.is_optional)
         line.textEdited.connect(lambda text: self._enter(field, line, text))
         return line
 
@@ -204,17 +205,15 @@ class SettingsDialog(QDialog):
         try:
             bench = self._form.bench()
         except InputError as error:
-            self._show_problem(str(error), self._named(str(error)))
+            path, fields = self._form.faulty_path(str(error)), {name: one for name, (one, _) in self.editors.items()}
+            editor = self.editors[path][1] if path in self.editors else None
+            self._show_problem(in_words(str(error), path, fields), editor)
             return None
         self._show_problem("", None)
         return bench
 
-    def _named(self, sentence: str) -> QWidget | None:
-        path = self._form.faulty_path(sentence)
-        return self.editors[path][1] if path in self.editors else None
-
     def _show_problem(self, sentence: str, at: QWidget | None) -> None:
-        self.problem.setText(sentence.removeprefix("the settings: "))
+        self.problem.setText(sentence)
         self.problem.setToolTip(sentence)
         for _, editor in self.editors.values():
             editor.setStyleSheet(f"color: {theme.RED.name()};" if editor is at else "")

@@ -9,6 +9,7 @@ import pytest
 from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench
 from app.bench.presets import PRESETS
 from app.bench.settings_form import FormField, SettingsForm
+from app.bench.settings_words import in_words
 from app.errors import InputError
 from drivers.discovery import DiscoveredDevice
 from drivers.genicam.settings import GenicamSettings
@@ -37,14 +38,14 @@ def test_fields_have_units_help_and_limits(form: SettingsForm) -> None:
     made = fields(form)
     pitch = made["sensor.lenslet_pitch_m"]
     assert (pitch.label, pitch.text, pitch.unit) == ("Lenslet pitch", "500", "\N{MICRO SIGN}m")
-    assert pitch.help == "Distance between two lenslets, from the data sheet. Must be 1e-6 ... 0.1 (in m)"
+    assert pitch.help == "Distance between two lenslets, from the data sheet. Must be 1 ... 100000 \N{MICRO SIGN}m"
     assert (made["sensor.wavelength_m"].text, made["sensor.wavelength_m"].unit) == ("462", "nm")
     assert made["simulation.screen.samples"].help.endswith("Must be 8 ... 8192")
     assert made["simulation.screen.rms_rad"].label == "RMS"
     assert made["registration.threads"].help == "Of gauss_newton. Must be 1 ... 64"
     assert made["registration.method"].help == ""  # its comment is not that of the next setting
     assert made["field.shape"].choices == ("square", "circle")
-    assert made["camera.exposure_s"].help.startswith("Must be 0.0139 ... 1")
+    assert made["camera.exposure_s"].help.startswith("Must be 13.9 ... 1000 ms with")
     assert made["streams.port"].is_optional
     assert made["light.driver"].choices == tuple(drivers_of(LightSettings))
 
@@ -88,6 +89,46 @@ def test_wrong_bench_names_its_field(form: SettingsForm, path: str, text: str, s
         form.bench()
     assert str(fault.value).startswith(sentence)
     assert form.faulty_path(str(fault.value)) == path
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "words"),
+    [
+        ("sensor.lenslet_pitch_m", "-99999", "Lenslet pitch must be 1 ... 100000 \N{MICRO SIGN}m"),
+        ("sensor.lenslet_pitch_m", "20", "Lenslet pitch must be at least 8 pixels"),
+        ("sensor.wavelength_m", "462 mm", "Wavelength must lie between 100 and 20000 nm"),
+        ("field.view_spacing_m", "3 mm", "View spacing places views outside the field's Half width"),
+        ("camera.exposure_s", "9 s", "Exposure must be 13.9 ... 1000 ms with this amplifier and speed"),
+        ("lattice.pitch_px", "", "Pitch is missing"),
+        ("lattice.pitch_px", "20", "Pitch (lattice) = 20 is far from Lenslet pitch (sensor) / Pixel pitch = 31.25"),
+        ("simulation.seed", "-1", "Seed must be 0 ... 2**63 - 1"),
+        ("camera.em_gain", "2e9", "EM gain must be 1 ... Maximum EM gain"),
+    ],
+)
+def test_error_has_labels_and_units_of_the_form(form: SettingsForm, path: str, text: str, words: str) -> None:
+    shown = fields(form)  # their units do not follow what is typed
+    form.set(shown[path], text)
+    with pytest.raises(InputError) as fault:
+        form.bench()
+    assert in_words(str(fault.value), form.faulty_path(str(fault.value)), shown) == words
+
+
+def test_new_bench_shows_data_of_its_example_only_as_examples() -> None:
+    template = replace(load_bench("live_demo"), lattice=None)
+    form = SettingsForm.of(template, is_new=True)
+    made = fields(form)
+    empty = {path for path, field in made.items() if field.example}
+    assert empty == {
+        *(f"sensor.lenslet_{name}" for name in ("rows", "columns", "pitch_m", "focal_length_m")),
+        *("sensor.wavelength_m", "sensor.pixel_pitch_m", "field.collimator_focal_length_m", "field.half_width_m"),
+    }
+    assert not any(path.startswith("simulation") for path in made)
+    assert (made["sensor.lenslet_pitch_m"].example, made["sensor.lenslet_pitch_m"].unit) == ("500", "\N{MICRO SIGN}m")
+    for path in empty:
+        assert not made[path].text
+        form.set(made[path], made[path].example)  # also the same values are typed
+        assert fields(form)[path].text == made[path].example
+    assert form.bench() == template
 
 
 def test_empty_lattice_is_found_in_the_reference(form: SettingsForm) -> None:
