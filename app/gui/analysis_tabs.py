@@ -74,4 +74,7 @@ class AnalysisTabs(QObject):
         pinned_rad = self.coefficients.pinned_rad()
         if self.coefficients.name and pinned_rad is not None:
             values[self.coefficients.name] = pinned_rad
+        if (shown := self._wavefront_panel.shown) is not None:
+            unit = self._wavefront_panel.menu.unit
+            self.history.use_unit(unit, unit.per_rad(shown.sensor.wavelength_m))
         self.history.add(measurement.frame.host_time_s, values)

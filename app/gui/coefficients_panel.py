@@ -183,6 +183,7 @@ class _Table(QTableWidget):
             header.setDefaultSectionSize(self.fontMetrics().height() + 6)
         if (header := self.horizontalHeader()) is not None:
             header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+            header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)  # the names have different lengths
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
         """Copy at Ctrl+C."""

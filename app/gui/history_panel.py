@@ -1,4 +1,4 @@
-"""Strip charts of the recent minutes on a common time axis."""
+"""Strip charts of the recent minutes, one above the other on a common time axis."""
 
 import numpy as np
 from PyQt6.QtGui import QShowEvent
@@ -8,11 +8,47 @@ from app.gui import theme
 from app.gui.plot import Plot
 from app.gui.presentation import number
 from app.gui.widgets import Choice, ElidedLabel, column, row, toggle
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, History
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, History
+from app.results.shown_wavefront import Unit
+from reconstruction.arrays import Floats
 
 _MINUTES = (1, 2, 5, 10, 20)
 _HINT = "click a bar of Coefficients to add it"
-_ALWAYS = (RMS, FILL, DELAY, TEMPERATURE)
+_ABOUT = {
+    RMS: "Mean RMS of the shown views",
+    FILL: "Brightest pixel",
+    DELAY: "Processing delay",
+    TEMPERATURE: "Temperature of the camera's sensor",
+}
+_WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
+_NAME = "Z00 astigmatism at 00"  # its width is that of all names
+_LEAST_LINES = 2  # height of a chart
+
+
+class StripChart(QWidget):
+    """Name and newest value of a series, and its curve beside them."""
+
+    def __init__(self, name: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.name, self.value = ElidedLabel(), ElidedLabel("title")
+        self.name.setText(name)
+        self.name.setToolTip(_ABOUT.get(name, name))
+        labels = QWidget()
+        column(self.name, self.value, spacing=0, parent=labels).addStretch()
+        self.plot = _plot(None)
+        self.plot.graphics.setMinimumHeight(_LEAST_LINES * self.fontMetrics().height() + 9)
+        self.curve = self.plot.add_curve(theme.ACCENT, 1)
+        row(labels, (self.plot, 1), parent=self)
+        labels.setFixedWidth(name_width(self))
+
+    def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str) -> None:
+        """Show values (time,) over the minutes before now; NaN in gaps."""
+        known = np.isfinite(values)
+        self.curve.setData(time_min, values, connect="finite")
+        low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 1.0)
+        margin = max(0.1 * (high - low), 1e-3 * abs(high), 1e-6)
+        self.plot.set_ranges((-span_min, 0), (low - margin, high + margin))
+        self.value.setText(f"{number(float(values[-1]) if known.size else float('nan'))} {unit}")
 
 
 class HistoryPanel(QWidget):
@@ -22,8 +58,11 @@ class HistoryPanel(QWidget):
         super().__init__(parent)
         self.history = History()
         self._pinned = ""
-        self.toggles = {name: toggle(name.split(" (")[0], f"Show {name}", self._arrange) for name in _ALWAYS}
+        self._unit, self._per_rad = Unit.RAD, 1.0
+        self.toggles = {name: toggle(name, about) for name, about in _ABOUT.items()}
         self.toggles[RMS].setChecked(True)
+        for chosen in self.toggles.values():
+            chosen.toggled.connect(self._arrange)
         self.minutes = Choice()
         for minutes in _MINUTES:
             self.minutes.addItem(f"{minutes} min", minutes)
@@ -32,11 +71,19 @@ class HistoryPanel(QWidget):
         self.minutes.currentIndexChanged.connect(self.refresh)
         self._hint = ElidedLabel("dim")
         self._hint.setText(_HINT)
-        self._charts: dict[str, Plot] = {}
-        self._rows = row(spacing=12)
+        self.charts: dict[str, StripChart] = {}
+        self._rows = column(spacing=0)
+        self.time_axis = _plot("minutes")
+        self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
+        beside = QWidget()
+        beside.setFixedWidth(name_width(self))
         header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
-        column(header, (self._rows, 1), parent=self)
+        column(header, (self._rows, 1), row(beside, (self.time_axis, 1)), spacing=2, parent=self)
         self._arrange()
+
+    def use_unit(self, unit: Unit, per_rad: float) -> None:
+        """Set the unit of the phases."""
+        self._unit, self._per_rad = unit, per_rad
 
     def pin(self, name: str) -> None:
         """Show the chart of a coefficient, or of none."""
@@ -55,19 +102,13 @@ class HistoryPanel(QWidget):
         """Draw the charts, if they are visible."""
         if not self.isVisible():
             return
-        span_s = 60.0 * self.minutes.currentData()
-        for name, chart in self._charts.items():
+        span_min = float(self.minutes.currentData())
+        self.time_axis.set_ranges((-span_min, 0), (0, 1))
+        for name, chart in self.charts.items():
             time_s, values = self.history.series(name)
-            recent = time_s >= -span_s
-            time_s, values = time_s[recent], values[recent]
-            known = np.isfinite(values)
-            curve = chart.curves[0]
-            curve.setData(time_s / 60, values, connect="finite")
-            low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 1.0)
-            margin = max(0.1 * (high - low), 1e-3 * abs(high), 1e-6)
-            chart.set_ranges((-span_s / 60, 0), (low - margin, high + margin))
-            newest = number(float(values[-1])) if known.size and known[-1] else number(float("nan"))
-            chart.title.setText(f"{name}: {newest}")
+            recent = time_s >= -60 * span_min
+            values = values[recent] * (1.0 if name in UNITS else self._per_rad)
+            chart.show_series(time_s[recent] / 60, values, span_min, UNITS.get(name, self._unit))
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
         """Draw what has come while hidden."""
@@ -77,16 +118,23 @@ class HistoryPanel(QWidget):
     def _arrange(self) -> None:
         """Make a chart for each chosen series."""
         names = [*filter(None, [self._pinned]), *(name for name, one in self.toggles.items() if one.isChecked())]
-        for name in [name for name in self._charts if name not in names]:
-            chart = self._charts.pop(name)
+        for name in [name for name in self.charts if name not in names]:
+            chart = self.charts.pop(name)
             self._rows.removeWidget(chart)
             chart.deleteLater()
         for index, name in enumerate(names):
-            if name in self._charts:
-                chart = self._charts.pop(name)
-            else:
-                chart = Plot(name, "minutes", widest="\N{MINUS SIGN}00.00")
-                chart.add_curve(theme.ACCENT, 1)
-            self._charts[name] = chart
-            self._rows.insertWidget(index, chart, 1)
+            self.charts[name] = self.charts.pop(name, None) or StripChart(name)  # in the order of the names
+            self._rows.insertWidget(index, self.charts[name], 1)
         self.refresh()
+
+
+def name_width(widget: QWidget) -> int:
+    """Return the width of the names, px."""
+    return widget.fontMetrics().horizontalAdvance(_NAME)
+
+
+def _plot(bottom: str | None) -> Plot:
+    """Make a plot without title; those of one width have their left axes at the same place."""
+    made = Plot("", bottom, widest=_WIDEST)
+    made.title.hide()
+    return made

@@ -30,12 +30,15 @@ class Plot(QWidget):
     def __init__(
         self,
         title: str,
-        bottom: str,
+        bottom: str | None,
         keys: tuple[tuple[str, QColor], ...] = (),
         parent: QWidget | None = None,
         widest: str = "0.0",
     ) -> None:
-        """Make an empty plot with a legend of `keys`, and room for the `widest` number on its left axis."""
+        """Make an empty plot with a legend of `keys`, and room for the `widest` number on its left axis.
+
+        Without `bottom`, the text below it, there is no axis at the bottom.
+        """
         super().__init__(parent)
         self.curves: list[pg.PlotCurveItem] = []
         self.title = ElidedLabel("title")
@@ -45,21 +48,24 @@ class Plot(QWidget):
         self.graphics.setMinimumSize(120, 4 * self.fontMetrics().height())
         unfocused(self.graphics)
         self.view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
-        self.axes = axes = {side: pg.AxisItem(side, linkView=self.view) for side in ("left", "bottom")}
+        sides = ("left",) if bottom is None else ("left", "bottom")
+        self.axes = axes = {side: pg.AxisItem(side, linkView=self.view) for side in sides}
         for axis in axes.values():
             axis.enableAutoSIPrefix(enable=False)
             axis.setStyle(tickLength=4, tickTextOffset=3)
         font = self.fontMetrics()
         axes["left"].setWidth(font.horizontalAdvance(widest) + 12)
-        axes["bottom"].setHeight(2 * font.height() + 6)
-        axes["bottom"].setLabel(bottom)
+        if bottom is not None:
+            axes["bottom"].setHeight(2 * font.height() + 6)
+            axes["bottom"].setLabel(bottom)
         self.colour(self._colour_axes)
         grid = pg.GraphicsLayout()
         grid.setContentsMargins(0, 5, 12, 4)  # pyqtgraph draws the label a little below its axis
         grid.setSpacing(0)
         grid.addItem(axes["left"], 0, 0)
         grid.addItem(self.view, 0, 1)
-        grid.addItem(axes["bottom"], 1, 1)
+        if bottom is not None:
+            grid.addItem(axes["bottom"], 1, 1)
         self.graphics.setCentralItem(grid)
         header = row((self.title, 1), spacing=8)
         for text, colour in keys:

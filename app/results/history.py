@@ -6,7 +6,8 @@ from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront, rms
 
-RMS, FILL, DELAY, TEMPERATURE = "RMS (rad)", "Exposure (% of full scale)", "Delay (ms)", "Camera (\N{DEGREE SIGN}C)"
+RMS, FILL, DELAY, TEMPERATURE = "RMS", "Exposure", "Delay", "Camera"
+UNITS = {FILL: "% of full scale", DELAY: "ms", TEMPERATURE: "\N{DEGREE SIGN}C"}  # the others are phases, rad
 
 
 class History:

@@ -87,12 +87,12 @@ def test_click_on_a_bar_maps_and_records_it_until_the_next_click(window: MainWin
     np.testing.assert_allclose(values, 0, atol=1e-4)
     assert len(values) == 2
     assert time_s[0] < 0 == time_s[1]
-    assert list(window.tabs.history._charts) == ["L2 P1(y), view", RMS]
+    assert list(window.tabs.history.charts) == ["L2 P1(y), view", RMS]
     open_tab(window, "Coefficients")
     click_bar(panel, 2)
     assert panel.name == ""
     assert panel.map.maps is None
-    assert list(window.tabs.history._charts) == [RMS]
+    assert list(window.tabs.history.charts) == [RMS]
 
 
 def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, qtbot: QtBot) -> None:
@@ -102,13 +102,40 @@ def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, q
         click(qtbot, history.toggles[name], history.toggles[name].rect().center())
     for index in range(5):
         history.add(10.0 * index, {RMS: 1.0 + index, DELAY: 4.0, TEMPERATURE: -65.0})
-    assert list(history._charts) == [RMS, DELAY, TEMPERATURE]
-    for name, chart in history._charts.items():
-        minutes, values = chart.curves[0].getData()
+    assert list(history.charts) == [RMS, DELAY, TEMPERATURE]
+    QApplication.processEvents()
+    for name, chart in history.charts.items():
+        minutes, values = chart.curve.getData()
         np.testing.assert_allclose(minutes, np.arange(-4, 1) / 6)
         np.testing.assert_array_equal(values, history.history.series(name)[1])
-        assert chart.view.viewRange()[0] == pytest.approx([-2, 0])
-    assert history._charts[RMS].title.text() == "RMS (rad): 5.00"
+        assert chart.plot.view.viewRange()[0] == pytest.approx([-2, 0])
+    texts = [chart.value.text() for chart in history.charts.values()]
+    assert texts == ["5.00 rad", "4.00 ms", "\N{MINUS SIGN}65.0 \N{DEGREE SIGN}C"]
+    stacked = [chart.mapTo(history, QPoint()).y() for chart in history.charts.values()]
+    assert stacked == sorted(set(stacked))
+    assert len({chart.height() for chart in history.charts.values()}) <= 2  # but for a rounded pixel
+    axes = [history.time_axis, *(chart.plot for chart in history.charts.values())]
+    edges = {(plot.mapTo(history, QPoint()).x(), plot.view.sceneBoundingRect().getRect()[::2]) for plot in axes}
+    assert len(edges) == 1  # a time is at the same place in all
+    assert history.time_axis.axes["bottom"].range == pytest.approx([-2, 0])
+    assert all(chart.value.width() >= chart.value.sizeHint().width() for chart in history.charts.values())
+
+
+def test_history_of_phases_follows_the_unit(window: MainWindow) -> None:
+    history = window.tabs.history
+    open_tab(window, "History")
+    click(QtBot, history.toggles[DELAY], history.toggles[DELAY].rect().center())  # type: ignore[arg-type] # static
+    for unit, per_rad in ((0, 1.0), (1, 1 / (2 * np.pi)), (2, 462 / (2 * np.pi))):
+        window.wavefront_panel.menu.units[unit].trigger()
+        window.show_measurement(measurement(0.5))
+        assert window._measurement is not None
+        window.tabs.record(window._measurement, full_scale=65535, temperature_c=None)
+        rms_rad = history.history.series(RMS)[1][-1]
+        value, name = history.charts[RMS].value.text().split(" ")
+        assert name == window.wavefront_panel.menu.unit
+        assert float(value) == pytest.approx(rms_rad * per_rad, rel=5e-3)
+        assert history.charts[RMS].curve.getData()[1][-1] == pytest.approx(rms_rad * per_rad)
+        assert history.charts[DELAY].value.text() == "4.00 ms"
 
 
 def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: QtBot) -> None:
