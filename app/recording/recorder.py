@@ -75,11 +75,8 @@ class BackgroundRecording:
         self._taken = 0
         self._first_s: float | None = None  # arrival of the first frame that was taken
         self._changed = threading.Condition()
-        self._is_open = True  # for more frames
-        self._problem = ""
-        self._is_finished = False
-        self._frames = 0
-        self._free_minutes = math.inf
+        self._is_open, self._is_finished, self._problem = True, False, ""  # open for more frames
+        self._frames, self._free_minutes = 0, math.inf
         self._began_s = time.perf_counter()
         self._ended_s: float | None = None
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
@@ -288,11 +285,6 @@ class Recorder:
     def kept_state(self) -> RecordingState | None:
         """State of the last `keep_recent`; None before the first."""
         return None if self._kept is None else self._kept.state
-
-    @property
-    def recent_frames(self) -> int:
-        """Number of frames in memory."""
-        return len(self._recent)
 
     def free_minutes(self, folder: Path) -> float:
         """Time until the disk of a folder is full at the present rate; infinite without frames.
