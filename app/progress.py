@@ -1,4 +1,4 @@
-"""Progress callbacks of long work."""
+"""Progress callbacks of long work, and counts in words."""
 
 from collections.abc import Callable
 
@@ -19,3 +19,8 @@ def named(progress: Progress, name: str) -> Progress:
 def between(progress: Progress, first: float, last: float) -> Progress:
     """Return the callback for the share of the work from `first` to `last`."""
     return lambda text, fraction: progress(text, first + (last - first) * fraction)
+
+
+def counted(count: int, noun: str = "frame") -> str:
+    """Return a count with its noun: "1 frame", "2 frames"."""
+    return f"{count} {noun}{'s' * (count != 1)}"

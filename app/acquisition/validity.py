@@ -6,6 +6,7 @@ from typing import Literal
 
 from app.measurement.routines.averages import Average
 from app.measurement.routines.device_state import Circumstances
+from app.progress import counted
 
 Validity = Literal["missing", "doubtful", "good"]
 
@@ -31,8 +32,9 @@ def doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit:
 def about(average: Average, taken: Circumstances) -> str:
     """Time and settings of an average, for people."""
     return (
-        f"{average.frames} frames at {datetime.now().astimezone():%H:%M:%S}: exposure {taken.exposure_s * 1e3:.4g} ms,"
-        f" amplifier {taken.amplifier}, gain {taken.em_gain:.4g}, mask {taken.mask}"
+        f"{counted(average.frames)} at {datetime.now().astimezone():%H:%M:%S}:"
+        f" exposure {taken.exposure_s * 1e3:.4g} ms, amplifier {taken.amplifier},"
+        f" gain {taken.em_gain:.4g}, mask {taken.mask}"
     )
 
 

@@ -14,6 +14,7 @@ from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea
+from app.progress import counted
 from app.recording.recorder import Limit, RecordingState
 from drivers.interface import Frame, WrongState
 from reconstruction.lattice.search import Survey
@@ -31,11 +32,11 @@ class Acquisition(AcquisitionLoop):
 
     def take_dark(self, frames: int) -> Future[None]:
         """Average `frames` frames into the dark."""
-        return self._routine(f"taking the dark, {frames} frames", Instrument.take_dark, frames)
+        return self._routine(f"taking the dark, {counted(frames)}", Instrument.take_dark, frames)
 
     def take_reference(self, frames: int) -> Future[None]:
         """Average `frames` frames into the reference."""
-        return self._routine(f"taking the reference, {frames} frames", Instrument.take_reference, frames)
+        return self._routine(f"taking the reference, {counted(frames)}", Instrument.take_reference, frames)
 
     def auto_expose(self) -> Future[AutoExposure]:
         """Find and set exposure and current; a `RoutineError` says why there are none."""
@@ -51,7 +52,7 @@ class Acquisition(AcquisitionLoop):
 
     def check_background(self, frames: int = 8) -> Future[BackgroundCheck]:
         """Compare the background with the dark."""
-        return self._routine(f"checking the background, {frames} frames", Instrument.check_background, frames)
+        return self._routine(f"checking the background, {counted(frames)}", Instrument.check_background, frames)
 
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.

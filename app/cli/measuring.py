@@ -52,7 +52,9 @@ def live(
         if frames is not None:
             raise InputError("--frames selects frames of a recording: add --replay RECORDING")
         if is_attended:
-            raise typer.Exit(bench_window(bench or _LIVE_BENCH, tuple(setting or ()), trust=trust_library))
+            offers_last = bench is None and not setting
+            source, overrides = bench or _LIVE_BENCH, tuple(setting or ())
+            raise typer.Exit(bench_window(source, overrides, trust=trust_library, offers_last=offers_last))
         loaded = load(bench or _LIVE_BENCH, setting)
         confirm_libraries(loaded, trust=trust_library)
         raise typer.Exit(unattended_window(loaded, seconds=seconds, out=out, overwrite=overwrite))

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from app.cli import printable
 from app.evaluation.selftest import Check
+from app.progress import counted
 from app.recording.recover import Recovered
 from app.results.quality import QualityTally
 from app.results.recording_results import Measured
@@ -60,7 +61,7 @@ def print_measurement(measured: Measured, out: Path) -> None:
     if measured.rotation is not None:
         _print_rotation(measured.rotation, rotates=2 * measured.rotating > measured.reconstructed)
     print_quality(measured.quality)
-    counts = f"{_frames(measured.recorded)}{why}, {measured.lost} lost by the camera; all is in {out}"
+    counts = f"{counted(measured.recorded)}{why}, {measured.lost} lost by the camera; all is in {out}"
     _print_sentence(counts)
 
 
@@ -96,11 +97,7 @@ def print_replay(made: Replay) -> None:
     print_quality(made.quality)
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
-    _print_sentence(f"{_frames(made.frames)}{why}")
-
-
-def _frames(count: int) -> str:
-    return f"{count} frame{'s' * (count != 1)}"
+    _print_sentence(f"{counted(made.frames)}{why}")
 
 
 def print_quality(quality: QualityTally) -> None:

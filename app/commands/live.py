@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from app.acquisition.devices import open_devices
 from app.acquisition.start_up import start_up
@@ -20,6 +20,9 @@ from app.recording.folder import FRAME_LINES
 from app.results.dataset import result_dataset, write_results
 from app.results.replay.player import Player
 from app.run_facts import now, software_facts, timing_facts, write_record
+
+if TYPE_CHECKING:
+    from app.gui.main_window import MainWindow
 
 _UNATTENDED_S = 5.0
 
@@ -49,18 +52,22 @@ def _fail(error: RunError, *_: object) -> NoReturn:
     raise error
 
 
-def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool) -> int:
+def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers_last: bool) -> int:
     """Run the window on a bench file or a preset until it is closed, and return the exit status.
 
-    The window shows what is wrong with the file, and opens others.
+    The window shows what is wrong with the file, and opens others; it may offer the one that was open last.
     """
     from app.gui.application import run_window
 
     with ExitStack() as streams:
         publishing = _Publishing(streams)
-        status = run_window(
-            None, make_for=publishing, open_first=lambda window: window.benches.open(source, overrides, trust=trust)
-        )
+
+        def open_first(window: "MainWindow") -> None:
+            window.benches.open(source, overrides, trust=trust)
+            if offers_last:
+                window.benches.offer_last()
+
+        status = run_window(None, make_for=publishing, open_first=open_first)
         if publishing.bench is not None and publishing.bench.has_manual_light:
             remind(LIGHT_BY_HAND)
     return status

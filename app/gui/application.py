@@ -12,10 +12,12 @@ from app.acquisition.start_up import acquisition_of
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError
+from app.gui.controller import CLOSING_S
 from app.gui.main_window import WINDOW_SIZE, MainWindow
 from app.gui.theme import apply_theme
 from app.gui.tour import offer_tour
 from app.gui.window_state import settings_file
+from app.gui.wording import left_behind
 from app.signals import ended_by
 
 _HOPELESS_FRAMES = 20
@@ -100,7 +102,7 @@ def run_window(
 def _raise_failure(window: MainWindow, *, is_interrupted: bool) -> None:
     """Raise why the window ended, unless its user closed it and all is well."""
     if window.controller.is_stuck:
-        raise RunError("a device does not answer, so the light may still be on: switch it off by hand")
+        raise RunError(left_behind(window.controller.status, CLOSING_S))
     error = window.controller.error if window.controller.failure else None  # may have come while closing
     if error is None and window.controller.acquisition is None:
         error = window.benches.error

@@ -24,6 +24,7 @@ from app.gui.settings_dialog import SettingsDialog
 
 _TEMPLATE = "live_demo"
 _FILES = "Bench (*.toml)"
+_LAST = "last/bench"  # key of the settings
 
 
 class BenchFiles(QObject):
@@ -32,9 +33,9 @@ class BenchFiles(QObject):
     def __init__(
         self, window: QWidget, connect: Callable[[Bench], object], controller: Controller, settings: QSettings | None
     ) -> None:
-        """`settings` remember the recent benches."""
+        """`settings` remember the recent benches and the last one."""
         super().__init__(window)
-        self._window, self._connect, self._controller = window, connect, controller
+        self._window, self._connect, self._controller, self._remembered = window, connect, controller, settings
         self.recent = RecentFiles(settings, "recent/benches")
         self.dialog = BenchDialog(window)
         self.settings: SettingsDialog | None = None  # made when it is needed
@@ -73,7 +74,19 @@ class BenchFiles(QObject):
         self.error = None
         if source and source not in PRESETS:
             self.recent.add(Path(source))
+            self._remember(Path(source))
         self._connect(bench)
+
+    def offer_last(self) -> None:
+        """Ask whether to open the bench that was opened last, if it is a file that still exists."""
+        name = None if self._remembered is None else self._remembered.value(_LAST)
+        if isinstance(name, str) and name and Path(name).is_file():
+            question = f'the bench "{Path(name).name}" was open last: open it again?'
+            self._controller.ask(question, partial(self.open, name), "Open it", "Not now")
+
+    def _remember(self, path: Path) -> None:
+        if self._remembered is not None:
+            self._remembered.setValue(_LAST, str(path.absolute()))
 
     def edit(self) -> None:
         """Edit the settings of the open bench, with lattice, exposure and current in force."""
@@ -111,6 +124,7 @@ class BenchFiles(QObject):
         name, _ = QFileDialog.getSaveFileName(self._window, "Save the bench", "bench.toml", _FILES)
         if name and self._controller.save_bench(Path(name)):
             self.recent.add(Path(name))
+            self._remember(Path(name))
 
     def recent_menu(self) -> QMenu:
         """Make the menu of the recent benches."""

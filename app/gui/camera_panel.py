@@ -12,16 +12,16 @@ from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
 from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
 from app.gui.plot import Canvas
+from app.gui.presentation import percent
 from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
 from app.gui.wording import LOST_REASONS
-from app.results.frame_statistics import FrameStatistics, frame_statistics
+from app.results.frame_statistics import FrameStatistics
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
 
 _AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
-_NEVER = 2**16  # more than any count
 _CLOSEST_PX = 8  # side of the smallest area that fills the view
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
@@ -45,7 +45,6 @@ class CameraPanel(QWidget):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
     lenslet_clicked = pyqtSignal(int, int)  # row and column
-    statistics_changed = pyqtSignal(object)  # FrameStatistics, a few times a second
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -53,8 +52,8 @@ class CameraPanel(QWidget):
         self._displacement: Displacement | None = None
         self._lattice: Lattice | None = None
         self._sensor: Sensor | None = None
-        self._full_scale = 0
-        self._contrast = ContrastLevels()
+        self.full_scale = 0  # highest count; 0 is unknown
+        self._levels = ContrastLevels()
         self._reach = AdaptiveScale(MAGNIFICATIONS)  # longest displacement over what fits between two lenslets
         self._pointer: QPointF | None = None
         self._statistics: FrameStatistics | None = None
@@ -65,10 +64,10 @@ class CameraPanel(QWidget):
         for chosen in (self.lattice_toggle, self.arrows_toggle):
             chosen.setChecked(True)
             chosen.toggled.connect(self._show_overlay)
-        self._contrast_choice = Choice()
-        self._contrast_choice.addItems([_AUTOMATIC, _FULL, _FROZEN])
-        self._contrast_choice.setToolTip("Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen")
-        self._contrast_choice.currentIndexChanged.connect(self._restart_contrast)
+        self.contrast = Choice()
+        self.contrast.addItems([_AUTOMATIC, _FULL, _FROZEN])
+        self.contrast.setToolTip("Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen")
+        self.contrast.currentIndexChanged.connect(self._restart_contrast)
         self.colours = Choice()
         self.colours.addItems(["grey", "inferno"])
         self.colours.setToolTip("Colours of the camera image")
@@ -98,9 +97,7 @@ class CameraPanel(QWidget):
         self.legend = label("", "on-image", self._graphics)
         self.caption = ElidedLabel("dim")
         self._title = label("Camera", "title")
-        self.header = row_of(
-            (self._title, 1), self.lattice_toggle, self.arrows_toggle, self._contrast_choice, self.colours
-        )
+        self.header = row_of((self._title, 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours)
         column(self.header, (self._graphics, 1), self.caption, parent=self)
         self._placeholder = label("no frame yet", "dim")
         column(self._placeholder, parent=self._graphics).setAlignment(Qt.AlignmentFlag.AlignCenter)
@@ -111,8 +108,8 @@ class CameraPanel(QWidget):
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
         """Set the lattice and the full scale of the next frames."""
-        if (sensor, lattice, full_scale) != (self._sensor, self._lattice, self._full_scale):
-            self._sensor, self._lattice, self._full_scale = sensor, lattice, full_scale
+        if (sensor, lattice, full_scale) != (self._sensor, self._lattice, self.full_scale):
+            self._sensor, self._lattice, self.full_scale = sensor, lattice, full_scale
             self._show_overlay()
 
     def propose(self, survey: Survey | None) -> None:
@@ -125,12 +122,13 @@ class CameraPanel(QWidget):
 
     def show_frame(self, frame: Frame, displacement: Displacement | None) -> None:
         """Show a frame and, if known, the displacement of its lenslets."""
+        is_first = self._frame is None  # a remembered frozen contrast begins with its levels
         is_new_shape = self._frame is None or self._frame.pixels.shape != frame.pixels.shape
         self._frame, self._displacement = frame, displacement
-        choice = self._contrast_choice.currentText()
-        if choice != _FROZEN:
-            self._contrast.follow(frame, self._full_scale, is_automatic=choice == _AUTOMATIC)
-        self._image.setImage(frame.pixels, autoLevels=False, levels=self._contrast.levels)
+        choice = self.contrast.currentText()
+        if choice != _FROZEN or is_first:
+            self._levels.follow(frame, self.full_scale, is_automatic=choice != _FULL)
+        self._image.setImage(frame.pixels, autoLevels=False, levels=self._levels.levels)
         if is_new_shape:
             self._placeholder.hide()
             self._image.setRect(self._area(frame))
@@ -144,17 +142,22 @@ class CameraPanel(QWidget):
         if self._frame is not None:
             self._view.setRange(self._area(self._frame))
 
-    def update_text(self) -> None:
-        """Update the brightness and the pixel under the pointer."""
+    def show_statistics(self, found: FrameStatistics) -> None:
+        """Show the brightness of a recent frame; clipped pixels are red from then on."""
+        self._statistics = found
+        self._update_text()
+
+    def _update_text(self) -> None:
+        """Show the brightness and the pixel under the pointer."""
         if self._frame is None:
             return
         parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM
-        found = self._statistics = frame_statistics(self._frame.pixels, self._full_scale)
-        self.statistics_changed.emit(found)
-        if self._full_scale:
-            brightness = f"peak {found.peak / self._full_scale:.0%} of full scale"
+        found = self._statistics
+        if found is not None and self.full_scale:
+            brightness = f"peak {percent(found.peak / self.full_scale)} of full scale"
             if found.clipped_share:
-                brightness, colour = f"{brightness}, {_share(found.clipped_share)} of the pixels clipped", theme.RED
+                share = percent(found.clipped_share, 1) if found.clipped_share >= 0.001 else "< 0.1 %"
+                brightness, colour = f"{brightness}, {share} of the pixels clipped", theme.RED
             elif found.is_nearly_full:
                 brightness, colour = f"{brightness}: nearly saturated, shorten the exposure", theme.AMBER
             parts.append(brightness)
@@ -162,7 +165,7 @@ class CameraPanel(QWidget):
         self.caption.setText("    ".join([*parts, self._pointed_at()]))
 
     def _restart_contrast(self) -> None:
-        self._contrast.restart()
+        self._levels.restart()
         if self._frame is not None:
             self.show_frame(self._frame, self._displacement)
 
@@ -170,12 +173,11 @@ class CameraPanel(QWidget):
         self._image.setLookupTable(pg.colormap.get(name).getLookupTable(nPts=256) if name != "grey" else None)
 
     def _show_clipped(self, frame: Frame) -> None:
-        """Paint clipped pixels red."""
+        """Paint clipped pixels red, if there were any when the statistics were taken."""
         known = self._statistics
-        level = self._full_scale if known is None else known.clip_level
-        clipped = frame.pixels >= (level or _NEVER)
-        self._clipped.setVisible(bool(clipped.any()))
-        if self._clipped.isVisible():
+        self._clipped.setVisible(known is not None and known.clipped_share > 0)
+        if known is not None and self._clipped.isVisible():
+            clipped = frame.pixels >= known.clip_level
             self._clipped.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))
             self._clipped.setRect(QRectF(-0.5, -0.5, *clipped.shape[::-1]))
 
@@ -243,7 +245,7 @@ class CameraPanel(QWidget):
     def _point_at(self, position: QPointF | None = None) -> None:
         """Show the pixel at a position, or none."""
         self._pointer = None if position is None else self._view.mapSceneToView(position)
-        self.update_text()
+        self._update_text()
 
     def _pointed_at(self) -> str:
         """Describe the pixel under the pointer and its lenslet; set the tool tip."""
@@ -276,10 +278,6 @@ def _clipped_item() -> pg.ImageItem:
     item.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
     item.setZValue(0.5)
     return item
-
-
-def _share(share: float) -> str:
-    return f"{share:.1%}" if share >= 0.001 else "< 0.1%"
 
 
 def _curve(view: pg.ViewBox, colour: QColor, alpha: int = 255, width: int = 1) -> pg.PlotCurveItem:

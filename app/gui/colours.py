@@ -1,7 +1,8 @@
 """Colour scales: the colours of values and the numbers beside a colour bar."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 import pyqtgraph as pg
@@ -26,6 +27,11 @@ class ColourScale:
     numbered: tuple[float, ...]  # fractions of the bar, 0 ... 1, that have numbers
     power: float = 1.0  # of the fraction: 0.5 is a square-root scale
     is_signed: bool = False
+
+    @property
+    def in_grey(self) -> Self:
+        """The same scale from black to white: a sign stays visible."""
+        return replace(self, colours="CET-L1")
 
     def pixels(self, values: Floats) -> Pixels:
         """Return the colours of values, the same shape; NaN is transparent."""

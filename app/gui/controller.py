@@ -40,7 +40,7 @@ T = TypeVar("T")
 Begin = Callable[[Acquisition], tuple[Future[Any], ...]]  # sends the first commands to an acquisition
 
 _DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
-_CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
+CLOSING_S = 45.0  # a frame of the slowest method takes up to half of it
 _CLOSING_POLL_S = 0.04
 
 
@@ -70,11 +70,11 @@ class Controller:
         documents = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
         self.recordings_folder = Path(documents or ".") / "svwfs"
         self.limit: Callable[[], Limit] = Limit  # of the next recording
-        self.is_stuck = False  # whether a device kept the worker from ending on `close`
+        self.is_stuck = False  # whether the worker did not end on `close`
         self._on_accept: Callable[[], object] | None = None  # what an accepted question leads to
         self._reported: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
-        self.light = LightControl(lambda: self.acquisition, self._send, self._ask, controls=controls, messages=messages)
+        self.light = LightControl(lambda: self.acquisition, self._send, self.ask, controls=controls, messages=messages)
         self._connect_settings(controls)
         self._connect_routines(controls)
 
@@ -115,7 +115,7 @@ class Controller:
         if self.acquisition is None:
             return
         self.acquisition.begin_close()
-        deadline_s = time.monotonic() + _CLOSING_S
+        deadline_s = time.monotonic() + CLOSING_S
         while self.acquisition.is_alive and time.monotonic() < deadline_s:
             self.acquisition.close(timeout_s=_CLOSING_POLL_S)
             meanwhile()
@@ -245,9 +245,9 @@ class Controller:
     def _propose(self, survey: Survey | None) -> None:
         self._camera_panel.propose(survey)
         if survey is not None:
-            self._ask(lattice_found(survey), partial(self._use_lattice, survey.lattice))
+            self.ask(lattice_found(survey), partial(self._use_lattice, survey.lattice))
 
-    def _ask(self, question: str, act: Callable[[], object], accept: str = "Use it", discard: str = "Discard") -> None:
+    def ask(self, question: str, act: Callable[[], object], accept: str = "Use it", discard: str = "Discard") -> None:
         """Ask the user, and act if the answer is yes."""
         self._on_accept = act
         self._messages.ask(question, accept=accept, discard=discard)

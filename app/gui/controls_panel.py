@@ -24,6 +24,7 @@ from app.gui.widgets import Choice, Slot, button, label, row, toggle
 from app.measurement.routines.averages import AVERAGED_FRAMES
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
+from reconstruction.wavefront import Wavefront
 
 _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
 _PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest stands for automatic
@@ -31,6 +32,15 @@ _LAMPS: dict[Validity, QColor] = {"missing": theme.DIM, "doubtful": theme.AMBER,
 _STATES: dict[Validity, str] = {"missing": "Missing", "doubtful": "Stale", "good": "Good"}
 _DARK_TIP = "Average frames with the light off: the background of all frames (D)"
 _REFERENCE_TIP = "Average frames without the sample: spot positions that count as zero (R)"
+_WARP_TIP = (
+    "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
+    "Subimages rotate only if the bench says registration.rotation = true.\n"
+    "More freedom resolves finer changes over the field. Most other methods ignore this"
+)
+_MODES_TIP = (
+    "Number of pupil modes that the modal method fits;\n"
+    "automatic: as many as the lattice supports, smoothed according to the noise"
+)
 
 
 class ControlsPanel(QFrame):
@@ -127,12 +137,7 @@ class ControlsPanel(QFrame):
             "Matching of the subimages with the reference: gauss_newton is this instrument's own method;\n"
             "the others come from the paper and related software, and some are too slow for live use",
         )
-        self.warp = self._setting(
-            "registration.warp",
-            "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
-            "Subimages rotate only if the bench says registration.rotation = true.\n"
-            "More freedom resolves finer changes over the field. Most other methods ignore this",
-        )
+        self.warp = self._setting("registration.warp", _WARP_TIP)
         self.method = self._setting(
             "reconstruction.method", "Wavefront from the slopes: lenslet by lenslet (zonal) or as polynomials (modal)"
         )
@@ -140,12 +145,7 @@ class ControlsPanel(QFrame):
             "reconstruction.basis",
             "Polynomials of the modal method: legendre for a square pupil, zernike for a circular one",
         )
-        self.pupil_modes = NumberField(
-            name="Modes",
-            tool_tip="Number of pupil modes that the modal method fits;\n"
-            "automatic: as many as the lattice supports, smoothed according to the noise",
-            lowest=AUTOMATIC,
-        )
+        self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
         self.pupil_modes.entered.connect(
             lambda value: self._request("reconstruction.pupil_modes", round(value) if value in PUPIL_MODES else None)
         )
@@ -249,6 +249,17 @@ class ControlsPanel(QFrame):
             is_missing = validity == "missing"
             taken.setIcon(theme.validity_lamp(_LAMPS[validity], is_good=validity == "good", is_missing=is_missing))
             taken.setToolTip(f"{tool_tip}\n\n{_STATES[validity]}: {note}")
+
+    def show_automatic(self, wavefront: Wavefront | None) -> None:
+        """Tell in the tool tips what was chosen automatically for a wavefront."""
+        warp, modes = _WARP_TIP, _MODES_TIP
+        if wavefront is not None and self.warp.isEnabled() and self.warp.currentText() == AUTOMATIC:
+            fields = wavefront.displacement.modes.count
+            warp += "".join(f"\n\nChosen now: {name}" for name, count in FIELD_MODES.items() if count == fields)
+        if wavefront is not None and self.pupil_modes.isEnabled() and self.pupil_modes.text() == AUTOMATIC:
+            modes += "" if wavefront.coefficients is None else f"\n\nChosen now: {len(wavefront.coefficients)}"
+        self.warp.setToolTip(warp)
+        self.pupil_modes.setToolTip(modes)
 
 
 def _light_texts(status: Status) -> tuple[str, str]:

@@ -8,6 +8,7 @@ from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.plot import Plot
+from app.gui.presentation import percent
 from app.gui.widgets import column
 from app.results.frame_statistics import NEARLY_FULL, FrameStatistics
 
@@ -47,5 +48,5 @@ class HistogramPanel(QWidget):
         for line, part in zip(self._lines, (NEARLY_FULL, 1.0), strict=True):
             line.setValue(part * found.clip_level)
         self.plot.set_ranges((0, float(found.level[-1])), (0, float(np.log10(max(found.pixels.max(), 10))) + 0.2))
-        share = f", {found.clipped_share:.2%} of the pixels clipped" if found.clipped_share else ""
+        share = f", {percent(found.clipped_share, 2)} of the pixels clipped" if found.clipped_share else ""
         self.plot.title.setText(f"Histogram: peak {found.peak} of {found.clip_level} counts{share}")

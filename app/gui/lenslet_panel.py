@@ -5,7 +5,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.colours import ColourScale, diverging
-from app.gui.presentation import number, signed
+from app.gui.presentation import number, percent, signed
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, column, label, row
 from app.gui.wording import LOST_REASONS
@@ -21,7 +21,8 @@ class LensletPanel(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.lenslet: tuple[int, int] | None = None  # row and column
-        self.title, self.numbers = ElidedLabel("title"), ElidedLabel()
+        self.title = ElidedLabel("title")
+        self.numbers, self.quality = ElidedLabel(), ElidedLabel()
         self.tiles = {name: ViewGrid() for name in ("Reference", "Frame", "Frame, warped back", "Residual")}
         self.tiles["Reference"].setToolTip("Spot image without the sample")
         columns = []
@@ -30,7 +31,7 @@ class LensletPanel(QWidget):
             tile.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             tile.empty = ""
             columns.append((column(label(name, "dim"), (tile, 1), spacing=2), 1))
-        column(self.title, (row(*columns, spacing=10), 1), self.numbers, parent=self)
+        column(self.title, (row(*columns, spacing=10), 1), column(self.numbers, self.quality, spacing=0), parent=self)
         self.select(None)
 
     def select(self, lenslet: tuple[int, int] | None) -> None:
@@ -39,7 +40,7 @@ class LensletPanel(QWidget):
         self.title.setText(
             "Click a lenslet in the camera image" if lenslet is None else "Lenslet row {}, column {}".format(*lenslet)
         )
-        self.numbers.setText("")
+        self._write("" if lenslet is None else "computing \N{HORIZONTAL ELLIPSIS}")
         for tile in self.tiles.values():
             tile.show_maps(None)
 
@@ -50,7 +51,7 @@ class LensletPanel(QWidget):
     def show_inspection(self, found: LensletInspection | None) -> None:
         """Show an inspection unless another lenslet was selected meanwhile; None without a reference."""
         if found is None:
-            self.numbers.setText("nothing to inspect: there is no reference, or no wavefront")
+            self._write("nothing to inspect: there is no reference, or no wavefront")
             return
         if (found.row, found.column) != self.lenslet:
             return
@@ -64,28 +65,32 @@ class LensletPanel(QWidget):
         for tile, image in zip(self.tiles.values(), images, strict=True):
             scale = light if image is not found.residual or image is None else _residual_scale(image)
             tile.show_maps(None if image is None else Maps(image[None, None], scale, _describe))
-        self.numbers.setText(_numbers(found))
-        self.numbers.setToolTip(self.numbers.text().replace("    ", "\n"))
+        self._write(*_numbers(found))
+
+    def _write(self, numbers: str, quality: str = "") -> None:
+        for line, text in ((self.numbers, numbers), (self.quality, quality)):
+            line.setText(text)
+            line.setToolTip(text)
 
 
 def _residual_scale(residual: Floats) -> ColourScale:
     return diverging(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0), "")
 
 
-def _numbers(found: LensletInspection) -> str:
+def _numbers(found: LensletInspection) -> tuple[str, str]:
+    """Return the displacement, and how good it is."""
     if not np.isfinite(found.displacement_px).all():
-        return ""
+        return "", ""
     x, y = (
         f"{axis} {signed(float(value))} \N{PLUS-MINUS SIGN} {number(float(sigma), 2)}"
         for axis, value, sigma in zip("xy", found.displacement_px, found.sigma_px, strict=True)
     )
     parts = [
-        f"displacement {x}, {y} px",
-        f"residual {found.residual_rms:.1%} of the contrast",
+        f"residual {percent(found.residual_rms, 1)} of the contrast",
         f"chi-square {number(found.chi_square)}",
-        f"{found.range_used:.0%} of the dynamic range",
+        f"{percent(found.range_used)} of the range used",
     ]
-    return "    ".join(parts)
+    return f"displacement {x}, {y} px", "    ".join(parts)
 
 
 def _describe(row: int, column: int, value: float) -> str:

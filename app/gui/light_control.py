@@ -8,6 +8,7 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.gui.controls_panel import ControlsPanel
 from app.gui.message_strip import MessageStrip
+from app.progress import counted
 
 
 class _Send(Protocol):
@@ -94,7 +95,7 @@ class LightControl:
         acquisition = self._acquisition()
         status = None if acquisition is None else acquisition.status
         if status is not None and getattr(status, name) == "good":
-            self._messages.inform(f"{name} taken: mean of {frames} frame{'s' * (frames != 1)}")
+            self._messages.inform(f"{name} taken: mean of {counted(frames)}")
 
     def _must_ask(self, *, on: bool) -> bool:
         acquisition = self._acquisition()

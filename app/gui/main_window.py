@@ -1,11 +1,12 @@
 """The main window: lays out the views and refreshes them from the acquisition 25 times a second."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QEventLoop, QObject, QSettings, QSize, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QEventLoop, QSettings, QSize, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
@@ -35,7 +36,8 @@ from app.gui.wavefront_panel import WavefrontPanel
 from app.gui.widgets import column
 from app.gui.window_menus import window_menus
 from app.gui.window_state import fit_to_screen, restore_state, save_state
-from app.gui.wording import advice, light_when_closing, shut_down, stale, warning
+from app.gui.wording import advice, conditions_of, is_replay, light_when_closing, stale, warning, way_out
+from app.results.frame_statistics import frame_statistics
 from app.results.replay.player import Player
 from app.timing import Timings
 
@@ -68,6 +70,8 @@ class MainWindow(QMainWindow):
         self._status: Status | None = None
         self._failure = ""
         self._is_closing, self._refreshes = False, 0
+        self._conditions: tuple[object, ...] = ()  # of the frames
+        self._changed_s = -math.inf  # time of their last change
         self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
 
         self.camera_panel = CameraPanel()
@@ -95,7 +99,6 @@ class MainWindow(QMainWindow):
         for failed in (self._analysis.failed, self.wavefront_panel.refused, self.replay.failed):
             failed.connect(self.messages.warn)
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
-        self.camera_panel.statistics_changed.connect(self.tabs.histogram.show_statistics)
         self.recording_bar = RecordingBar(self.controller, self.messages, settings)
         self._lay_out()
         for field in self.findChildren(NumberField):
@@ -103,10 +106,14 @@ class MainWindow(QMainWindow):
         self.benches = BenchFiles(self, lambda bench: self.open(lambda: make_for(bench)), self.controller, settings)
         self.drop = FileDrop(self)
         fill_menus(self, window_menus(self), help_entries(self))
-        self._restore_state()
+        if settings is not None:
+            restore_state(settings, self)
+        fit_to_screen(self)
         self._timer = QTimer(self)
         self._timer.setInterval(_REFRESH_INTERVAL_MS)
         self._timer.timeout.connect(self.refresh)
+        self.recording_panel.setEnabled(False)
+        self.update_text()
 
     def connect_devices(self) -> None:
         """Open the devices and start measuring, also after a failure."""
@@ -173,6 +180,8 @@ class MainWindow(QMainWindow):
     def show_status(self, status: Status) -> None:
         """Show the state of the instrument."""
         self._status = status
+        if (conditions := conditions_of(status)) != self._conditions:
+            self._conditions, self._changed_s = conditions, time.perf_counter()
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
         self.controls.show_status(status, is_settled=self.controller.pending.is_empty)
         if self.controller.light.is_switching_off:
@@ -186,24 +195,30 @@ class MainWindow(QMainWindow):
 
     def update_text(self) -> None:
         """Update the numbers and the message."""
-        self.camera_panel.update_text()
         self.wavefront_panel.update_text()
-        if self._measurement is not None and (status := self.controller.status) is not None:
-            full_scale, temperature_c = status.capabilities.full_scale, status.temperature_c
-            self.tabs.record(self._measurement, full_scale=full_scale, temperature_c=temperature_c)
+        acquisition, status, measurement = self.controller.acquisition, self._status, self._measurement
+        if measurement is not None:
+            statistics = frame_statistics(measurement.frame.pixels, self.camera_panel.full_scale)
+            self.camera_panel.show_statistics(statistics)
+            self.tabs.histogram.show_statistics(statistics)
+            self.controls.show_automatic(measurement.wavefront)
+        if measurement is not None and (now := self.controller.status) is not None:
+            full_scale, temperature_c = now.capabilities.full_scale, now.temperature_c
+            self.tabs.record(measurement, full_scale=full_scale, temperature_c=temperature_c)
         self.controller.show_recordings()
         self.recording_bar.refresh()
-        acquisition, status, measurement = self.controller.acquisition, self._status, self._measurement
         self.status_line.update_text(status, None if acquisition is None else acquisition.timings.summary())
         activity = Activity() if acquisition is None else acquisition.activity
         is_live = status is not None and status.is_running and not activity.text
-        live = measurement if is_live else None
+        is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
+        live = measurement if is_live and is_present else None  # what is wrong with earlier frames is over
         alarm = ""
         if status is not None and not activity.text:
             alarm = warning(status) if live is None else warning(status, live.problem, live.wavefront, live.quality)
         self.messages.show_state(
             failure=self._failure,
-            shut_down=shut_down(status),
+            way_out=way_out(status),
+            may_reconnect=not is_replay(status),
             warning=alarm,
             advice=advice(status, activity, measurement),
         )
@@ -235,7 +250,7 @@ class MainWindow(QMainWindow):
             return
         self._is_closing = True
         if self._settings is not None:
-            save_state(self._settings, self, self._parts, self.controller.recordings_folder)
+            save_state(self._settings, self)
         self._timer.stop()
         self._analysis.close()
         self.recording_bar.commands.close()
@@ -274,19 +289,6 @@ class MainWindow(QMainWindow):
         if (bar := self.menuBar()) is not None:
             bar.setNativeMenuBar(False)  # a native one has no corner
             bar.setCornerWidget(self.recording_panel)
-
-    def _restore_state(self) -> None:
-        self._parts: dict[str, QObject] = {
-            "window/times": self.status_line.timing_row,
-            "view/quantity": self.wavefront_panel.choice,
-            "camera/lattice": self.camera_panel.lattice_toggle,
-            "camera/arrows": self.camera_panel.arrows_toggle,
-            "camera/colours": self.camera_panel.colours,
-        }
-        if self._settings is not None:
-            folder = restore_state(self._settings, self, self._parts)
-            self.controller.recordings_folder = folder or self.controller.recordings_folder
-        fit_to_screen(self)
 
     def quit(self) -> None:
         """Close the window; if a person switches the light, ask for that first."""

@@ -14,7 +14,7 @@ _NOTICE_S = 8.0  # how long a notice is shown
 
 
 class MessageStrip(QFrame):
-    """Shows one message by priority: failure, alarm, question, notice, warning, advice."""
+    """Shows one message by priority: failure, alarm, refused entry, question, notice, warning, advice."""
 
     reconnect_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
@@ -81,14 +81,16 @@ class MessageStrip(QFrame):
         """Dismiss the alarm, discard the proposal, or request to cancel."""
         if self._alarm:
             self.alarm("")
-        elif self._question:
+        elif self._asks:
             self._answer(is_accepted=False)
+        elif self._question:
+            self.clear_notice()  # of a refused entry: the question is seen again
         else:
             self.cancel_requested.emit()
 
     def enter(self) -> None:
-        """Accept the proposal unless an alarm hides it."""
-        if self._question and not self._alarm:
+        """Accept the proposal unless another message hides it."""
+        if self._asks:
             self._answer(is_accepted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
@@ -100,29 +102,30 @@ class MessageStrip(QFrame):
             self.progress.setValue(round(activity.progress * 1000))
             self.progress.setToolTip(f"{activity.text}: Esc cancels")
 
-    def show_state(self, *, failure: str, warning: str, advice: str, shut_down: str) -> None:
-        """Show the message of highest priority; `shut_down` tells what follows from a failure."""
+    def show_state(
+        self, *, failure: str, warning: str, advice: str, way_out: str = "", may_reconnect: bool = True
+    ) -> None:
+        """Show the message of highest priority; `way_out` tells what follows from a failure and what to do."""
         for name, text in (("failure", failure), ("warning", warning)):
             if self._standing.get(name) != text:
                 self._standing[name] = text
                 self._say(text)
-        self.reconnect.setVisible(bool(failure))
+        self.reconnect.setVisible(bool(failure) and may_reconnect)
         if failure:
             self._question = ""  # no device is left to apply it
-        asks = bool(self._question) and not self._alarm
         for widget, is_shown in (
-            (self.accept, asks),
-            (self.discard, asks),
+            (self.accept, self._asks),
+            (self.discard, self._asks),
             (self.dismiss, bool(self._alarm) and not failure),
         ):
             widget.setVisible(is_shown)
         if failure:
-            self._show(f"{failure}  \N{EM DASH}  {shut_down}: reconnect (Ctrl+R)", theme.RED)
+            self._show(f"{failure}  \N{EM DASH}  {way_out}", theme.RED)
         elif self._alarm:
             self._show(self._alarm, theme.RED)
-        elif self._question:
+        elif self._asks:
             self._show(self._question, theme.GREEN)
-        elif self._notice and time.monotonic() < self._notice_until_s:
+        elif self._has_notice:
             self._show(self._notice, self._notice_colour)
         elif warning:
             self._show(warning, theme.AMBER)
@@ -132,6 +135,16 @@ class MessageStrip(QFrame):
     def show_closing(self, light: str) -> None:
         """Show that the window closes as soon as the devices have ended; `light` tells what becomes of it."""
         self._show(f"closing: {light}; waiting for the frame that is being processed", theme.AMBER)
+
+    @property
+    def _has_notice(self) -> bool:
+        return bool(self._notice) and time.monotonic() < self._notice_until_s
+
+    @property
+    def _asks(self) -> bool:
+        """True if the question is seen: no alarm and no refused entry hides it."""
+        is_refusing = self._has_notice and self._notice_colour is theme.RED
+        return bool(self._question) and not self._alarm and not is_refusing
 
     def _answer(self, *, is_accepted: bool) -> None:
         self._question = ""
@@ -154,4 +167,6 @@ class MessageStrip(QFrame):
 
 
 def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
+    """Begin a message with a capital, unless it begins with the name of a file."""
+    first = text.partition(" ")[0].rstrip(":,;")
+    return text if "." in first else text[:1].upper() + text[1:]

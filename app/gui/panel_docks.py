@@ -83,6 +83,9 @@ class PanelDocks:
         self._settle = QTimer(window)  # after all the signals of a change
         self._settle.setSingleShot(True)
         self._settle.timeout.connect(self._show_titles)
+        self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
+        self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        window.setCentralWidget(self._hint)
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
                 changed.connect(lambda *_: self._settle.start(0))
@@ -137,6 +140,7 @@ class PanelDocks:
 
     def _show_titles(self) -> None:
         """Show the header of each panel that has no tab, and dress the tabs, which Qt makes when it needs them."""
+        self._hint.setVisible(all(dock.isHidden() or dock.isFloating() for dock in self.docks))
         for dock in self.docks:
             tabs = (other for other in self._window.tabifiedDockWidgets(dock) if not other.isHidden())
             dock.bar.show_compact(is_compact=not dock.isFloating() and any(tabs))

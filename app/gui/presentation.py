@@ -60,6 +60,11 @@ def number(value: float, digits: int = 3) -> str:
     )
 
 
+def percent(share: float, decimals: int = 0) -> str:
+    """Format a share of 1 in percent."""
+    return f"{100 * share:.{decimals}f} %"
+
+
 def signed(value: float) -> str:
     """Format a number with its sign."""
     return f"+{number(value)}" if value > 0 else number(value)

@@ -16,6 +16,7 @@ from app.gui.number_field import NumberField
 from app.gui.recent_files import RecentFiles
 from app.gui.text_field import TextField
 from app.gui.widgets import Choice, ElidedLabel, button, label, row
+from app.progress import counted
 from app.recording.description import describe
 from app.recording.recorder import Limit, RecordingState
 from drivers.interface import Range
@@ -159,7 +160,7 @@ class RecordingBar(QFrame):
         if state is None:
             text = "Next recording"
         elif is_over:
-            text = f"{state.frames} frames in {(self.folder or state.folder).name}"
+            text = f"{counted(state.frames)} in {(self.folder or state.folder).name}"
         else:
             text = f"Recording {state.folder.name}"
         self.text.setText(text)

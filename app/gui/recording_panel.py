@@ -7,6 +7,7 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from app.gui import theme
 from app.gui.widgets import ElidedLabel, button, row, toggle
+from app.progress import counted
 from app.recording.recorder import RECENT_S, RecordingState
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # more is cut off; the tool tip has it
@@ -57,7 +58,7 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
         return ()
     minutes, seconds = divmod(round(state.seconds), 60)
     behind = (f"{state.waiting} waiting for the disk",) if state.waiting > _BEHIND else ()
-    return (f"{state.frames} frames", f"{minutes}:{seconds:02d}", *behind)
+    return (counted(state.frames), f"{minutes}:{seconds:02d}", *behind)
 
 
 def _duration(minutes: float) -> str:

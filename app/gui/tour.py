@@ -47,8 +47,9 @@ class Tour(QFrame):
                 window.controls,
                 "Devices and calibration",
                 (
-                    "Set the exposure (X), then take a dark (D) and a reference without the sample (R). The lamps on"
-                    " these buttons, and their tooltips, tell whether both still fit the frames."
+                    "Calibrate (Ctrl+K) finds lattice and exposure, takes dark and reference, and explains each step;"
+                    " X, D and R do single ones. The lamps on Dark and Reference, and their tooltips, tell whether both"
+                    " still fit the frames."
                 ),
             ),
             (window.messages, "Messages", "What is wrong, why, and which key helps. Ctrl+L opens the log with times."),

@@ -74,9 +74,14 @@ class ViewGrid(QWidget):
         """Show a map of every view, or that there is no wavefront."""
         self.maps = maps
         if maps is not None:
-            self._pixels = maps.scale.pixels(maps.values)
+            self._pixels = self._scale(maps).pixels(maps.values)
             self._number_width = max(self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks) + 1
         self.update()
+
+    def show_stale(self, *, is_stale: bool) -> None:
+        """Show the maps in grey, or in colours."""
+        self.is_stale = is_stale
+        self.show_maps(self.maps)
 
     def select(self, view: tuple[int, int] | None) -> None:
         """Frame the view (view_row, view_column), or none."""
@@ -111,7 +116,7 @@ class ViewGrid(QWidget):
         whole = self._pixels.swapaxes(1, 2).reshape(view_rows * rows, view_columns * columns)
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, maps.is_smooth and bool(is_known))
         painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
-        pixmap = QPixmap.fromImage(self._dimmed(_image(whole)))
+        pixmap = QPixmap.fromImage(_image(whole))
         fragments = [
             QPainter.PixmapFragment.create(
                 QRectF(places.tile(row, column)).center(),
@@ -159,13 +164,8 @@ class ViewGrid(QWidget):
         if 0 <= row < self.maps.values.shape[0] and 0 <= column < self.maps.values.shape[1]:
             self.selected.emit(row, column)
 
-    def _dimmed(self, image: QImage) -> QImage:
-        """Return an image without its colours if the maps are stale."""
-        if not self.is_stale:
-            return image
-        grey = image.convertToFormat(QImage.Format.Format_Grayscale8).convertToFormat(QImage.Format.Format_ARGB32)
-        grey.setAlphaChannel(image.convertToFormat(QImage.Format.Format_Alpha8))
-        return grey
+    def _scale(self, maps: Maps) -> ColourScale:
+        return maps.scale.in_grey if self.is_stale else maps.scale
 
     def _view_at(self, position: QPoint) -> tuple[int, int] | None:
         if self.maps is None:
@@ -227,7 +227,7 @@ class ViewGrid(QWidget):
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
-        painter.drawImage(bar, self._dimmed(_image(maps.scale.bar[::-1, None])))
+        painter.drawImage(bar, _image(self._scale(maps).bar[::-1, None]))
         painter.setPen(theme.TEXT)
         title = QRect(bar.left(), bar.top() - line - 4, self.width(), line)
         painter.drawText(title, Qt.AlignmentFlag.AlignVCenter, maps.scale.title)

@@ -82,11 +82,10 @@ class WavefrontPanel(QWidget):
     def show_stale(self, reason: str) -> None:
         """Show the maps in grey for this reason; empty if they are good."""
         if reason != self.stale.text():
-            self.grid.is_stale = bool(reason)
+            self.grid.show_stale(is_stale=bool(reason))
             self.stale.setText(reason)
             self.stale.setToolTip(reason)
             self.stale.setVisible(bool(reason))
-            self.grid.update()
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
         """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""

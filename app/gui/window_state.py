@@ -1,9 +1,17 @@
-"""State of the window between two starts: geometry, shown view and overlays, colours, and the recordings folder."""
+"""State of the window between two starts: geometry, display options, colours, and the recordings folder."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QByteArray, QObject, QRect, QSettings, QSize
+from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QAbstractButton, QComboBox, QMainWindow, QWidget
+
+if TYPE_CHECKING:
+    from app.gui.main_window import MainWindow
 
 _LAYOUT = 1  # changes with the set of panels; a state of another layout is ignored
 _FRAME = QSize(10, 40)  # px; window managers add it only when the window is shown
@@ -14,27 +22,28 @@ def settings_file() -> QSettings:
     return QSettings(QSettings.Format.IniFormat, QSettings.Scope.UserScope, "svwfs", "svwfs")
 
 
-def save_state(settings: QSettings, window: QMainWindow, parts: dict[str, QObject], recordings_folder: Path) -> None:
-    """Save the window and its parts: panels, choices, toggles, and widgets that can be hidden, by their keys."""
+def save_state(settings: QSettings, window: MainWindow) -> None:
+    """Save the window and its parts: panels, choices, toggles, and widgets that can be hidden."""
     settings.setValue("window/geometry", window.saveGeometry())
     settings.setValue("window/panels", window.saveState(_LAYOUT))
-    settings.setValue("folders/recordings", str(recordings_folder))
-    for key, part in parts.items():
+    settings.setValue("folders/recordings", str(window.controller.recordings_folder))
+    for key, part in _parts(window).items():
         settings.setValue(key, _state(part))
     settings.sync()
 
 
-def restore_state(settings: QSettings, window: QMainWindow, parts: dict[str, QObject]) -> Path | None:
-    """Restore what was saved; return the recordings folder if it still exists."""
+def restore_state(settings: QSettings, window: MainWindow) -> None:
+    """Restore what was saved; the recordings folder only if it still exists."""
     if isinstance(geometry := settings.value("window/geometry"), QByteArray):
         window.restoreGeometry(geometry)
     if isinstance(panels := settings.value("window/panels"), QByteArray):
         window.restoreState(panels, _LAYOUT)
-    for key, part in parts.items():
+    for key, part in _parts(window).items():
         if settings.contains(key):
-            _restore(part, settings.value(key))
+            _restore(part, str(settings.value(key)))  # an INI file stores text
     folder = settings.value("folders/recordings")
-    return Path(folder) if isinstance(folder, str) and Path(folder).is_dir() else None
+    if isinstance(folder, str) and Path(folder).is_dir():
+        window.controller.recordings_folder = Path(folder)
 
 
 def fit_to_screen(window: QMainWindow) -> None:
@@ -49,8 +58,38 @@ def fit_to_screen(window: QMainWindow) -> None:
     window.move(max(outer.left(), free.left()), max(outer.top(), free.top()))
 
 
-def _state(part: QObject) -> object:
+def _parts(window: MainWindow) -> Mapping[str, QObject | None]:
+    """Return what has a state, by the keys of the settings."""
+    camera, wavefront, menu, tabs = (
+        window.camera_panel,
+        window.wavefront_panel,
+        window.wavefront_panel.menu,
+        window.tabs,
+    )
+    return {
+        "window/times": window.status_line.timing_row,
+        "camera/lattice": camera.lattice_toggle,
+        "camera/arrows": camera.arrows_toggle,
+        "camera/contrast": camera.contrast,
+        "camera/colours": camera.colours,
+        "view/quantity": wavefront.choice,
+        "view/tilt": menu.tilt,
+        "view/defocus": menu.defocus,
+        "view/average": menu.averages[0].actionGroup(),
+        "view/unit": menu.units[0].actionGroup(),
+        "view/grid": menu.grids[0].actionGroup(),
+        "coefficients/basis": tabs.coefficients.basis,
+        "history/minutes": tabs.history.minutes,
+        **{f"history/chart {index}": toggle for index, toggle in enumerate(tabs.history.toggles.values())},
+    }
+
+
+def _state(part: QObject | None) -> object:
     match part:
+        case QActionGroup():
+            return "" if (chosen := part.checkedAction()) is None else chosen.text()
+        case QAction():
+            return int(part.isChecked())
         case QComboBox():
             return part.currentText()
         case QAbstractButton():
@@ -60,11 +99,17 @@ def _state(part: QObject) -> object:
     raise TypeError(f"{type(part).__name__} has no state to save")
 
 
-def _restore(part: QObject, value: object) -> None:
-    is_on = str(value) == "1"  # an INI file stores text
+def _restore(part: QObject | None, value: str) -> None:
+    is_on = value == "1"
     match part:
+        case QActionGroup():
+            for action in part.actions():
+                if action.text() == value:
+                    action.trigger()
+        case QAction():
+            part.setChecked(is_on)
         case QComboBox():
-            part.setCurrentText(str(value))  # ignored if there is no such item
+            part.setCurrentText(value)  # ignored if there is no such item
         case QAbstractButton():
             part.setChecked(is_on)
         case QWidget():

@@ -6,8 +6,10 @@ import numpy as np
 
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Activity, Measurement
+from app.gui.presentation import percent
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.sensor_region import SensorArea, lenslets_outside
+from app.progress import counted
 from app.recording.recorded_devices import RecordedLight
 from app.recording.recorder import RecordingState
 from app.results.rotation import ROTATES, rotation_of
@@ -56,6 +58,12 @@ def warning(
     return f"{status.warning}  ({keys})" if status.warning and keys else status.warning
 
 
+def conditions_of(status: Status) -> tuple[object, ...]:
+    """Return the conditions of the frames: what is wrong with a frame tells nothing of later ones under others."""
+    notes = (status.dark_note, status.reference_note)
+    return (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *notes)
+
+
 def stale(status: Status) -> str:
     """Return why wavefronts are shown in grey; empty if dark and reference fit the frames."""
     notes = ((status.dark, status.dark_note), (status.reference, status.reference_note))
@@ -68,10 +76,9 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     if activity.text:
         return f"{activity.text}: Esc cancels" if status is not None else activity.text
     if status is None:
-        return ""
+        return "no bench is open: open one (Ctrl+O), or a preset in the menu Bench"
     if not status.is_running:
-        is_replay = status.light_name == RecordedLight.name
-        return "the replay is paused: Space plays it" if is_replay else "the camera is stopped: Space starts it"
+        return "the replay is paused: Space plays it" if is_replay(status) else "the camera is stopped: Space starts it"
     if (
         measurement is not None
         and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s
@@ -80,12 +87,26 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     return "F1 shows keys and conventions"
 
 
-def shut_down(status: Status | None) -> str:
-    """Return what a failure has shut down: a manual light, only a person can."""
-    is_by_hand = status is not None and status.bench.has_manual_light
-    return (
-        "the devices are shut down, switch the light off by hand" if is_by_hand else "light and devices are shut down"
-    )
+def is_replay(status: Status | None) -> bool:
+    """True if a recording plays in place of the devices."""
+    return status is not None and status.light_name == RecordedLight.name
+
+
+def way_out(status: Status | None) -> str:
+    """Return what a failure has shut down, and what to do: a manual light, only a person can switch off."""
+    if is_replay(status):
+        return "the replay has ended: open the recording again (Ctrl+Shift+O)"
+    if status is not None and status.bench.has_manual_light:
+        return "the devices are shut down, switch the light off by hand: reconnect (Ctrl+R)"
+    return "light and devices are shut down: reconnect (Ctrl+R)"
+
+
+def left_behind(status: Status | None, waited_s: float) -> str:
+    """Return what is known of the light if the window closed before its worker had ended."""
+    hangs = f"a device or a computation did not end within {waited_s:g} s"
+    if status is None or (status.is_light_on and not status.bench.has_manual_light):
+        return f"{hangs}, so the light may still be on: switch it off by hand"
+    return f"{hangs}; {light_when_closing(status)}"
 
 
 def light_when_closing(status: Status) -> str:
@@ -109,7 +130,7 @@ def exposure_found(found: AutoExposure) -> str:
     """Describe the result of the automatic exposure."""
     return (
         f"exposure {found.exposure_s * 1e3:.4g} ms, light {found.current_a * 1e3:.4g} mA:"
-        f" {100 * found.fill:.0f} % of full scale, after {found.frames} frames"
+        f" {percent(found.fill)} of full scale, after {counted(found.frames)}"
     )
 
 
@@ -144,15 +165,15 @@ def _cut_off(status: Status, area: SensorArea) -> str:
 def recording_ended(state: RecordingState) -> str:
     """Describe a finished recording."""
     if state.stage == "ended early":
-        return f"the recording ended early, {state.frames} frames are saved: {state.problem}"
-    return f"recorded {state.frames} frames in {state.folder}"
+        return f"the recording ended early, {counted(state.frames)} saved: {state.problem}"
+    return f"recorded {counted(state.frames)} in {state.folder}"
 
 
 def lenslet_summary(displacement: Displacement) -> list[str]:
     """Return one line for each reason why lenslets are lost, and one for the used dynamic range."""
     counts = [(np.count_nonzero(displacement.outcome == outcome), why) for outcome, why in LOST_REASONS.items() if why]
-    used = 100 * np.nanmax(displacement.range_used, initial=0.0)
+    used = percent(float(np.nanmax(displacement.range_used, initial=0.0)))
     return [
         *(f"{count} lost: {why}" for count, why in counts if count),
-        f"{used:.0f} % of the dynamic range used; at 100 % light reaches the edge of its cell",
+        f"{used} of the dynamic range used; at 100 % light reaches the edge of its cell",
     ]

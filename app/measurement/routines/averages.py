@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from app.measurement.routines.device_state import restored
 from app.measurement.routines.frames import FrameProgress, ShouldStop, next_frame
+from app.progress import counted
 from drivers.interface import BadValue, Camera, Devices
 
 AVERAGED_FRAMES = range(1, 10_001)  # allowed numbers
@@ -69,4 +70,4 @@ def take_reference(devices: Devices, frames: int, *, progress: FrameProgress, sh
 
 def _check(frames: int) -> None:
     if frames not in AVERAGED_FRAMES:
-        raise BadValue(f"{frames} frames cannot be averaged: {AVERAGED_FRAMES.start} ... {AVERAGED_FRAMES[-1]} can")
+        raise BadValue(f"{counted(frames)} cannot be averaged: {AVERAGED_FRAMES.start} ... {AVERAGED_FRAMES[-1]} can")

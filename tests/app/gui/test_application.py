@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S
 
+from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition, Measurement
 from app.errors import Interrupted, RunError
 from app.gui.application import run_window
@@ -76,6 +78,27 @@ def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     with pytest.raises(RunError, match=r"^no camera was found"):
         run_window(lambda: Acquisition(BENCH, opener(camera)), offscreen_s=0.3)
     assert qapp is QApplication.instance()
+
+
+def test_slow_computation_raises_no_false_alarm_about_the_light(
+    qapp: QApplication, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The light goes off by its own path, whatever the worker does."""
+    camera, release = FakeCamera(), threading.Event()
+    monkeypatch.setattr("app.gui.controller.CLOSING_S", 0.5)
+    monkeypatch.setattr(Instrument, "take_dark", lambda *_, **__: release.wait())
+    acquisition = Acquisition(BENCH, opener(camera))
+    try:
+        with (
+            when_lit(camera, lambda: QTimer.singleShot(200, qapp.closeAllWindows)),
+            pytest.raises(RunError, match=r"^a device or a computation did not end within .* s; the light is off$"),
+        ):
+            run_window(lambda: acquisition)
+        assert not camera.light.shines
+        assert not camera.is_closed
+    finally:
+        release.set()
+        acquisition.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

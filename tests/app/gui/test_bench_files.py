@@ -143,6 +143,31 @@ def test_library_is_loaded_only_when_it_is_trusted(
     qtbot.waitUntil(lambda: benches.cameras[0].is_closed)
 
 
+def test_last_bench_is_offered_at_the_next_start(
+    benches: Opened, qtbot: QtBot, small_toml: Path, tmp_path: Path
+) -> None:
+    window, path = benches.window, tmp_path / "lab.toml"
+    path.write_text(small_toml.read_text())
+    window.benches.open("small_demo")
+    qtbot.waitUntil(lambda: is_live(benches, 1))
+    window.benches.offer_last()  # a preset is not offered
+    window.update_text()
+    assert not window.messages.accept.isVisible()
+    window.benches.open(str(path))
+    window.benches.open("small_demo")
+    qtbot.waitUntil(lambda: is_live(benches, 3))
+    window.benches.offer_last()
+    window.update_text()
+    assert window.messages.text.text() == 'The bench "lab.toml" was open last: open it again?'
+    window.messages.accept.click()
+    qtbot.waitUntil(lambda: is_live(benches, 4))
+    assert benches.opened[3] == load_bench(path)
+    path.unlink()
+    window.benches.offer_last()
+    window.update_text()
+    assert not window.messages.accept.isVisible()
+
+
 def test_saved_bench_is_recent(benches: Opened, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     benches.window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 1))

@@ -64,6 +64,21 @@ def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     np.testing.assert_allclose([x[1] - x[0], y[1] - y[0]], [1.2 * magnification, 0.3 * magnification])
 
 
+def test_pointer_computes_no_statistics(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    window = make_window()
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    counted: list[object] = []
+    monkeypatch.setattr("app.gui.main_window.frame_statistics", lambda *_: counted.append(_))
+    monkeypatch.setattr(window.camera_panel, "show_statistics", counted.append)
+    panel = window.camera_panel
+    for x in range(30):
+        panel._graphics.scene().sigMouseMoved.emit(panel._view.mapViewToScene(QPoint(x, 5).toPointF()))
+        assert f"x {x}  y 5: 1000 counts" in panel.caption.text()
+    assert not counted
+    window.update_text()  # five times a second
+    assert len(counted) == 2
+
+
 def test_pixel_is_named_only_under_the_pointer(make_window: MakeWindow) -> None:
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))

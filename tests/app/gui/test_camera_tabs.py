@@ -42,7 +42,7 @@ def show_pixels(window: MainWindow, pixels: NDArray[np.uint16]) -> None:
     """Show a frame twice: a full well below full scale is found in the first one."""
     for _ in range(2):
         window.show_measurement(make_measurement(pixels, views()))
-        window.camera_panel.update_text()
+        window.update_text()
     QApplication.processEvents()
 
 
@@ -54,9 +54,9 @@ def redness(window: MainWindow) -> int:
 @pytest.mark.parametrize(
     ("level", "text", "is_red"),
     [
-        (60000, "peak 92% of full scale", False),
-        (63000, "peak 96% of full scale: nearly saturated, shorten the exposure", False),
-        (65535, "peak 100% of full scale, 0.9% of the pixels clipped", True),
+        (60000, "peak 92 % of full scale", False),
+        (63000, "peak 96 % of full scale: nearly saturated, shorten the exposure", False),
+        (65535, "peak 100 % of full scale, 0.9 % of the pixels clipped", True),
     ],
 )
 def test_clipped_pixels_are_red_and_nearly_clipped_ones_warned_of(
@@ -76,7 +76,7 @@ def test_full_well_below_full_scale_is_red(window: MainWindow) -> None:
     pixels = dim_frame()
     pixels[100:130, 50:90] = np.random.default_rng(2).integers(63990, 64000, (30, 40), np.uint16)
     show_pixels(window, pixels)
-    assert "peak 98% of full scale, 0.9% of the pixels clipped" in window.camera_panel.caption.text()
+    assert "peak 98 % of full scale, 0.9 % of the pixels clipped" in window.camera_panel.caption.text()
     assert redness(window) > 300
 
 
@@ -84,11 +84,11 @@ def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow) -> No
     panel = window.tabs.histogram
     pixels = np.random.default_rng(1).integers(0, 60000, (300, 430), np.uint16)
     window.show_measurement(make_measurement(pixels, views()))
-    window.camera_panel.update_text()
+    window.update_text()
     assert panel.curve.getData()[1].size == 1  # hidden: nothing is drawn
     window.docks.show_panel(panel)
     QApplication.processEvents()
-    window.camera_panel.update_text()
+    window.update_text()
     level, logarithm = panel.curve.getData()
     expected, _ = np.histogram(pixels, level)
     np.testing.assert_allclose(10**logarithm, np.maximum(expected, 0.8))
@@ -108,7 +108,8 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     click_lenslet(window.camera_panel, 4, 7)
     assert panel.isVisible()
     assert not window.tabs.quality.isVisible()
-    qtbot.waitUntil(lambda: bool(panel.numbers.text()))
+    assert panel.numbers.text() == "computing \N{HORIZONTAL ELLIPSIS}"
+    qtbot.waitUntil(lambda: bool(panel.quality.text()))
     assert panel.title.text() == "Lenslet row 4, column 7: converged"
     assert panel.numbers.text().startswith(
         "displacement x +1.30 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"

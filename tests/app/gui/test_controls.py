@@ -45,6 +45,23 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
     qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
 
 
+def test_tooltips_name_what_automatic_has_chosen(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    controls = window.controls
+    qtbot.waitUntil(lambda: "Chosen now" in controls.warp.toolTip())
+    assert window._measurement is not None
+    wavefront = window._measurement.wavefront
+    assert wavefront is not None
+    counts = {"affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
+    assert counts[controls.warp.toolTip().rpartition(": ")[2]] == wavefront.displacement.coefficients.shape[2]
+    assert "Chosen now" not in controls.pupil_modes.toolTip()  # 28, as set
+    for warp, modes in (("affine", None), (None, 21)):
+        controls.setting_requested.emit("registration", "warp", warp)
+        controls.setting_requested.emit("reconstruction", "pupil_modes", modes)
+        qtbot.waitUntil(lambda warp=warp: ("Chosen now" in controls.warp.toolTip()) == (warp is None))
+        qtbot.waitUntil(lambda modes=modes: ("Chosen now" in controls.pupil_modes.toolTip()) == (modes is None))
+
+
 def is_exposed(camera: FakeCamera, exposure_s: float) -> bool:
     return camera.exposure_s == exposure_s
 

@@ -64,7 +64,7 @@ def test_frame_is_reconstructed_until_the_camera_starts(
     reference = 500 + 40000 * camera._images[0]
     tifffile.imwrite(tmp_path / "flat.tif", np.rint(reference).astype(np.uint16))
     drop(window, tmp_path / "flat.tif")
-    qtbot.waitUntil(lambda: "Flat.tif is shown" in window.log.text)
+    qtbot.waitUntil(lambda: "  flat.tif is shown" in window.log.text)
     newest = window.controller.acquisition.newest
     assert newest is not None
     np.testing.assert_array_equal(newest.frame.pixels, np.rint(reference).astype(np.uint16))
@@ -109,4 +109,4 @@ def test_other_files_are_refused(live: tuple[MainWindow, FakeCamera], tmp_path: 
     window, _ = live
     (tmp_path / "notes.txt").write_text("x")
     drop(window, tmp_path / "notes.txt")
-    assert "Notes.txt: drop a recording's folder" in window.log.text
+    assert "  notes.txt: drop a recording's folder" in window.log.text

@@ -44,8 +44,8 @@ def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: P
     first, second = dialog.view.toPlainText().splitlines()
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d  Recordings are saved in .*", first)
     assert second.endswith("  It is Monday")
-    window.messages.show_state(failure="", warning="dark is stale", advice="", shut_down="")
-    window.messages.show_state(failure="", warning="dark is stale", advice="", shut_down="")
+    window.messages.show_state(failure="", warning="dark is stale", advice="")
+    window.messages.show_state(failure="", warning="dark is stale", advice="")
     assert dialog.view.toPlainText().count("Dark is stale") == 1  # at once, not at every refresh
     dialog.copy.click()
     clipboard = QApplication.clipboard()
@@ -59,7 +59,7 @@ def test_log_tells_what_failed(make_window: MakeWindow, qtbot: QtBot) -> None:
     camera = FakeCamera()
     camera.fault = RuntimeError("smoke")
     window = make_window(camera)
-    window.messages.show_state(failure="the camera was unplugged", warning="", advice="F1", shut_down="off")
+    window.messages.show_state(failure="the camera was unplugged", warning="", advice="F1", way_out="off")
     qtbot.waitUntil(lambda: "The camera was unplugged" in window.log.text)
     assert "F1" not in window.log.text
 

@@ -69,6 +69,24 @@ def choose(window: MainWindow, title: str, text: str) -> None:
     found.aboutToHide.emit()
 
 
+def test_closed_panels_leave_a_hint(window: MainWindow) -> None:
+    hint = window.centralWidget()
+    assert hint is not None
+    assert layout(window)["Camera"][2]
+    assert not hint.isVisible()
+    for one in window.docks.docks:
+        if one.windowTitle() == "Camera":
+            one.setFloating(True)
+        else:
+            one.close()
+    layout(window)
+    assert hint.isVisible()
+    assert hint.width() > 0.9 * window.width()
+    choose(window, "&View", "Restore default layout")
+    assert layout(window)["Wavefronts"][2]
+    assert not hint.isVisible()
+
+
 def test_default_layout_has_wavefronts_beside_camera_and_tabs(window: MainWindow) -> None:
     place = {title: geometry for title, (geometry, _, _) in layout(window).items()}
     camera, wavefronts, quality, controls = (place[title] for title in ("Camera", "Wavefronts", "Quality", "Controls"))

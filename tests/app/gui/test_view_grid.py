@@ -37,6 +37,21 @@ def test_views_lie_as_in_the_field_and_lenslets_as_in_the_pupil(make_window: Mak
     assert y == pytest.approx(1.5 / 9 / 3, abs=0.03)
 
 
+def test_stale_map_is_grey_and_keeps_its_sign(make_window: MakeWindow) -> None:
+    grid = make_window().wavefront_panel.grid
+    shown = np.zeros((3, 3, *LENSLETS))
+    shown[1, 0], shown[1, 2] = -2, 2
+    show(grid, shown, 2.0)
+    grid.show_stale(is_stale=True)
+    seen = picture(grid).astype(int)
+    tiles = [part(seen, grid.tile(1, column).adjusted(2, 2, -2, -2)) for column in range(3)]
+    assert max(np.ptp(tile, axis=-1).max() for tile in tiles) < 10
+    left, middle, right = (tile.mean() for tile in tiles)
+    assert left + 30 < middle < right - 30
+    grid.show_stale(is_stale=False)
+    assert np.ptp(part(picture(grid).astype(int), grid.tile(1, 2)).mean(axis=(0, 1))) > 100
+
+
 def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
     window = make_window()
     shown = np.zeros((3, 3, *LENSLETS))

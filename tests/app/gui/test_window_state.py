@@ -14,6 +14,8 @@ from support.window_tools import MakeWindow, dim_frame, press, views
 
 from app.gui.camera_panel import CameraPanel
 from app.gui.main_window import MainWindow
+from app.results.history import DELAY, RMS
+from app.results.shown_wavefront import DisplayOptions, Unit
 from app.results.view_analysis import Quantity
 
 
@@ -47,6 +49,13 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first.wavefront_panel.choose(Quantity.UNCERTAINTY)
     first.camera_panel.arrows_toggle.setChecked(False)
     first.camera_panel.colours.setCurrentText("inferno")
+    first.camera_panel.contrast.setCurrentText("full range")
+    menu = first.wavefront_panel.menu
+    for action in (menu.tilt, menu.units[2], menu.grids[4], menu.averages[2]):
+        action.trigger()
+    first.tabs.coefficients.basis.setCurrentText("Legendre")
+    first.tabs.history.minutes.setCurrentText("10 min")
+    first.tabs.history.toggles[DELAY].click()
     first.controller.use_recordings_folder(tmp_path)
     QApplication.processEvents()
     first.close()
@@ -57,6 +66,13 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     assert not second.camera_panel.arrows_toggle.isChecked()
     assert second.camera_panel.lattice_toggle.isChecked()
     assert second.camera_panel.colours.currentText() == "inferno"
+    assert second.camera_panel.contrast.currentText() == "full range"
+    assert second.wavefront_panel.menu.options == DisplayOptions(without_tilt=True, views=4, averaged=5)
+    assert second.wavefront_panel.menu.unit is Unit.NM
+    assert second.wavefront_panel.menu.units[2].isChecked()
+    assert second.tabs.coefficients.basis.currentData() == "legendre"
+    assert second.tabs.history.minutes.currentData() == 10
+    assert list(second.tabs.history.charts) == [RMS, DELAY]
     assert second.controller.recordings_folder == tmp_path
 
 
@@ -67,6 +83,14 @@ def test_damaged_or_outdated_state_is_ignored(make_window: MakeWindow, settings:
     window = make_window(settings=settings)
     assert window.wavefront_panel.quantity is Quantity.WAVEFRONT
     assert window.controller.recordings_folder.name == "svwfs"
+
+
+def test_window_without_a_bench_says_how_to_open_one(make_window: MakeWindow) -> None:
+    window = make_window()
+    assert window.messages.text.text() == "No bench is open: open one (Ctrl+O), or a preset in the menu Bench"
+    assert not window.recording_panel.record.isEnabled()
+    assert not window.recording_panel.keep.isEnabled()
+    assert not window.controls.start.isEnabled()
 
 
 def test_full_screen_and_back(make_window: MakeWindow, qtbot: QtBot) -> None:

@@ -1,0 +1,41 @@
+"""`svwfs live`: which bench the window opens."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from support.command_line import run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "source", "offers_last"),
+    [
+        ((), "live_demo", True),
+        (("--bench", "small_demo"), "small_demo", False),  # a named bench wins
+        (("--set", "registration.warp=affine"), "live_demo", False),
+    ],
+)
+def test_last_bench_is_offered_only_if_none_is_named(
+    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], source: str, *, offers_last: bool
+) -> None:
+    opened: list[str] = []
+
+    class Benches:
+        def open(self, name: str, _: tuple[str, ...], **__: Any) -> None:
+            opened.append(name)
+
+        def offer_last(self) -> None:
+            opened.append("last")
+
+    class Window:
+        benches = Benches()
+
+    def run_window(*_: Any, open_first: Any, **__: Any) -> int:
+        open_first(Window())
+        return 0
+
+    monkeypatch.setattr("app.commands.display.use_display", lambda: True)
+    monkeypatch.setattr("app.gui.application.run_window", run_window)
+    assert run(monkeypatch, "live", *arguments) == 0
+    assert opened == [source, *["last"] * offers_last]
