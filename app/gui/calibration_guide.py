@@ -62,7 +62,8 @@ class CalibrationGuide(QDialog):
             for text in (explanation, result):
                 text.setWordWrap(True)
             result.setTextFormat(Qt.TextFormat.PlainText)
-            result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 4)  # the lattice takes two lines
+            result.setAlignment(Qt.AlignmentFlag.AlignTop)
+            result.setMinimumHeight(2 * result.fontMetrics().lineSpacing() + 8)  # the lattice takes two lines
             grid.addWidget(self.lamps[step], 3 * index, 0)
             grid.addWidget(label(f"{index + 1}  {step.title}", "title"), 3 * index, 1)
             grid.addWidget(explanation, 3 * index + 1, 1)

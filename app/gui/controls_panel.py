@@ -68,8 +68,8 @@ class ControlsPanel(QFrame):
         super().__init__(parent)
         self.setProperty("role", "strip")
         self._layout = QHBoxLayout(self)
-        self._layout.setContentsMargins(10, 6, 10, 8)
-        self._layout.setSpacing(8)
+        self._layout.setContentsMargins(8, 6, 8, 8)
+        self._layout.setSpacing(6)  # all controls fit into a window 900 px wide
         self._make_camera()
         self._make_bench()
         self._make_calibration(frames)
@@ -184,7 +184,7 @@ class ControlsPanel(QFrame):
             self._layout.addWidget(rule)
         grid = QGridLayout()
         grid.setVerticalSpacing(5)
-        grid.setHorizontalSpacing(8)
+        grid.setHorizontalSpacing(6)
         grid.setColumnStretch(1, 1)
         grid.addWidget(label(title, "title"), 0, 0, 1, 2)
         for index, line in enumerate(lines, 1):

@@ -6,7 +6,7 @@ from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.plot import Plot
-from app.gui.presentation import number
+from app.gui.presentation import NOTHING, number
 from app.gui.widgets import Choice, ElidedLabel, column, row, toggle
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, History
 from app.results.shown_wavefront import Unit
@@ -46,9 +46,12 @@ class StripChart(QWidget):
         known = np.isfinite(values)
         self.curve.setData(time_min, values, connect="finite")
         low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 1.0)
-        margin = max(0.1 * (high - low), 1e-3 * abs(high), 1e-6)
+        margin = max(0.2 * (high - low), 1e-3 * abs(high), 1e-6)
         self.plot.set_ranges((-span_min, 0), (low - margin, high + margin))
-        self.value.setText(f"{number(float(values[-1]) if known.size else float('nan'))} {unit}")
+        ticks = [(float(end), number(float(end))) for end in (low, high)] if known.any() else []
+        self.plot.axes["left"].setTicks([ticks[: 1 + (low < high)]])
+        is_known = bool(known.size and known[-1])
+        self.value.setText(f"{number(float(values[-1]))} {unit}" if is_known else NOTHING)
 
 
 class HistoryPanel(QWidget):
@@ -74,6 +77,7 @@ class HistoryPanel(QWidget):
         self.charts: dict[str, StripChart] = {}
         self._rows = column(spacing=0)
         self.time_axis = _plot("minutes")
+        self.time_axis.axes["left"].setTicks([[]])
         self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
         beside = QWidget()
         beside.setFixedWidth(name_width(self))
@@ -121,9 +125,10 @@ class HistoryPanel(QWidget):
         for name in [name for name in self.charts if name not in names]:
             chart = self.charts.pop(name)
             self._rows.removeWidget(chart)
+            chart.hide()
             chart.deleteLater()
         for index, name in enumerate(names):
-            self.charts[name] = self.charts.pop(name, None) or StripChart(name)  # in the order of the names
+            self.charts[name] = self.charts.pop(name) if name in self.charts else StripChart(name)  # in this order
             self._rows.insertWidget(index, self.charts[name], 1)
         self.refresh()
 

@@ -27,7 +27,7 @@ class LensletPanel(QWidget):
         self.tiles["Reference"].setToolTip("Spot image without the sample")
         columns = []
         for name, tile in self.tiles.items():
-            tile.setMinimumSize(60, 50)
+            tile.setMinimumSize(60, 36)
             tile.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             tile.empty = ""
             columns.append((column(label(name, "dim"), (tile, 1), spacing=2), 1))

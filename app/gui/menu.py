@@ -35,7 +35,7 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
-_HELP_WIDTH = 820  # px
+_HELP_WIDTH = 960  # px
 _HELP_OF_SCREEN = 0.9
 
 Act = Callable[[], object] | QAbstractButton | QMenu  # a button lends its entry tick and greying
@@ -118,7 +118,8 @@ def _show_help(parent: QWidget, menus: Mapping[str, Entries]) -> None:
 
 def _key_table(title: str, entries: Entries) -> str:
     rows = "".join(
-        f"<tr><td><b>{key}</b>&nbsp;</td><td>{name.replace(' ', '&nbsp;')}&nbsp; &nbsp;</td></tr>"
+        f"<tr><td style='padding-right: 10px'><b>{key}</b></td>"
+        f"<td style='padding-right: 24px'>{name.replace(' ', '&nbsp;')}</td></tr>"
         for name, key, _ in filter(None, entries)
         if key
     )

@@ -206,8 +206,8 @@ class SettingsDialog(QDialog):
             bench = self._form.bench()
         except InputError as error:
             path, fields = self._form.faulty_path(str(error)), {name: one for name, (one, _) in self.editors.items()}
-            editor = self.editors[path][1] if path in self.editors else None
-            self._show_problem(in_words(str(error), path, fields), editor)
+            faulty = self.editors[path][1] if path in self.editors else None
+            self._show_problem(in_words(str(error), path, fields), faulty)
             return None
         self._show_problem("", None)
         return bench

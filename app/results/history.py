@@ -6,7 +6,7 @@ from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront, rms
 
-RMS, FILL, DELAY, TEMPERATURE = "RMS", "Exposure", "Delay", "Camera"
+RMS, FILL, DELAY, TEMPERATURE = "RMS", "Exposure", "Delay", "Temperature"
 UNITS = {FILL: "% of full scale", DELAY: "ms", TEMPERATURE: "\N{DEGREE SIGN}C"}  # the others are phases, rad
 
 

@@ -5,6 +5,7 @@ Each variant of screen, language and theme runs in a process of its own, because
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -29,6 +30,7 @@ from app.gui.tour import Tour
 from app.results.replay.player import Player
 from app.results.view_analysis import Quantity
 from support.paths import DOCS, ROOT
+from support.screenshot_states import show_benches, show_calibration, show_export, show_other_windows, show_panel_states
 from support.window_tools import use_font
 
 _WAIT_S = 300.0
@@ -91,9 +93,15 @@ class Photographer:
         self._show_replay()
         if self._variant.is_complete:
             self._show_panels(window)
+            show_panel_states(self, window)
+            show_export(self, window)
             self._show_dialogs(window)
+            show_calibration(self, window)
+            show_benches(self, window)
             self._show_messages(window)
         self._close(window)
+        if self._variant.is_complete:
+            show_other_windows(self)
         shutil.rmtree(self._runs)
 
     def _show_replay(self) -> None:
@@ -249,12 +257,15 @@ def take(variant: Variant, folder: Path) -> None:
 
 def main(out: Path, *names: str) -> None:
     """Take all variants, or those named, each in a process; copy what the documentation shows."""
+    out.mkdir(parents=True, exist_ok=True)
     for variant in VARIANTS:
         if names and variant.name not in names:
             continue
+        screen = {"name": "screen", "x": 0, "y": 0, "width": variant.width, "height": variant.height}
+        (out / "screen.json").write_text(json.dumps({"screens": [screen]}))  # the usual one has 800 x 800 pixels
         environment = {
             **os.environ,
-            "QT_QPA_PLATFORM": "offscreen",
+            "QT_QPA_PLATFORM": f"offscreen:configfile={out / 'screen.json'}",
             "QT_SCALE_FACTOR": str(variant.scale),
             "LANG": variant.language,
             "LC_ALL": variant.language,

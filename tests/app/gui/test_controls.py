@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import press
@@ -58,8 +59,12 @@ def test_tooltips_name_what_automatic_has_chosen(live: tuple[MainWindow, FakeCam
     for warp, modes in (("affine", None), (None, 21)):
         controls.setting_requested.emit("registration", "warp", warp)
         controls.setting_requested.emit("reconstruction", "pupil_modes", modes)
-        qtbot.waitUntil(lambda warp=warp: ("Chosen now" in controls.warp.toolTip()) == (warp is None))
-        qtbot.waitUntil(lambda modes=modes: ("Chosen now" in controls.pupil_modes.toolTip()) == (modes is None))
+        qtbot.waitUntil(partial(tells_choice, controls.warp, is_automatic=warp is None))
+        qtbot.waitUntil(partial(tells_choice, controls.pupil_modes, is_automatic=modes is None))
+
+
+def tells_choice(control: QWidget, *, is_automatic: bool) -> bool:
+    return ("Chosen now" in control.toolTip()) == is_automatic
 
 
 def is_exposed(camera: FakeCamera, exposure_s: float) -> bool:

@@ -101,12 +101,12 @@ def test_new_bench_has_the_connected_camera(
     QApplication.processEvents()
     unknown = {path: field.example for path, (field, _) in dialog.editors.items() if field.example}
     assert len(unknown) == 8
-    for path, example in unknown.items():  # of lenslets that are not this camera's
-        line = dialog.editors[path][1]
+    for field, example in unknown.items():  # of lenslets that are not this camera's
+        line = dialog.editors[field][1]
         assert isinstance(line, QLineEdit)
         assert (line.text(), line.placeholderText()) == ("", f"for example {example}")
         assert not dialog.apply.isEnabled()
-        write(dialog, path, "20" if path == "sensor.lenslet_rows" else example)
+        write(dialog, field, "20" if field == "sensor.lenslet_rows" else example)
     assert dialog.apply.isEnabled()
     path = tmp_path / "mine.toml"
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))

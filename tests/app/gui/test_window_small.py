@@ -66,7 +66,7 @@ def assert_nothing_overlaps(window: MainWindow) -> None:
         assert all(window.rect().contains(place(one, window)) for one in group if one.isVisible())
 
 
-@pytest.mark.parametrize("size", [(940, 600), (1024, 640), (1280, 800), (1920, 1080)])
+@pytest.mark.parametrize("size", [(904, 600), (1024, 640), (1280, 800), (1920, 1080)])
 def test_long_texts_fit_at_every_size(make_window: MakeWindow, size: tuple[int, int]) -> None:
     window = make_window()
     window.resize(*size)
@@ -82,9 +82,9 @@ def test_long_texts_fit_at_every_size(make_window: MakeWindow, size: tuple[int, 
 @pytest.mark.usefixtures("large_font")
 def test_larger_font_widens_the_window(make_window: MakeWindow) -> None:
     window = make_window()
-    window.resize(940, 600)  # wide enough for the usual font
+    window.resize(904, 600)  # wide enough for the usual font
     fill(window)
-    assert window.width() > 940
+    assert window.width() > 904
     assert_nothing_overlaps(window)
 
 
