@@ -92,6 +92,7 @@ __all__ = [
     "Wavefront",
     "WrongState",
     "deconvolve",
+    "field_coefficients",
     "find_corrector",
     "find_lattice",
     "find_layers",
@@ -441,6 +442,56 @@ def find_corrector(
     except ValueError as error:
         raise InputError(str(error)) from error
     return correction_dataset(made, bench)
+
+
+def field_coefficients(
+    wavefront: Wavefront,
+    basis: Literal["zernike", "legendre"] = "zernike",
+    *,
+    order: int | None = None,
+    positions: int = 21,
+) -> xr.Dataset:
+    """Map the coefficients of a wavefront over the field, and write it in double Zernikes (docs/field.md).
+
+    Parameters
+    ----------
+    wavefront
+        A wavefront of the modal method.
+    basis
+        Zernike modes over the circle inscribed in the lattice, or Legendre modes over the whole lattice.
+    order
+        Highest degree of the modes; by default all that were fitted, which is exact.
+    positions
+        Number of field positions along each side.
+
+    Returns
+    -------
+    xarray.Dataset
+        `coefficient(mode, y, x)` and `coefficient_sigma` in rad, at field positions in m. With Zernike modes also
+        `double_zernike(k, j)` and `double_zernike_sigma` in rad, and the radii of field and pupil, m, as attributes,
+        named as the arguments of `galsim.zernike.DoubleZernike`.
+
+    Raises
+    ------
+    ReconstructionError
+        If the wavefront has no coefficients, or not of this order.
+
+    Examples
+    --------
+    >>> import svwfs
+    >>> bench = svwfs.load_bench("small_demo")
+    >>> images = svwfs.simulate(bench)
+    >>> wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    >>> field = svwfs.field_coefficients(wavefront, order=4)
+    >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
+    'Z4 defocus'
+    """
+    from app.results.field.dataset import field_dataset
+    from reconstruction.field_coefficients import ModalFit
+    from reconstruction.field_coefficients import field_coefficients as coefficients
+
+    found = coefficients(ModalFit.of(_wavefront(wavefront)), basis, order)
+    return field_dataset(found, wavefront.sensor, wavefront.field, positions)
 
 
 def deconvolve(

@@ -1,4 +1,4 @@
-"""Commands that answer questions about a measured wavefront: `svwfs layers` and `svwfs corrector`."""
+"""Commands that answer questions about a measured wavefront: `svwfs layers`, `corrector` and `field`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,10 +12,14 @@ _OriginOption = Annotated[
     Literal["lenslets", "mask"],
     typer.Option("--from", help="Where distances are measured from: lenslets, in the collimated beam, or mask."),
 ]
+_SourceArgument = Annotated[
+    Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")
+]
+_FrameOption = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
 
 
 def layers(
-    source: Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")],
+    source: _SourceArgument,
     *,
     out: Annotated[Path, typer.Option(help="NetCDF file for distances, phase maps and misfit.")],
     count: Annotated[int, typer.Option("--layers", min=1, max=2, help="Number of layers to look for.")] = 1,
@@ -23,7 +27,7 @@ def layers(
         list[float] | None, typer.Option(metavar="M", help="Known distance of a layer (m); repeat it for two layers.")
     ] = None,
     origin: _OriginOption = "lenslets",
-    frame: Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")] = 0,
+    frame: _FrameOption = 0,
     plot: Annotated[Path | None, typer.Option(help="Picture of curve and maps: PNG, PDF or SVG.")] = None,
     overwrite: OverwriteOption = False,
 ) -> None:
@@ -57,7 +61,7 @@ def layers(
 
 
 def corrector(
-    source: Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")],
+    source: _SourceArgument,
     *,
     out: Annotated[Path, typer.Option(help="NetCDF file for residuals and command.")],
     influence: Annotated[
@@ -111,3 +115,59 @@ def corrector(
             progress=progress,
         )
     typer.echo("\n".join(summary(found)))
+
+
+def field(
+    source: _SourceArgument,
+    *,
+    out: Annotated[
+        Path, typer.Option(help="NetCDF file for maps and double Zernikes, or .csv for a table of field positions.")
+    ],
+    basis: Annotated[
+        Literal["zernike", "legendre"],
+        typer.Option(help="Modes: zernike over the pupil's inscribed circle, legendre over the whole lattice."),
+    ] = "zernike",
+    order: Annotated[
+        int | None, typer.Option(min=1, help="Highest degree of the pupil modes; that of the result if omitted.")
+    ] = None,
+    field_order: Annotated[
+        int | None, typer.Option(min=0, help="Highest order of double Zernikes over the field; all if omitted.")
+    ] = None,
+    positions: Annotated[int, typer.Option(min=1, max=501, help="Field positions along each side.")] = 21,
+    frame: _FrameOption = 0,
+    mode: Annotated[
+        list[int] | None, typer.Option(metavar="N", help="Mode in the picture, repeatable; the strongest if omitted.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the maps: PNG, PDF or SVG.")] = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Map the coefficients of a wavefront over the field, with errors.
+
+    This is a full-field display: how much defocus, astigmatism, coma ... there is at each field position. The same
+    wavefront is written as double Zernike coefficients in GalSim's convention. Error bars from a results file
+    neglect correlations. See docs/field.md.
+
+    Example: svwfs field run1 --out field.nc --plot field.png
+
+    Example: svwfs field run1 --order 4 --positions 5 --out table.csv
+
+    Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
+    """
+    from app.cli.tables import progress_bar
+    from app.results.field.run import Plan, map_field, summary
+
+    plan = Plan(
+        source=source,
+        frame=frame,
+        basis=basis,
+        order=order,
+        field_order=field_order,
+        positions=positions,
+        modes=tuple(mode or ()),
+        out=out,
+        plot=plot,
+        overwrite=overwrite,
+    )
+    with progress_bar() as progress:
+        maps = map_field(plan, progress)
+    typer.echo("\n".join(summary(maps)))

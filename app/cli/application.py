@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.answers import corrector, layers
+from app.cli.answers import corrector, field, layers
 from app.cli.evaluation import benchmark, paper, selftest, study
 from app.cli.frames import calibrate, deconvolve, reconstruct, simulate
 from app.cli.measuring import desktop, devices, live, measure
@@ -34,7 +34,20 @@ def _common(
 
 
 # in the order of the help
-_BENCH = (live, measure, recover, replay, export, report, layers, corrector, calibrate, simulate, devices, desktop)
-for command in (*_BENCH, selftest, study, benchmark, reconstruct, deconvolve):
+_BENCH = (live, measure, recover, replay, export, report)
+_ANSWERS = (layers, corrector, field)
+for command in (
+    *_BENCH,
+    *_ANSWERS,
+    calibrate,
+    simulate,
+    devices,
+    desktop,
+    selftest,
+    study,
+    benchmark,
+    reconstruct,
+    deconvolve,
+):
     cli.command()(command)
 cli.add_typer(paper, name="paper")

@@ -75,8 +75,11 @@ def export(
     recording: RecordingArgument,
     *,
     to: Annotated[
-        Literal["tiff", "csv", "netcdf", "psf"],
-        typer.Option(help="tiff: frames; csv: RMS and coefficients; netcdf: all results; psf: point-spread functions."),
+        Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"],
+        typer.Option(
+            help="tiff: frames; csv: RMS and coefficients; netcdf: all results; psf: point-spread functions;"
+            " double-zernike: for GalSim; zernike-table: Zernike coefficients of each view."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="File to write.")],
     frames: FramesOption = None,
@@ -86,9 +89,12 @@ def export(
 
     tiff: one BigTIFF for ImageJ with times and settings. csv: one row per frame for pandas or a spreadsheet. netcdf:
     the results as written by svwfs measure. psf: one point-spread function per view, mean of the frames, sum 1, for
-    deconvolution. See docs/export.md.
+    deconvolution. double-zernike: NetCDF, one array of coefficients per frame. zernike-table: CSV, one row per frame
+    and view. See docs/export.md.
 
     Example: svwfs export run1 --to csv --out run1.csv
+
+    Example: svwfs export run1 --to double-zernike --out run1.nc
     """
     from app.cli.tables import progress_bar
     from app.results.export.run import export as run
@@ -112,9 +118,10 @@ def report(
     frames: FramesOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Summarise a recording on two pages.
+    """Summarise a recording on three pages.
 
-    They show conditions, wavefronts, their uncertainty, and lost frames and lenslets. At most 200 frames, evenly
+    They show conditions, wavefronts, their uncertainty, lost frames and lenslets, and with the modal method the
+    strongest Zernike coefficients over the field. At most 200 frames, evenly
     spread, are reconstructed again; --set tries another method on them. --beside adds a page with the difference of the
     mean wavefronts to another recording, view by view, as in the paper's comparison of the square with the stars.
 

@@ -28,6 +28,8 @@ _EXPORTS = {  # suffix and what is written
     "csv": ("csv", "RMS and coefficients as CSV"),
     "netcdf": ("nc", "All results as NetCDF"),
     "psf": ("tif", "Point-spread functions as TIFF"),
+    "zernike-table": ("csv", "Zernike coefficients as CSV"),
+    "double-zernike": ("nc", "Double Zernikes as NetCDF"),
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
@@ -77,7 +77,10 @@ def truth_dataset(views: Floats, bench: Bench) -> xr.Dataset:
     return xr.Dataset(_wavefront_variables(views, bench.sensor), coords=_coordinates(bench.sensor, bench.field))
 
 
-def results_in_pieces(frames: Iterable[tuple[Reprocessed, Mapping[str, Variable]]]) -> Iterator[xr.Dataset]:
+def results_in_pieces(
+    frames: Iterable[tuple[Reprocessed, Mapping[str, Variable]]],
+    results_of: Callable[[Wavefront, Quality], xr.Dataset] = result_dataset,
+) -> Iterator[xr.Dataset]:
     """Stack the results of frames, with additional variables for each, along `frame`, in pieces that fit in memory.
 
     Frames without a wavefront are left out; the coordinate `recording_index` has the index in the recording.
@@ -85,7 +88,7 @@ def results_in_pieces(frames: Iterable[tuple[Reprocessed, Mapping[str, Variable]
     with_wavefront = ((frame, more) for frame, more in frames if frame.wavefront is not None)
     while piece := list(islice(with_wavefront, _PIECE)):
         datasets = [
-            result_dataset(frame.wavefront, frame.quality).assign(more)
+            results_of(frame.wavefront, frame.quality).assign(more)
             for frame, more in piece
             if frame.wavefront is not None
         ]

@@ -5,6 +5,7 @@ polynomials in x and y, without an angle and without a singular centre (R. J. No
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -54,6 +55,24 @@ def zernike_products(count: int, half_x: float = 1.0, half_y: float = 1.0) -> Fl
     values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)
     parts = np.polynomial.legendre.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
     return np.asarray(np.einsum("kyx,yn,xm->knm", values, parts, parts))
+
+
+def zernike_projection(polynomials: Callable[[Floats, Floats], Floats], degree: int, count: int) -> Floats:
+    """Coefficients of polynomials in the first `count` modes over the unit circle: (count, polynomial).
+
+    Parameters
+    ----------
+    polynomials : callable
+        Values (polynomial, *shape) at x and y (*shape), in units of the circle's radius.
+    degree : int
+        Highest degree of the polynomials, for which the quadrature is exact.
+    """
+    highest = degree + noll_orders(count)[-1][0]
+    nodes, weights = np.polynomial.legendre.leggauss(highest // 4 + 1)  # in the squared radius
+    radius, angle = np.sqrt((1 + nodes[:, None]) / 2), 2 * math.pi * np.arange(highest + 1) / (highest + 1)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    weights = weights[:, None] / (2 * angle.size)
+    return np.asarray(np.tensordot(zernike(count, x, y) * weights, polynomials(x, y), axes=((1, 2), (1, 2))))
 
 
 def zernike_lenslet_gradients(count: int, edges_x: Floats, edges_y: Floats) -> Floats:

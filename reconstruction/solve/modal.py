@@ -126,7 +126,9 @@ class ModalSolver:
             return np.asarray(np.matvec(self._errors.colour, whitened.reshape(len(share), -1)))
 
         freedom = count - float(np.sum(variance * square))
-        return ModalSolution(coefficients, equations, noise * variance, freedom, displacement, self._parameters, fitted)
+        return ModalSolution(
+            coefficients, self._modes, equations, noise * variance, freedom, displacement, self._parameters, fitted
+        )
 
     def displacement(self, coefficients: Floats) -> Floats:
         """Displacements expected of coefficients (pupil_mode, field_mode), rad: px, (row, column, field_mode, xy)."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
+from reconstruction.modes.pupil_modes import PupilModes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,6 +27,7 @@ class ModalSolution:
     """Dual-orthogonal coefficients of one wavefront; error bars are computed on request."""
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
+    modes: PupilModes
     _equations: Equations
     _variance: Floats  # of the components x, (n,)
     _freedom: float  # number of data minus that of the components which they determine
@@ -59,7 +61,7 @@ class ModalSolution:
         From field modes (field_mode,) to rad, (lenslet_row, lenslet_column, n); their squares add to the variance.
         """
         deviations = np.full((*self.known.shape, len(self._variance)), np.nan, np.float32)
-        at = field_modes.astype(np.float32) @ self._root_covariance
+        at = field_modes.astype(np.float32) @ self.root_covariance
         deviations[self.known] = self._equations.values.T.astype(np.float32) @ at
         return deviations
 
@@ -67,7 +69,7 @@ class ModalSolution:
     def coefficients_sigma(self) -> Floats:
         """Standard deviation of each coefficient, rad, (pupil_mode, field_mode); zero for the piston."""
         sigma = np.zeros_like(self.coefficients)
-        sigma[1:] = np.linalg.norm(self._root_covariance, axis=-1)
+        sigma[1:] = np.linalg.norm(self.root_covariance, axis=-1)
         return sigma
 
     @property
@@ -76,8 +78,8 @@ class ModalSolution:
 
         It includes the noise of the displacements and what the prior suppresses.
         """
-        shape = self._root_covariance.shape[:2]
-        flat = self._root_covariance.reshape(-1, len(self._variance)).astype(np.float64)
+        shape = self.root_covariance.shape[:2]
+        flat = self.root_covariance.reshape(-1, len(self._variance)).astype(np.float64)
         return (flat @ flat.T).reshape(*shape, *shape)
 
     @cached_property
@@ -99,7 +101,7 @@ class ModalSolution:
             return float(np.sum(misfit**2 / variance) / self._freedom)
 
     @cached_property
-    def _root_covariance(self) -> Image:
-        """Square root of the covariance, (pupil_mode - 1, field_mode, n)."""
+    def root_covariance(self) -> Image:
+        """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
         root = self._equations.scaled * np.sqrt(self._variance).astype(np.float32)
         return root.reshape(len(self.coefficients) - 1, self.coefficients.shape[1], -1)

@@ -31,11 +31,22 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
     return Wavefront.of(SENSOR, FIELD, displacement, solution)
 
 
-def modal(coefficients: Floats, *, sigma_px: float = 0.01, basis: PupilBasis = "legendre") -> Wavefront:
-    """A wavefront with coefficients e_pq (pupil_mode, field_mode), rad, from displacements with a known error."""
+def modal(
+    coefficients: Floats,
+    *,
+    sigma_px: float = 0.01,
+    basis: PupilBasis = "legendre",
+    noise: np.random.Generator | None = None,
+) -> Wavefront:
+    """A wavefront with coefficients e_pq (pupil_mode, field_mode), rad, from displacements with a known error.
+
+    Without `noise` the displacements are exact.
+    """
     modes, count = pupil_modes(SENSOR, basis, len(coefficients)), coefficients.shape[1]
     slopes = np.einsum("pq,prcd->rcqd", coefficients, modes.gradients)
     pixels = slopes / SENSOR.slope_per_px
+    if noise is not None:
+        pixels = pixels + noise.normal(0, sigma_px, pixels.shape)
     displacement = converged(LegendreModes(count), pixels, np.full(pixels.shape, sigma_px**2))
     parameters = np.eye(2 * count)
     solver = ModalSolver(modes, geometric_sensitivity(SENSOR, parameters), parameters, displacement.covariance)

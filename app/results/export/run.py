@@ -1,6 +1,5 @@
 """`svwfs export`: a recording in the formats of other programs."""
 
-import csv
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
@@ -10,13 +9,15 @@ import numpy as np
 
 from app.bench.config import write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
-from app.files import atomic_write, check_outputs
+from app.files import check_outputs
 from app.progress import Progress
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
 from app.results.dataset import results_in_pieces, write_pieces
 from app.results.export.images import psf_grid, psf_reach, write_psf_grid, write_stack
+from app.results.export.zernikes import double_zernikes, zernike_names, zernike_rows
+from app.results.field.table import write_table
 from app.results.replay.run import first_bench
 from reconstruction.arrays import Floats
 from reconstruction.runtime.threads import one_blas_thread
@@ -25,7 +26,7 @@ from reconstruction.wavefront import Wavefront, rms
 
 T = TypeVar("T")
 
-Format = Literal["tiff", "csv", "netcdf", "psf"]
+Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
 _REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the point-spread functions
 
@@ -73,10 +74,8 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
     else:
         raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
     names = list(_values(frame.wavefront))
-    with atomic_write(out) as temporary, temporary.open("w", newline="", encoding="ascii") as file:
-        writer = csv.writer(file)
-        writer.writerow(["frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets", *names])
-        writer.writerows(_row(each, names) for each in chain(before, remaining))
+    first = ("frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets")
+    write_table(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
 
 
 def _row(frame: Reprocessed, names: list[str]) -> list[float]:
@@ -105,6 +104,24 @@ def _write_netcdf(recording: Recording, chosen: range, out: Path, progress: Prog
     write_pieces(out, results_in_pieces((frame, {}) for frame in frames), bench=bench, inputs=inputs)
 
 
+def _write_double_zernike(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
+    frames = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
+    bench, inputs = first_bench(recording, chosen), {"recording": recording.folder.name}
+    pieces = results_in_pieces(((frame, {}) for frame in frames), double_zernikes)
+    write_pieces(out, pieces, bench=bench, inputs=inputs)
+
+
+def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
+    """Write one row of numbers for each frame with a wavefront, and view inside the field."""
+    frames = _counted(reprocess(recording, chosen), len(chosen), progress, "reconstructing frames")
+    found = ((frame.line.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
+    first = next(found, None)
+    if first is None:
+        raise RunError(f"{out}: there is nothing to write: no frame has a wavefront")
+    names = zernike_names(first[1])
+    write_table(out, names, chain.from_iterable(zernike_rows(*each, names) for each in chain([first], found)))
+
+
 def _write_psf(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     bench = first_bench(recording, chosen)
     some = chosen[:: max(1, len(chosen) // _REACH_FRAMES)]
@@ -129,4 +146,11 @@ def _counted(items: Iterable[T], count: int, progress: Progress, text: str) -> I
         progress(text, done / count)
 
 
-_WRITERS = {"tiff": _write_tiff, "csv": _write_csv, "netcdf": _write_netcdf, "psf": _write_psf}
+_WRITERS = {
+    "tiff": _write_tiff,
+    "csv": _write_csv,
+    "netcdf": _write_netcdf,
+    "psf": _write_psf,
+    "double-zernike": _write_double_zernike,
+    "zernike-table": _write_zernike_table,
+}

@@ -1,4 +1,4 @@
-"""Third page of a report: the difference from another recording of the same sample, as in the paper's Table 2."""
+"""Last page of a report: the difference from another recording of the same sample, as in the paper's Table 2."""
 
 from dataclasses import dataclass
 

@@ -13,6 +13,7 @@ from app.recording.reader import Recording
 from app.results.replay.run import change_of
 from app.results.report.certainty import draw_certainty
 from app.results.report.layout import Page, all_pages, one_page
+from app.results.report.over_field import draw_over_field, over_field
 from app.results.report.overview import draw_overview
 from app.results.report.residual import Residual, draw_comparison, residual_of
 from app.results.report.summary import Summary, summarise
@@ -61,6 +62,8 @@ def _pages(summary: Summary, residual: Residual | None) -> list[Page]:
     pages: list[Page] = [partial(draw_overview, summary=summary)]
     if summary.statistics is not None:
         pages.append(partial(draw_certainty, summary=summary, stats=summary.statistics))
+        if (found := over_field(summary.statistics)) is not None:
+            pages.append(partial(draw_over_field, summary=summary, stats=summary.statistics, found=found))
     if residual is not None:
         pages.append(partial(draw_comparison, residual=residual))
     return pages

@@ -32,6 +32,8 @@ ONTO_INPUTS = (
     *(f"{CALIBRATE} {option} {name}" for option in ("--out", "--plot") for name in INPUTS[1:4]),
     *(f"replay run --out run/{name}" for name in ("run.json", "frames.jsonl", "frames.zarr/0/zarr.json")),
     *(f"export run --to csv --out run/{name}" for name in ("run.json", "calibrations/0/bench.toml")),
+    "field run --out run/run.json",
+    "field frame.tif --out f.nc --plot frame.tif",
     "replay run --bench bench.toml --out bench.toml",
     "study mask estimator.png --out .",
     *(
@@ -49,6 +51,8 @@ ONTO_EXISTING = (
     "measure --bench small_demo --frames 3 --out .",
     "replay run --out old",
     "export run --to csv --out old",
+    "field run --out old",
+    "field run --out f.nc --plot old",
     "report run --out old.pdf",
     "report run --beside run --out old.pdf",
     "study size --out study",

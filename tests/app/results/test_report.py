@@ -296,7 +296,7 @@ def test_report_is_written_atomically_and_replaces_only_on_request(
     reported(recording.folder, out)
     first = out.read_bytes()
     assert first.startswith(b"%PDF")
-    assert first.count(b"/Type /Page ") == 2
+    assert first.count(b"/Type /Page ") == 3
     with pytest.raises(InputError, match="exists already"):
         reported(recording.folder, out)
 

@@ -1,0 +1,1 @@
+"""`svwfs field`: coefficients over the field."""

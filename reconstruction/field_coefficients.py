@@ -1,0 +1,194 @@
+"""Coefficients of a modal wavefront as functions of the field position, e_p(x, y), and as double Zernikes.
+
+All modes are polynomials, so that a change of their basis is exact; the covariance of e_pq gives the errors.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.polynomial import legendre as series
+from numpy.typing import ArrayLike
+
+from reconstruction.arrays import Floats, Mask
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Sensor
+from reconstruction.modes.field_modes import FieldModes, SampledModes
+from reconstruction.modes.legendre import legendre_orders
+from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.modes.zernike import zernike_projection
+from reconstruction.settings import PupilBasis
+from reconstruction.solve.modal_solution import ModalSolution
+from reconstruction.wavefront import Wavefront
+
+_NONE = 1e-12  # coefficient of a polynomial, of its largest, that is rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModalFit:
+    """Coefficients e_pq of a wavefront, with what they belong to."""
+
+    sensor: Sensor
+    modes: PupilModes
+    field_modes: FieldModes
+    rad: Floats  # (pupil_mode, field_mode); zero for the piston
+    root_covariance: Floats  # rad, (pupil_mode - 1, field_mode, n)
+    known: Mask  # where the wavefront is known, (lenslet_row, lenslet_column)
+
+    @classmethod
+    def of(cls, wavefront: Wavefront) -> Self:
+        """Take the fit of a wavefront; `ReconstructionError` if its reconstruction is zonal."""
+        solution, displacement = wavefront.solution, wavefront.displacement
+        if not isinstance(solution, ModalSolution):
+            raise ReconstructionError("it has no coefficients: reconstruct with reconstruction.method=modal")
+        rad, root = solution.coefficients, np.asarray(solution.root_covariance, np.float64)
+        return cls(wavefront.sensor, solution.modes, displacement.modes, rad, root, solution.known)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldCoefficients:
+    """Coefficients of a wavefront at every field position, in modes of the pupil, piston first and zero."""
+
+    basis: PupilBasis
+    rad: Floats  # in products with the field modes, (mode, field_mode)
+    covariance: Floats  # between the field modes of each mode, rad^2, (mode, field_mode, field_mode)
+    field_modes: FieldModes
+    known_share: float  # of the lenslets inside the pupil, at which the wavefront is known
+
+    def at(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Coefficients at normalised field positions, rad, (mode, *broadcast shape)."""
+        return np.tensordot(self.rad, self.field_modes.values(x, y), axes=1)
+
+    def sigma(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Standard deviations of `at`, rad, the same shape."""
+        values = self.field_modes.values(x, y)
+        products = values[:, None] * values[None]
+        return np.sqrt(np.maximum(np.tensordot(self.covariance, products, axes=((1, 2), (0, 1))), 0))
+
+    @property
+    def field_order(self) -> int:
+        """Highest radial order of the field's Zernike polynomials that the field modes contain."""
+        parts = np.abs(_field_projection(self.field_modes, _degree(self.field_modes))).max(axis=1)
+        return _order_of(int(np.flatnonzero(parts > _NONE * parts.max())[-1]) + 1)
+
+    def double_zernikes(self, field_order: int | None = None) -> tuple[Floats, Floats]:
+        """Double Zernike coefficients over the circles inscribed in field and pupil, and their standard deviations.
+
+        GalSim's convention: wavefront = sum_kj d[k, j] Z_k(field) Z_j(pupil), k and j as Noll counts, from 1; the row
+        k = 0 and the column j = 0 are unused, and zero.
+
+        Parameters
+        ----------
+        field_order : int, optional
+            Highest radial order over the field; by default that of the field modes, which is exact.
+
+        Returns
+        -------
+        tuple of (k, j)
+            rad.
+
+        Raises
+        ------
+        ReconstructionError
+            If the coefficients are not those of Zernike modes, or the field modes have no such order.
+        """
+        if self.basis != "zernike":
+            raise ReconstructionError("double Zernikes are made of Zernike modes, not of Legendre modes")
+        highest = self.field_order
+        order = highest if field_order is None else field_order
+        if order > highest:
+            raise ReconstructionError(_beyond(order, highest, self.field_modes.count))
+        onto = _field_projection(self.field_modes, order)
+        rad, sigma = np.zeros((2, len(onto) + 1, len(self.rad) + 1))
+        rad[1:, 1:] = onto @ self.rad.T
+        sigma[1:, 1:] = np.sqrt(np.maximum(np.einsum("kq,jqr,kr->kj", onto, self.covariance, onto, optimize=True), 0))
+        return rad, sigma
+
+
+def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None) -> FieldCoefficients:
+    """Express a modal fit in Zernike modes over the pupil's inscribed circle, or in Legendre modes over the lattice.
+
+    Parameters
+    ----------
+    fit : ModalFit
+    basis : PupilBasis
+        Zernike modes have unit RMS over the circle, in Noll's order; Legendre modes are those of `modes.legendre`.
+    order : int, optional
+        Highest degree of the modes; by default that of the fit, which is exact.
+
+    Raises
+    ------
+    ReconstructionError
+        If the fit has no such degree, or no lenslet in the pupil is known.
+    """
+    highest = int(fit.modes.degree.max())
+    order = highest if order is None else order
+    if not 1 <= order <= highest:
+        raise ReconstructionError(
+            f"order {order} of the pupil modes must be 1 ... {highest}, that of the {len(fit.rad)} fitted modes"
+        )
+    sensor = fit.sensor
+    radius_m = min(sensor.pupil_half_width_m)
+    inside = np.ones(fit.known.shape, np.bool_)
+    if basis == "zernike":
+        inside = np.hypot(sensor.pupil_x_m, sensor.pupil_y_m[:, None]) <= radius_m
+    known_share = float(np.mean(fit.known[inside]))
+    if not known_share:
+        raise ReconstructionError(
+            f"no lenslet is known inside the {'circular ' * (basis == 'zernike')}pupil, which is"
+            f" {2 * radius_m * 1e3:.3g} mm wide"
+        )
+    onto = _pupil_projection(fit.modes, sensor, basis, order)
+    onto[0] = 0.0  # a wavefront has no piston
+    root = np.tensordot(onto[:, 1:], fit.root_covariance, axes=1)
+    return FieldCoefficients(basis, onto @ fit.rad, root @ np.swapaxes(root, 1, 2), fit.field_modes, known_share)
+
+
+def _pupil_projection(modes: PupilModes, sensor: Sensor, basis: PupilBasis, order: int) -> Floats:
+    """Coefficients of the pupil modes in those of a basis up to an order, (mode, pupil_mode)."""
+    count, highest = _count(order), modes.products.shape[1] - 1
+    if basis == "legendre":
+        along_x, along_y = np.transpose(legendre_orders(count))
+        return np.array(modes.products[:, along_y, along_x].T)
+    scale_x, scale_y = min(sensor.pupil_half_width_m) / np.array(sensor.pupil_half_width_m)
+
+    def values(x: Floats, y: Floats) -> Floats:
+        along_x, along_y = (series.legvander(at, highest) for at in (x * scale_x, y * scale_y))
+        return np.asarray(np.einsum("pnm,...n,...m->p...", modes.products, along_y, along_x, optimize=True))
+
+    return zernike_projection(values, highest, count)
+
+
+def _field_projection(modes: FieldModes, order: int) -> Floats:
+    """Coefficients of the field modes in Zernike modes over the field's inscribed circle, (mode, field_mode)."""
+    return zernike_projection(modes.values, _degree(modes), _count(order))
+
+
+def _degree(modes: FieldModes) -> int:
+    """Highest degree of the field modes."""
+    if isinstance(modes, SampledModes):
+        return modes.x.size + modes.y.size - 2
+    return int(modes.degree.max())
+
+
+def _count(order: int) -> int:
+    """Number of modes up to a degree."""
+    return (order + 1) * (order + 2) // 2
+
+
+def _order_of(count: int) -> int:
+    """Lowest degree up to which there are at least `count` modes."""
+    order = 0
+    while _count(order) < count:
+        order += 1
+    return order
+
+
+def _beyond(order: int, highest: int, field_modes: int) -> str:
+    """Say why double Zernikes have no such field order."""
+    if field_modes == 1:
+        return (
+            f"field order {order} is unknown: the wavefront was measured at a single field position; use a warp other"
+            " than translation, or field order 0"
+        )
+    return f"field order {order} exceeds that of the {field_modes} field modes, {highest}: use a higher warp, or less"

@@ -1,0 +1,196 @@
+"""`svwfs field` on a recording and on results, and Zernike exports of a recording."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.command_line import run
+from support.pictures import assert_drawn
+from support.recordings import record
+
+import svwfs
+from app.bench.config import Bench, load_bench
+from reconstruction.arrays import Floats
+from reconstruction.modes.zernike import zernike
+from reconstruction.wavefront import without_piston
+
+RADIUS_M, HALF_WIDTH_M = 3.5 * 0.5e-3, 0.6e-3  # of small_demo's pupil and field
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("field") / "run"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        assert run(monkeypatch, "measure", "--bench", "small_demo", "--frames", "2", "--out", folder) == 0
+    return folder
+
+
+def at_views(coefficients: Floats, bench: Bench) -> Floats:
+    """Wavefronts (view_row, view_column, lenslet_row, lenslet_column) of Zernike coefficients (mode, y, x)."""
+    x, y = bench.sensor.pupil_x_m / RADIUS_M, bench.sensor.pupil_y_m[:, None] / RADIUS_M
+    return np.asarray(np.tensordot(np.moveaxis(coefficients, 0, -1), zernike(len(coefficients) + 1, x, y)[1:], axes=1))
+
+
+def read(path: Path) -> list[dict[str, float]]:
+    with path.open(newline="") as file:
+        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+def test_maps_are_the_wavefront_of_the_results(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, plot = tmp_path / "field.nc", tmp_path / "field.png"
+    assert run(monkeypatch, "field", recording, "--frame", "1", "--out", out, "--plot", plot) == 0
+    assert_drawn(plot)
+    assert capsys.readouterr().out.count("over the field") == 6
+    with xr.open_dataset(recording / "results.nc") as results, xr.open_dataset(out) as found:
+        assert found["coefficient"].dims == ("mode", "y", "x")
+        assert found["coefficient"].attrs["units"] == found["double_zernike"].attrs["units"] == "rad"
+        assert found["mode"].values.tolist() == list(range(2, 29))
+        assert found.sel(mode=4)["name"].item() == "Z4 defocus"
+        views = found["coefficient"].interp(x=results["view_x"].values, y=results["view_y"].values, method="cubic")
+        made = without_piston(at_views(views.values, load_bench("small_demo")))
+        np.testing.assert_allclose(made, results["wavefront"].values[1], atol=2e-3)  # interpolated
+        # Double Zernikes at the middle of the field: Z_k(0, 0) Z_j
+        at_middle = zernike(len(found["k"]) - 1, 0.0, 0.0) @ found["double_zernike"].values[1:, 2:]
+        np.testing.assert_allclose(at_middle, found["coefficient"].sel(x=0, y=0).values, atol=1e-12)
+        assert (found.attrs["uv_outer"], found.attrs["xy_outer"]) == pytest.approx((HALF_WIDTH_M, RADIUS_M))
+
+
+def test_python_interface_gives_the_same(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = svwfs.load_bench("small_demo")
+    opened = svwfs.open_recording(recording)
+    images = svwfs.simulate(bench)
+    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(opened.frames[0].values)
+    found = svwfs.field_coefficients(wavefront, order=3, positions=5)
+    assert run(monkeypatch, "field", recording, "--out", tmp_path / "f.nc", "--order", "3", "--positions", "5") == 0
+    with xr.open_dataset(tmp_path / "f.nc") as written:
+        assert dict(found.sizes) == dict(written.sizes)
+        # other noise in the reference
+        np.testing.assert_allclose(found["coefficient"], written["coefficient"], atol=0.05)
+
+
+def test_results_file_gives_the_same_values_and_nearly_the_errors(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, source in (("run", recording), ("result", recording / "results.nc")):
+        assert run(monkeypatch, "field", source, "--order", "4", "--out", tmp_path / f"{name}.nc") == 0
+    with xr.open_dataset(tmp_path / "run.nc") as one, xr.open_dataset(tmp_path / "result.nc") as other:
+        np.testing.assert_allclose(one["coefficient"], other["coefficient"], atol=1e-12)
+        np.testing.assert_allclose(one["double_zernike"], other["double_zernike"], atol=1e-12)
+        ratio = np.sqrt(
+            (other["coefficient_sigma"] ** 2).mean(("x", "y")) / (one["coefficient_sigma"] ** 2).mean(("x", "y"))
+        )
+        np.testing.assert_allclose(ratio, 1, atol=0.15)
+
+
+def test_table_has_a_row_for_each_position(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out, maps = tmp_path / "t.csv", tmp_path / "t.nc"
+    options = ("--positions", "3", "--basis", "legendre", "--order", "2")
+    assert run(monkeypatch, "field", recording, *options, "--out", out) == 0
+    assert run(monkeypatch, "field", recording, *options, "--out", maps) == 0
+    rows = read(out)
+    modes = [f"L{k}" for k in range(1, 6)]
+    assert list(rows[0]) == ["x_m", "y_m", *(f"{mode}_rad" for mode in modes), *(f"{mode}_sigma_rad" for mode in modes)]
+    assert [row["x_m"] for row in rows] == pytest.approx([-HALF_WIDTH_M, 0, HALF_WIDTH_M] * 3)
+    assert [row["y_m"] for row in rows[::3]] == pytest.approx([-HALF_WIDTH_M, 0, HALF_WIDTH_M])
+    with xr.open_dataset(maps) as found:
+        assert "double_zernike" not in found
+        assert [row["L3_rad"] for row in rows] == found["coefficient"].sel(mode=3).values.ravel().tolist()
+        assert [row["L5_sigma_rad"] for row in rows] == found["coefficient_sigma"].sel(mode=5).values.ravel().tolist()
+
+
+def test_positions_outside_a_circular_field_are_left_out(
+    small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = ("field.shape=circle", "field.view_spacing_m=0.4e-3")
+    circle = record(small_toml, tmp_path / "circle", *settings, frames=1).folder
+    table, maps, one = (tmp_path / name for name in ("t.csv", "t.nc", "one.nc"))
+    assert run(monkeypatch, "field", circle, "--positions", "3", "--out", table) == 0
+    assert len(read(table)) == 5
+    assert run(monkeypatch, "field", circle, "--positions", "3", "--out", maps) == 0
+    with xr.open_dataset(maps) as found:
+        defocus = found["coefficient"].sel(mode=4).values
+        np.testing.assert_array_equal(np.isnan(defocus), [[True, False, True], [False] * 3, [True, False, True]])
+    assert run(monkeypatch, "field", circle, "--positions", "1", "--out", one, "--plot", tmp_path / "p.png") == 0
+
+
+def test_exports_hold_every_frame(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    double, table = tmp_path / "d.nc", tmp_path / "t.csv"
+    assert run(monkeypatch, "export", recording, "--to", "double-zernike", "--out", double) == 0
+    assert run(monkeypatch, "export", recording, "--to", "zernike-table", "--out", table) == 0
+    rows = read(table)
+    assert [row["frame"] for row in rows] == [0] * 9 + [1] * 9
+    with xr.open_dataset(double) as found, xr.open_dataset(recording / "results.nc") as results:
+        assert found["double_zernike"].dims == ("frame", "k", "j")
+        assert found["recording_index"].values.tolist() == [0, 1]
+        for row in rows:
+            at = zernike(
+                len(found["k"]) - 1, row["x_m"] / found.attrs["uv_outer"], row["y_m"] / found.attrs["uv_outer"]
+            )
+            expected = at @ found["double_zernike"].values[int(row["frame"]), 1:]
+            assert [row[f"Z{j}_rad"] for j in range(2, 29)] == pytest.approx(expected[2:].tolist(), abs=1e-12)
+        coefficients = np.array([[row[f"Z{j}_rad"] for j in range(2, 29)] for row in rows]).reshape(2, 3, 3, 27)
+        made = without_piston(at_views(np.moveaxis(coefficients[1], -1, 0), load_bench("small_demo")))
+        np.testing.assert_allclose(made, results["wavefront"].values[1], atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--order", "40"], "order 40 of the pupil modes must be 1 ... 6"),
+        (["--field-order", "9"], "field order 9 exceeds that of the"),
+        (["--field-order", "1", "--basis", "legendre"], "leave it out with --basis legendre"),
+        (["--frame", "7"], "has 2 frames"),
+        (["--mode", "1"], "--mode 1: the zernike modes of this result are 2 ... 28"),
+        (["--plot", "p.xyz"], "picture"),
+        (["--out", "old.nc"], "exists already"),
+        (["--out", "f.txt"], "ends in one of .nc, .csv"),
+    ],
+)
+def test_bad_input_is_one_line(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    sentence: str,
+) -> None:
+    (tmp_path / "old.nc").touch()
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "field", recording / "results.nc", "--out", "f.nc", *arguments) == 2
+    assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
+    assert [path.name for path in tmp_path.iterdir()] == ["old.nc"]
+
+
+def test_sources_without_the_coefficients_are_refused(
+    small_toml: Path,
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "f.nc"
+
+    def refused(*arguments: str | Path) -> str:
+        assert run(monkeypatch, *arguments, "--out", out) == 2
+        assert not out.exists()
+        return capsys.readouterr().err.strip().splitlines()[-1]
+
+    modal = "no coefficients: reconstruct with reconstruction.method=modal"
+    zonal = record(small_toml, tmp_path / "zonal", "reconstruction.method=zonal", frames=1).folder
+    assert modal in refused("field", zonal)
+    assert modal in refused("export", zonal, "--to", "double-zernike")
+    assert modal in refused("export", zonal, "--to", "zernike-table")
+    assert "no such file" in refused("field", tmp_path / "nothing.nc")
+    with xr.open_dataset(recording / "results.nc") as results:
+        results.drop_vars(["coefficients"]).to_netcdf(tmp_path / "other.nc")
+        results.assign(wavefront=results["wavefront"] * np.nan).to_netcdf(tmp_path / "lost.nc")
+        results.isel(field_mode=[0]).to_netcdf(tmp_path / "single.nc")  # as a translation yields
+    assert "measured at a single field position" in refused("field", tmp_path / "single.nc", "--field-order", "1")
+    assert modal in refused("field", tmp_path / "other.nc")
+    assert "no lenslet is known inside the circular pupil" in refused("field", tmp_path / "lost.nc")
