@@ -22,7 +22,7 @@ def load_pymmcore() -> Any:
     try:
         return import_module("pymmcore")
     except ImportError as error:
-        raise Unsupported("Micro-Manager's cameras need pymmcore: pip install 'svwfs[micro_manager]'") from error
+        raise Unsupported("Micro-Manager's cameras need pymmcore: pip install 'svwfs[micro-manager]'") from error
 
 
 def discover() -> tuple[DiscoveredDevice, ...]:
@@ -147,5 +147,5 @@ class LoadedCamera:
 def _tag(metadata: Any, name: str) -> str:
     """Entry of a frame's record, which Micro-Manager's core makes."""
     if not metadata.HasTag(name):
-        raise DeviceError(f"a frame came without {name}: use the pymmcore that svwfs[micro_manager] installs")
+        raise DeviceError(f"a frame came without {name}: use the pymmcore that svwfs[micro-manager] installs")
     return str(metadata.GetSingleTag(name).GetValue())
