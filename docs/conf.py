@@ -131,7 +131,7 @@ def _tables(name: str, chosen: dict, required: dict, title: str) -> Iterator[str
 
 def _cells(field: FormField, meaning: str) -> tuple[str, str, str, str]:
     unit = field.unit[1:] if field.factor != 1 else field.unit  # a bench file has SI units without prefixes
-    meaning = re.sub(r" \(in \S+\)$", "", meaning).replace("None", "omitted")
+    meaning = meaning.replace("None", "omitted")
     if meaning.partition(" ")[0][1:].islower():
         meaning = meaning[:1].lower() + meaning[1:]  # it begins a sentence in the form
     choices = ", ".join(f"`{choice}`" for choice in field.choices if choice)
