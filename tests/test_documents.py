@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import reduce
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 import typer.main
 from conftest import SMALL_TOML
+from support.batches import Counting, batch
 from support.command_line import run
 from support.documents import commands, named_commands, python_blocks
 from support.paths import DOCS, FOREIGN_FRAMES, ROOT
@@ -132,6 +134,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         files = ("--reference", "reference.tif", "--dark", "dark.tif", "--bench", "bench.toml", "--out", "RESULT")
         assert run(patch, "reconstruct", "frame.tif", *files) == 0
     (folder / "frame.tif").rename(folder / "IMAGE")
+    batch(folder / "results.zarr", folder / "RUN")
     return folder
 
 
@@ -148,6 +151,7 @@ def test_commands_run(document: Path, at_work: Path, monkeypatch: pytest.MonkeyP
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, at_work / "bench.toml")
     monkeypatch.setattr("app.evaluation.run_studies.run_studies", lambda *_: ())  # they have tests of their own
+    monkeypatch.setattr("app.batch.workers.workers", lambda *_: nullcontext(Counting()))
     for command in commands(document):
         words = shlex.split(reduce(lambda text, change: text.replace(*change), QUICK.items(), command))
         if words[0] == "live":

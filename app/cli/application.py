@@ -11,7 +11,7 @@ from app.cli.answers import corrector, field, layers
 from app.cli.evaluation import benchmark, paper, selftest, study
 from app.cli.frames import calibrate, deconvolve, reconstruct, simulate
 from app.cli.measuring import desktop, devices, live, measure
-from app.cli.recordings import export, recover, replay, report
+from app.cli.recordings import batch, export, recover, replay, report
 
 cli = typer.Typer(
     help="Live space-variant Shack-Hartmann wavefront sensing: the wavefront at every position of the field.",
@@ -34,7 +34,7 @@ def _common(
 
 
 # in the order of the help
-_BENCH = (live, measure, recover, replay, export, report)
+_BENCH = (live, measure, recover, replay, batch, export, report)
 _ANSWERS = (layers, corrector, field)
 for command in (
     *_BENCH,

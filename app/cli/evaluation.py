@@ -9,13 +9,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.cli.options import BenchOption, OverwriteOption, SeedsOption, SetOption, bench_file, load
+from app.cli.options import (
+    BenchOption,
+    OverwriteOption,
+    SchedulerOption,
+    SeedsOption,
+    SetOption,
+    WorkersOption,
+    bench_file,
+    load,
+)
 from app.errors import InputError, RunError
 from app.files import check_outputs
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
     from app.evaluation.study_kinds import Study
+    from app.tasks import Evaluate
 
 _LIVE_BENCH = "live_demo"
 _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
@@ -52,6 +62,8 @@ def study(
         ),
     ] = None,
     bench: BenchOption = "paper_simulation",
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
     overwrite: OverwriteOption = False,
     setting: SetOption = None,
 ) -> None:
@@ -60,7 +72,10 @@ def study(
     The sweeps vary noise, defects and sources (docs/estimator.md). More studies have names: calibration tests how well
     lattices are found, exposure how fast auto-exposure is (docs/calibration.md), deconvolution how good corrected
     images are (docs/corrected_images.md), and mask predicts how accurate a mask will be before it is manufactured,
-    beside the square (docs/estimator.md).
+    beside the square (docs/estimator.md). --workers or --scheduler share the seeds among processes
+    (docs/many_machines.md).
+
+    Example: svwfs study photons --seeds 100 --workers 8 --out study
 
     Example: svwfs study mask ring.png circle --seeds 1 --out study
     """
@@ -68,11 +83,26 @@ def study(
 
     studies = chosen_studies(names or [], frames)
     inputs = [bench_file(bench), *(Path(name) for name in names or [])]
-    _run(studies, load(bench, setting), seeds, out, inputs=inputs, overwrite=overwrite)
+    loaded = load(bench, setting)
+    if workers is None and scheduler is None:
+        _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite)
+        return
+    from app.batch.workers import workers as start
+
+    with start(workers, scheduler) as evaluate:
+        typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
+        _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite, evaluate=evaluate)
 
 
 def _run(
-    studies: Sequence[Study], bench: Bench, seeds: int, out: Path, *, inputs: Iterable[Path] = (), overwrite: bool
+    studies: Sequence[Study],
+    bench: Bench,
+    seeds: int,
+    out: Path,
+    *,
+    inputs: Iterable[Path] = (),
+    overwrite: bool,
+    evaluate: Evaluate | None = None,
 ) -> None:
     """Run studies under a progress bar and print their results."""
     from app.cli.tables import progress_bar
@@ -82,7 +112,7 @@ def _run(
 
     check_outputs(files_of(studies, out), inputs=[*inputs, *bench.files], overwrite=overwrite)
     with progress_bar() as progress:
-        results = run_studies(bench, studies, seeds, out, progress)
+        results = run_studies(bench, studies, seeds, out, progress, evaluate)
     print_results(results)
 
 

@@ -24,6 +24,13 @@ FramesOption = Annotated[
 ]
 SeedsOption = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
+WorkersOption = Annotated[
+    int | None, typer.Option(min=1, max=1024, help="Number of worker processes on this computer (extra: batch).")
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler, as tcp://node1:8786."),
+]
 
 TrustOption = Annotated[
     bool, typer.Option("--trust-library", help="Load the program library that the bench names, now and later.")

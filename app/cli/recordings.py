@@ -1,11 +1,11 @@
-"""Commands on recordings: `svwfs recover`, `replay`, `export` and `report`."""
+"""Commands on recordings: `svwfs recover`, `replay`, `batch`, `export` and `report`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from app.cli.options import FramesOption, OverwriteOption, SetOption
+from app.cli.options import FramesOption, OverwriteOption, SchedulerOption, SetOption, WorkersOption
 from app.errors import RunError
 
 RecordingArgument = Annotated[Path, typer.Argument(help="Folder of a recording.")]
@@ -69,6 +69,48 @@ def replay(
         )
     print_replay(made)
     _warn_of_missing(recording)
+
+
+def batch(
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Folders of recordings.")],
+    *,
+    out: Annotated[Path, typer.Option(help="Zarr store for the results; one that exists is continued.")],
+    bench: Annotated[
+        str | None, typer.Option("--bench", "-b", metavar="TOML", help="Another bench than the recorded ones.")
+    ] = None,
+    setting: SetOption = None,
+    refine: Annotated[
+        int, typer.Option(min=0, max=100, help="Maximum rounds of refinement of each frame, instead of the recorded.")
+    ] = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Reconstruct many recordings in parallel into one Zarr store.
+
+    The wavefronts are those of svwfs replay --out, bit by bit, whatever the number of workers; by default there is one
+    for each core. The same command again does only what is missing: after Ctrl-C, a power failure, or with more
+    recordings. A recording that cannot be used is named at the end. xarray.open_zarr opens the store, see
+    docs/many_machines.md, also for clusters.
+
+    Example: svwfs batch run1 run2 run3 --out results.zarr
+
+    Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
+    """
+    from app.batch.job import Job
+    from app.batch.run import run_batch
+    from app.batch.workers import workers as start
+    from app.bench.config import load_bench, write_bench
+    from app.cli.tables import print_batch, progress_bar
+
+    settings = tuple(setting or ())
+    other = "" if bench is None else write_bench(load_bench(bench, settings))
+    job = Job(bench=other, settings=() if other else settings, rounds=refine)
+    with start(workers, scheduler) as evaluate, progress_bar() as progress:
+        typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
+        done = run_batch(recordings, out, job, evaluate, progress)
+    print_batch(done, out)
+    if done.failed:
+        raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
 
 
 def export(

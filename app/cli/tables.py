@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from app.batch.run import Batch
 from app.cli import printable
 from app.evaluation.selftest import Check
 from app.progress import counted
@@ -98,6 +99,18 @@ def print_replay(made: Replay) -> None:
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
     _print_sentence(f"{counted(made.frames)}{why}")
+
+
+def print_batch(batch: Batch, out: Path) -> None:
+    """Print why recordings failed, and the number of frames in the store."""
+    for reason in batch.failed.values():
+        print_warning(reason)
+    without = batch.frames - batch.wavefronts
+    why = f" ({batch.problem})" if batch.problem else ""
+    missing = f"; {without} have no wavefront{why}" if without else ""
+    done = batch.recordings - len(batch.failed)
+    before = f", {batch.frames - batch.computed} of them from before" if batch.frames > batch.computed else ""
+    _print_sentence(f"{counted(done, 'recording')} with {counted(batch.frames)}{before} are in {out}{missing}")
 
 
 def print_quality(quality: QualityTally) -> None:

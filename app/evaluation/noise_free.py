@@ -68,7 +68,7 @@ class NoiseFreeFrames:
             raise InputError(f"simulation: {error}") from error
 
 
-def seeded(bench: Bench, seeds: int, first: int | None = None) -> list[Bench]:
-    """Return the bench with consecutive seeds of its screen, from its own seed or from `first` on."""
+def seeded(bench: Bench, seeds: range, first: int | None = None) -> list[Bench]:
+    """Return the bench with seeds of its screen, counted from its own seed or from `first`."""
     start = bench.simulation.seed if first is None else first
-    return [replace(bench, simulation=replace(bench.simulation, seed=start + index)) for index in range(seeds)]
+    return [replace(bench, simulation=replace(bench.simulation, seed=start + index)) for index in seeds]

@@ -20,11 +20,11 @@ LENSLETS = ("lenslet_row", "lenslet_column")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """A named set of cases; `measure` yields their results for a bench and a number of seeds."""
+    """A named set of cases; `measure` yields their results for a bench and some seeds, in the same order for each."""
 
     name: str
     title: str
-    measure: Callable[[Bench, int, Progress], Iterable[CaseResult]]
+    measure: Callable[[Bench, range, Progress], Iterable[CaseResult]]
 
     dims: ClassVar[tuple[str, ...]] = ()
 

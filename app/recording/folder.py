@@ -41,6 +41,13 @@ def read_run(folder: Path) -> dict[str, Any]:
     return run
 
 
+def recorded_frames(run: dict[str, Any]) -> int | None:
+    """Return the number of frames according to `run.json`; None if it does not tell."""
+    counts = run.get("frames")
+    recorded = counts.get("recorded") if isinstance(counts, dict) else None
+    return recorded if type(recorded) is int and recorded >= 0 else None  # True is not a number
+
+
 def parts_of(folder: Path) -> list[Path]:
     """Return the files and folders of a recording, which no command may replace."""
     return [folder / part.split("/")[0] for part in _PARTS]

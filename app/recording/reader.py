@@ -14,7 +14,19 @@ from app.errors import InputError
 from app.files import check_readable
 from app.measurement.calibration import Calibration
 from app.recording.calibration_files import read_array, read_calibration
-from app.recording.folder import BEFORE, BIAS, CALIBRATION, FRAME_LINES, PIXELS, RESULTS, RUN, START, STORE, read_run
+from app.recording.folder import (
+    BEFORE,
+    BIAS,
+    CALIBRATION,
+    FRAME_LINES,
+    PIXELS,
+    RESULTS,
+    RUN,
+    START,
+    STORE,
+    read_run,
+    recorded_frames,
+)
 from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_lines import FrameLine
 from drivers.interface import Frame
@@ -88,9 +100,7 @@ class Recording:
     @property
     def recorded_frames(self) -> int | None:
         """Number of frames according to `run.json`; None if it does not tell."""
-        counts = self.run.get("frames")
-        recorded = counts.get("recorded") if isinstance(counts, dict) else None
-        return recorded if type(recorded) is int and recorded >= 0 else None  # True is not a number
+        return recorded_frames(self.run)
 
     @property
     def ended_early(self) -> str:

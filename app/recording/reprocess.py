@@ -1,12 +1,18 @@
-"""Recorded frames through the pipeline again: the same software makes the same results, bit for bit."""
+"""Recorded frames through the pipeline again: the same software makes the same results, bit for bit.
+
+The result of a frame does not depend on which other frames are reconstructed: with the recorded registration it starts
+where it did live, with another one in a block of `BLOCK_FRAMES` whose first frame starts from zero displacement.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from app.bench.imaging_model import BenchModel
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.recording.frame_lines import FrameLine
@@ -19,11 +25,14 @@ from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.sequence import sequence_quality
 from reconstruction.quality.verdict import Quality
+from reconstruction.refinement import Refinement
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront
 
 Change = Callable[[Calibration], Calibration]
 _Seen = tuple[FrameLine, Counts]
+
+BLOCK_FRAMES = 128  # the frames of a block are computed together
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,26 +44,74 @@ class Reprocessed:
     problem: str  # why there is no wavefront; empty if there is one
     registered: Displacement | None  # before the bias
     calibration: Calibration | None  # after the change
-    is_refined: bool = False  # whether a bias was subtracted
+    bias_age_s: float | None = None  # of the subtracted bias; None if none was subtracted
     quality: Quality = Quality()
 
+    @property
+    def is_refined(self) -> bool:
+        """True if a bias was subtracted."""
+        return self.bias_age_s is not None
 
-def reprocess(
-    recording: Recording, frames: Sequence[int] | None = None, change: Change | None = None
-) -> Iterator[Reprocessed]:
-    """Reconstruct recorded frames, each with its own calibration, starting point and bias.
 
-    Frames that were skipped live are reconstructed, too; frames without a calibration have a problem instead.
+class Reprocessing:
+    """Reconstructs frames of one recording, each with its own calibration, starting point and bias.
+
+    The newest calibration is prepared once for all calls.
 
     Parameters
     ----------
     recording
         The recording.
+    change
+        Changes each calibration. If the registration differs, each frame starts from the one before in its block, and
+        no bias is subtracted, because it belongs to the recorded registration.
+    rounds
+        Rounds of refinement at most, each frame with its own bias instead of the recorded one.
+    """
+
+    def __init__(self, recording: Recording, change: Change | None = None, *, rounds: int = 0) -> None:
+        self._recording, self._change, self._rounds = recording, change, rounds
+        self._in_force: _InForce | None = None
+
+    def __call__(self, frames: Sequence[int] | None = None) -> Iterator[Reprocessed]:
+        """Yield the results of frames in increasing order; see `reprocess`."""
+        recording = self._recording
+        chosen = range(len(recording)) if frames is None else frames
+        before: Displacement | None = None
+        previous = _seen_before(recording, chosen[0]) if chosen else None
+        block = -1
+        with one_blas_thread():
+            for index in chosen:
+                line = recording.line(index)
+                if index // BLOCK_FRAMES != block:
+                    block, before = index // BLOCK_FRAMES, None
+                if line.calibration is None:
+                    yield Reprocessed(line, None, line.problem, None, None)
+                    continue
+                if self._in_force is None or line.calibration != self._in_force.number:
+                    self._in_force = _InForce.of(recording, line.calibration, self._change, self._rounds)
+                    before = None
+                in_force = self._in_force
+                start = _as_start(recording.start(index)) if in_force.registers_as_recorded else before
+                pixels = recording.pixels(index)
+                made = in_force.reconstruct(recording, line, pixels, start, previous)
+                before, previous = made.registered or before, (line, pixels)
+                yield made
+
+
+def reprocess(
+    recording: Recording, frames: Sequence[int] | None = None, change: Change | None = None
+) -> Iterator[Reprocessed]:
+    """Reconstruct recorded frames; see `Reprocessing`.
+
+    Frames that were skipped live are reconstructed, too; frames without a calibration have a problem instead.
+
+    Parameters
+    ----------
+    recording, change
+        As for `Reprocessing`.
     frames
         Indices in increasing order; all without.
-    change
-        Changes each calibration. If the registration differs, each frame starts from the one before, and no bias is
-        subtracted, because it belongs to the recorded registration.
 
     Yields
     ------
@@ -66,22 +123,7 @@ def reprocess(
     InputError
         If a frame or its calibration cannot be read, or does not fit the changed bench.
     """
-    in_force: _InForce | None = None
-    before: Displacement | None = None
-    previous: _Seen | None = None
-    with one_blas_thread():
-        for index in range(len(recording)) if frames is None else frames:
-            line = recording.line(index)
-            if line.calibration is None:
-                yield Reprocessed(line, None, line.problem, None, None)
-                continue
-            if in_force is None or line.calibration != in_force.number:
-                in_force, before = _InForce.of(recording, line.calibration, change), None
-            start = _as_start(recording.start(index)) if in_force.registers_as_recorded else before
-            pixels = recording.pixels(index)
-            made = in_force.reconstruct(recording, line, pixels, start, previous)
-            before, previous = made.registered or before, (line, pixels)
-            yield made
+    return Reprocessing(recording, change)(frames)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,16 +135,22 @@ class _InForce:
     reconstructor: Reconstructor
     judge: FrameJudge
     registers_as_recorded: bool
+    refinement: Refinement | None
+    rounds: int
 
     @classmethod
-    def of(cls, recording: Recording, number: int, change: Change | None) -> _InForce:
+    def of(cls, recording: Recording, number: int, change: Change | None, rounds: int) -> _InForce:
         recorded = recording.calibration(number)
         try:
             calibration = recorded if change is None else change(recorded)
             same = _of_registration(calibration) == _of_registration(recorded)
             reconstructor = calibration.reconstructor()
-            return cls(number, calibration, reconstructor, calibration.judge(reconstructor), same)
-        except ReconstructionError as error:
+            judge = calibration.judge(reconstructor)
+            refinement = None
+            if rounds:  # in one thread, because threads add the model's light in an order of their own
+                refinement = Refinement(reconstructor, BenchModel(calibration.bench, reconstructor, threads=1))
+            return cls(number, calibration, reconstructor, judge, same, refinement, rounds)
+        except (ReconstructionError, ValueError) as error:  # ValueError: the reference does not allow a model
             raise InputError(f"{recording.folder}: calibration {number} does not fit this bench: {error}") from error
 
     def reconstruct(
@@ -110,15 +158,33 @@ class _InForce:
     ) -> Reprocessed:
         try:
             registered = self.reconstructor.register(pixels, start=start)
-            bias = recording.bias(line.bias) if self.registers_as_recorded and line.bias is not None else None
-            if bias is not None and bias.shape != registered.coefficients.shape:
-                raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
-            wavefront = self.reconstructor.solve(registered, bias=bias)
+            wavefront, bias_age_s = self._solve(recording, line, registered)
         except ReconstructionError as error:
             return Reprocessed(line, None, str(error), None, self.calibration)
         quality = self.judge(pixels, wavefront.displacement) | _beside(previous, line, pixels)
-        is_refined = bias is not None
-        return Reprocessed(line, wavefront, "", registered, self.calibration, is_refined=is_refined, quality=quality)
+        return Reprocessed(line, wavefront, "", registered, self.calibration, bias_age_s, quality)
+
+    def _solve(self, recording: Recording, line: FrameLine, registered: Displacement) -> tuple[Wavefront, float | None]:
+        """Wavefront, and age of the bias that was subtracted, s; None without one."""
+        if self.refinement is not None:
+            rounds = list(self.refinement.rounds(registered, self.rounds))
+            return (rounds[-1].wavefront, 0.0) if rounds else (self.reconstructor.solve(registered), None)
+        if line.bias is None or not self.registers_as_recorded:
+            return self.reconstructor.solve(registered), None
+        bias = recording.bias(line.bias)
+        if bias.shape != registered.coefficients.shape:
+            raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
+        age_s = math.nan if line.bias_age_s is None else line.bias_age_s
+        return self.reconstructor.solve(registered, bias=bias), age_s
+
+
+def _seen_before(recording: Recording, index: int) -> _Seen | None:
+    """The frame before another; None if it has no calibration, or cannot be read."""
+    try:
+        line = recording.line(index - 1)
+        return None if line.calibration is None else (line, recording.pixels(index - 1))
+    except InputError:
+        return None
 
 
 def _beside(previous: _Seen | None, line: FrameLine, pixels: Counts) -> Quality:

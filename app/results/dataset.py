@@ -88,34 +88,37 @@ def results_in_pieces(
     with_wavefront = ((frame, more) for frame, more in frames if frame.wavefront is not None)
     while piece := list(islice(with_wavefront, _PIECE)):
         datasets = [
-            results_of(frame.wavefront, frame.quality).assign(more)
+            results.assign(more) if more else results  # it copies every variable
             for frame, more in piece
             if frame.wavefront is not None
+            for results in [results_of(frame.wavefront, frame.quality)]
         ]
         lines = [frame.line for frame, _ in piece]
         stacked = stack_frames(
             datasets,
             [line.camera_index for line in lines],
             [line.camera_time_s for line in lines],
-            [_bias_age_s(frame) for frame, _ in piece],
+            [math.nan if frame.bias_age_s is None else frame.bias_age_s for frame, _ in piece],
         )
         index = about("1", "the frame's index in the recording")
         yield stacked.assign_coords(recording_index=(_FRAME, [line.index for line in lines], index))
 
 
-def _bias_age_s(frame: Reprocessed) -> float:
-    age_s = frame.line.bias_age_s
-    return math.nan if age_s is None or not frame.is_refined else age_s
-
-
 def stack_frames(
     datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
 ) -> xr.Dataset:
-    """Stack the results of several frames along a new first dimension `frame`; `InputError` if shapes differ."""
+    """Stack the results of several frames along a new first dimension `frame`; `InputError` if the settings do."""
+    first = datasets[0]
     for dataset in datasets:
-        _require_alike(datasets[0].sizes, dataset.sizes)
-    stacked = xr.concat(datasets, _FRAME, join="exact", combine_attrs="override", coords="minimal", compat="override")
-    return stacked.assign_coords(
+        _require_alike(first.sizes, dataset.sizes)
+        is_alike = set(first.data_vars) == set(dataset.data_vars)
+        if not is_alike or any(not index.equals(dataset.indexes[name]) for name, index in first.indexes.items()):
+            raise InputError(SETTINGS_CHANGED)
+    stacked = {  # xarray.concat took a third of the time of a result, because it aligns every variable
+        name: ((_FRAME, *variable.dims), np.stack([each.variables[name].values for each in datasets]), variable.attrs)
+        for name, variable in first.data_vars.items()
+    }
+    return xr.Dataset(stacked, coords=first.coords, attrs=first.attrs).assign_coords(
         frame_index=(_FRAME, list(frame_index), about("1", "the camera's count since start")),
         time=(_FRAME, list(time_s), about("s", "end of the exposure on the camera's clock")),
         bias_age=(_FRAME, list(bias_age_s), about("s", "age of the bias that refined the frame; NaN: not refined")),

@@ -66,17 +66,17 @@ def sources() -> ComparisonTable:
     )
 
 
-def _table1(methods: Mapping[str, Method], bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _table1(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, seeds)
+        step = part(progress, index, len(seeds))
         step("rendering", 0.0)
         frames, truth = noise_free_frames(screen, ("square", "stars"))
         yield from _all_compared(screen, frames, truth, methods, step)
 
 
-def _table2(methods: Mapping[str, Method], bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _table2(methods: Mapping[str, Method], bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, seeds)
+        step = part(progress, index, len(seeds))
         step("rendering and exposing", 0.0)
         frames, truth = exposed_frames(screen, EXPOSURES_S, lambda _: None)
         small_bench, small_frames = resized(screen, frames)
@@ -89,10 +89,10 @@ def _table2(methods: Mapping[str, Method], bench: Bench, seeds: int, progress: P
             yield from _all_compared(each, its_frames, stars.views, named, part(step, half, 2))
 
 
-def _sources(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _sources(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     kinds = [f"{warp}_{solve}" for warp in ("affine", "affine_gradient", "quadratic") for solve in ("zonal", "modal")]
     for index, screen in enumerate(seeded(bench, seeds)):
-        step = part(progress, index, seeds)
+        step = part(progress, index, len(seeds))
         step("rendering", 0.0)
         frames, truth = noise_free_frames(screen, SOURCES)
         for source in SOURCES:

@@ -28,7 +28,7 @@ _DIM_PEAKS_E = (100.0, 300.0, 1000.0)
 _DRAWS = 3  # of noise per screen
 _FAST, _SLOW = 3, 1  # read-out speeds of the EM amplifier: high and low read noise
 _LIMITED_E = (300.0, 1e3, 3e3, 1e4, 1e5)  # light levels at which scatter and bound are compared
-_NOISE_DRAWS = 200  # for scatter and coverage, shared among the screens
+_NOISE_DRAWS = 67  # of each screen for scatter and coverage: with three screens, 200
 _UNBIASED: tuple[Warp, ...] = ("quadratic", "cubic", "quartic")
 _OVER_BOUND = 1.1  # limit of scatter over bound
 
@@ -78,12 +78,12 @@ def camera(bench: Bench, speed: int, em_gain: float) -> EmCamera:
     )
 
 
-def _photons(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _photons(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     em_camera = camera(bench, _SLOW, 1.0)
     for done, (screen, reference, frame) in enumerate(_screens(bench, seeds)):
         seed = screen.simulation.seed
         for index, peak_e in enumerate(_PEAKS_E):
-            progress(f"{peak_e:g} electrons", (done + index / len(_PEAKS_E)) / seeds)
+            progress(f"{peak_e:g} electrons", (done + index / len(_PEAKS_E)) / len(seeds))
             scale = np.float32(peak_e / frame.photons.max())
             known = em_camera.counts(reference * scale)
             draws = [em_camera.exposed(frame.photons * scale, seed, draw) for draw in range(_DRAWS)]
@@ -94,7 +94,7 @@ def _photons(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResul
             for noisy in draws:
                 yield compared("automatic warp", peak_e, automatic.reconstructor(noisy), frame.truth)
             if peak_e in _LIMITED_E:
-                noise = _Noise(em_camera, known, frame.photons * scale, frame.truth, seed, -(-_NOISE_DRAWS // seeds))
+                noise = _Noise(em_camera, known, frame.photons * scale, frame.truth, seed, _NOISE_DRAWS)
                 yield from _beside_bound(screen, noise, peak_e)
 
 
@@ -134,13 +134,13 @@ def _beside_bound(bench: Bench, noise: _Noise, peak_e: float) -> Iterator[CaseRe
     yield with_rms("automatic warp: error bar", peak_e, without, scatter.error_bar_rad, coverage=scatter.coverage)
 
 
-def _em_gain(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _em_gain(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     settings = [(f"37 e- read noise, {peak_e:g} e-", _FAST, gain, peak_e) for peak_e in _DIM_PEAKS_E for gain in _GAINS]
     settings += [(f"8 e- read noise, {peak_e:g} e-", _SLOW, 1.0, peak_e) for peak_e in _DIM_PEAKS_E]
     for done, (screen, reference, frame) in enumerate(_screens(bench, seeds)):
         seed = screen.simulation.seed
         for index, (curve, speed, gain, peak_e) in enumerate(settings):
-            progress(f"{curve}, gain {gain:g}", (done + index / len(settings)) / seeds)
+            progress(f"{curve}, gain {gain:g}", (done + index / len(settings)) / len(seeds))
             em_camera = camera(bench, speed, gain)
             scale = np.float32(peak_e / frame.photons.max())
             known = em_camera.counts(reference * scale)
@@ -150,7 +150,7 @@ def _em_gain(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResul
                 yield compared(curve, gain, wavefront, frame.truth)
 
 
-def _screens(bench: Bench, seeds: int) -> Iterator[tuple[Bench, Image, NoiseFreeFrame]]:
+def _screens(bench: Bench, seeds: range) -> Iterator[tuple[Bench, Image, NoiseFreeFrame]]:
     """Bench, reference and frame of each screen."""
     mask = bench.simulation.source.mask
     for screen in seeded(bench, seeds):

@@ -40,7 +40,7 @@ _ITERATIONS = 60
 _WIDER_PX = 10  # reach of the true point-spread functions beyond that of ours
 
 
-def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     screen = replace(bench.simulation.screen, **_SCREEN)  # type: ignore[arg-type] # each has its own type
     bench = replace(
         bench,
@@ -49,7 +49,7 @@ def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResul
         simulation=replace(bench.simulation, screen=screen),
     )
     for done, each in enumerate(seeded(bench, seeds)):
-        progress(f"seed {each.simulation.seed}", done / seeds)
+        progress(f"seed {each.simulation.seed}", done / len(seeds))
         yield from _Photographs(each).results()
 
 

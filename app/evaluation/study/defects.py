@@ -44,10 +44,10 @@ def _other_collimator(bench: Bench, error: float) -> Bench:
 
 def _over(
     values: tuple[float, ...], errors: dict[str, _Error]
-) -> Callable[[Bench, int, Progress], Iterator[CaseResult]]:
+) -> Callable[[Bench, range, Progress], Iterator[CaseResult]]:
     """Reconstruct frames of the right bench with the settings of a wrong one, for each kind and size of error."""
 
-    def measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+    def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
         reference = NoiseFreeFrames(bench).reference(bench.simulation.source.mask)
         frames = _frames(bench, seeds)
         cases = [(kind, value, wrong) for kind, wrong in errors.items() for value in values]
@@ -60,13 +60,13 @@ def _over(
     return measure
 
 
-def _dead(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _dead(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     reference = NoiseFreeFrames(bench).reference(bench.simulation.source.mask)
     shape = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
     for done, (frame, screen) in enumerate(zip(_frames(bench, seeds), seeded(bench, seeds), strict=True)):
         order = np.random.default_rng(screen.simulation.seed).permutation(shape[0] * shape[1])
         for index, fraction in enumerate(_DEAD):
-            progress(f"{fraction:.0%} dead", (done + index / len(_DEAD)) / seeds)
+            progress(f"{fraction:.0%} dead", (done + index / len(_DEAD)) / len(seeds))
             alive = np.ones(order.size)
             alive[order[: round(fraction * order.size)]] = 0.0
             alive = alive.reshape(shape)
@@ -79,7 +79,7 @@ def _dead(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
                 yield compared(curve, fraction, wavefront, frame.truth, lenslets=alive == 0.0)
 
 
-def _frames(bench: Bench, seeds: int) -> list[NoiseFreeFrame]:
+def _frames(bench: Bench, seeds: range) -> list[NoiseFreeFrame]:
     return [NoiseFreeFrames(screen).frame(bench.simulation.source.mask) for screen in seeded(bench, seeds)]
 
 

@@ -54,13 +54,13 @@ _CAMERAS = (
 )
 
 
-def _measure(_bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _measure(_bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     cases = list(itertools.product(_CAMERAS, _CURRENTS_A))
     for done, (camera, current_a) in enumerate(cases):
         progress(f"{camera.name}, {current_a:g} A", done / len(cases))
         allowed = camera.exposures_s
         rights_s, starts_s = (np.geomspace(allowed.minimum, allowed.maximum, count) for count in (_RIGHT, _STARTS))
-        for image, right_s, start_s, seed in itertools.product(_IMAGES, rights_s, starts_s, range(seeds)):
+        for image, right_s, start_s, seed in itertools.product(_IMAGES, rights_s, starts_s, seeds):
             first_s = min(max(float(start_s), allowed.minimum), allowed.maximum)  # geomspace rounds
             yield _trial(camera, current_a, image, float(right_s), first_s, seed)
 

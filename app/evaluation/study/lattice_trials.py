@@ -58,11 +58,11 @@ def calibration_trials(frames: Path | None = None) -> TrialStudy:
     return TrialStudy(name="calibration", title=title, measure=partial(_measure, frames))
 
 
-def _measure(folder: Path | None, bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
-    for done, seed in enumerate(range(seeds)):
+def _measure(folder: Path | None, bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
+    for done, seed in enumerate(seeds):
         references = [*_from_folder(folder, seed), *_unchanged(bench, seed), *_random(bench, seed)]
         for index, reference in enumerate(references):
-            progress(f"{reference.case}, {reference.name}", (done + index / len(references)) / seeds)
+            progress(f"{reference.case}, {reference.name}", (done + index / len(references)) / len(seeds))
             if seed == 0 or "random" in reference.case:  # without noise the others never change
                 yield _trial(reference, reference.light * (_CLEAN_PEAK / reference.light.max()), None)
             yield _trial(reference, *_faint(reference))

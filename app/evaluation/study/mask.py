@@ -76,7 +76,7 @@ def _built_in() -> str:
 
 
 def _measure(
-    bench: Bench, seeds: int, progress: Progress, *, sources: dict[str, dict[str, str]]
+    bench: Bench, seeds: range, progress: Progress, *, sources: dict[str, dict[str, str]]
 ) -> Iterator[CaseResult]:
     square = NoiseFreeFrames(bench).reference("square")
     for index, (name, changes) in enumerate(sources.items()):
@@ -87,7 +87,8 @@ def _measure(
             progress(f"{name}, residual", index / len(sources))
             yield from study.residuals(seeds, at)
             progress(f"{name}, noise", (index + 0.5) / len(sources))
-            yield from study.noise(at)
+            if 0 in seeds:  # of one screen
+                yield from study.noise(at)
         except (InputError, ReconstructionError) as error:
             raise InputError(f"mask {name}: {error}") from error
 
@@ -104,7 +105,7 @@ class _MaskStudy:
         self._square_peak = float(square.max())
         self.light = float(self._reference.sum() / square.sum())  # relative to the square
 
-    def residuals(self, seeds: int, at: str) -> Iterator[CaseResult]:
+    def residuals(self, seeds: range, at: str) -> Iterator[CaseResult]:
         """Noise-free residual of one pass with automatic modes, predicted and simulated, for each screen."""
         estimator = WarpEstimator(self._bench, self._reference, _WARP)
         predict = LinearPass(self._bench, estimator, self._reference)

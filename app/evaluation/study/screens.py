@@ -55,15 +55,15 @@ def with_screen(bench: Bench, **changes: Any) -> Bench:
 
 def _over(
     values: tuple[float, ...], change: Callable[[Bench, float], Bench], first_seed: int | None = None
-) -> Callable[[Bench, int, Progress], Iterator[CaseResult]]:
+) -> Callable[[Bench, range, Progress], Iterator[CaseResult]]:
     """Measure noise-free frames of the bench changed by each value, against the reference of the unchanged bench."""
 
-    def measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+    def measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
         mask = bench.simulation.source.mask
         estimators = WarpEstimators(bench, NoiseFreeFrames(bench).reference(mask))
         for done, screen in enumerate(seeded(bench, seeds, first_seed)):
             for index, value in enumerate(values):
-                progress(f"{value:g}", (done + index / len(values)) / seeds)
+                progress(f"{value:g}", (done + index / len(values)) / len(seeds))
                 frames = NoiseFreeFrames(change(screen, value))
                 frame = frames.frame(mask)
                 yield from estimators.compare(frame.photons, frame.truth, value, sample=frames.sample)
@@ -71,13 +71,13 @@ def _over(
     return measure
 
 
-def _ensembles(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _ensembles(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     mask = bench.simulation.source.mask
     reference = NoiseFreeFrames(bench).reference(mask)
     films = []
     for index, length_m in enumerate(_CORRELATION_LENGTHS_M):
         for done, screen in enumerate(seeded(with_screen(bench, correlation_length_m=length_m), seeds)):
-            progress(f"rendering {length_m * 1e3:g} mm", (index + done / seeds) / len(_CORRELATION_LENGTHS_M) / 2)
+            progress(f"rendering {length_m * 1e3:g} mm", (index + done / len(seeds)) / len(_CORRELATION_LENGTHS_M) / 2)
             drifting = NoiseFreeFrames(_drifting(screen))
             films.append((length_m, {seconds: drifting.frame(mask, seconds) for seconds in _FILM_S}))
     methods = [(warp, method, reconstruction) for warp in _WARPS for method, reconstruction in _METHODS.items()]

@@ -26,7 +26,7 @@ _BRIGHT = 0.1  # of the highest brightness; darker points are outside the source
 _ROUNDING = 1e-9
 
 
-def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResult]:
+def _measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
     source = bench.simulation.source
     sources: dict[str, Source] = {mask: replace(source, mask=mask) for mask in _MASKS}
     sources["checkerboard"] = replace(source, file=str(_checkerboard()), mask="image")
@@ -35,7 +35,7 @@ def _measure(bench: Bench, seeds: int, progress: Progress) -> Iterator[CaseResul
         views = lit_views(with_source)
         estimators = WarpEstimators(with_source, NoiseFreeFrames(with_source).reference(each.mask))
         for done, screen in enumerate(seeded(with_source, seeds)):
-            progress(name, (index + done / seeds) / len(sources))
+            progress(name, (index + done / len(seeds)) / len(sources))
             frame = NoiseFreeFrames(screen).frame(each.mask)
             yield from estimators.compare(frame.photons, frame.truth, name, views=views)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
-from app.bench.config import Bench
+from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
@@ -32,7 +32,7 @@ class Player:
         self.folder, self.frames = folder, self._recording.select(frames)
         self.position: int | None = None
         self._speed = 1.0
-        self._change = change_of(bench, settings)
+        self._change = change_of(None if bench is None else load_bench(bench, settings), settings)
         self._camera: RecordedCamera | None = None
         self._acquisition: Acquisition | None = None
         numbers = (self._recording.line(index).calibration for index in self.frames)

@@ -59,11 +59,12 @@ def replay(
     With another `bench`, or changed `settings` of the recorded one, both are made and compared. With `verify`, raise
     `RunError` if a result differs from the recorded one in any bit.
     """
-    bench_read = () if bench is None else (bench_file(bench), *load_bench(bench, settings).files)
+    other = None if bench is None else load_bench(bench, settings)
+    bench_read = () if bench is None or other is None else (bench_file(bench), *other.files)
     check_outputs([out], inputs=[*parts_of(folder), *bench_read], overwrite=overwrite)
     recording = Recording(folder)
     chosen = recording.select(frames)
-    change = change_of(bench, settings)
+    change = change_of(other, settings)
     if verify and change is not None:
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
     made = Replay(Verification(recording) if change is None else None, None if change is None else Comparison())
@@ -96,16 +97,13 @@ def _frames(
         yield frame, more
 
 
-def change_of(bench: str | None, settings: tuple[str, ...]) -> Change | None:
+def change_of(bench: Bench | None, settings: tuple[str, ...]) -> Change | None:
     """Return the change of a recorded calibration to another bench, or to other settings; None if there is none."""
     if bench is None and not settings:
         return None
 
     def change(calibration: Calibration) -> Calibration:
-        if bench is None:
-            other = parse_bench(write_bench(calibration.bench), "the recorded bench", settings)
-        else:
-            other = load_bench(bench, settings)
+        other = bench or parse_bench(write_bench(calibration.bench), "the recorded bench", settings)
         try:
             return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
         except ReconstructionError as error:

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.soak
 @pytest.fixture(scope="module")
 def data() -> xr.Dataset:
     bench = svwfs.load_bench("paper_simulation")
-    return collect(DECONVOLUTION.dims, DECONVOLUTION.measure(bench, 1, lambda *_: None))
+    return collect(DECONVOLUTION.dims, DECONVOLUTION.measure(bench, range(1), lambda *_: None))
 
 
 @pytest.mark.parametrize("name", ["target", "cells", "stars"])

@@ -58,7 +58,7 @@ def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
 def test_photons_study_compares_scatter_with_bound(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_noise, "_PEAKS_E", (1e3,))
     monkeypatch.setattr(camera_noise, "_NOISE_DRAWS", 20)
-    data = collect(PHOTONS.dims, PHOTONS.measure(load_bench(small_toml), 1, lambda *_: None))
+    data = collect(PHOTONS.dims, PHOTONS.measure(load_bench(small_toml), range(1), lambda *_: None))
     summary = PHOTONS.summary(data).sel(at=1e3)
     scatter, bound, bar = (summary.sel(curve=f"cubic, 45 modes: {row}") for row in ("scatter", "bound", "error bar"))
     assert scatter["asked_rad"].item() == pytest.approx(1.1 * bound["mean_rad"].item())

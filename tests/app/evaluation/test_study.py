@@ -72,8 +72,8 @@ def sampled(rms_rad: float, *, at: float | str = "here", lost: int = 0) -> CaseR
     return CaseResult(at={"curve": "affine", "at": at}, values=values)
 
 
-def _finished(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[CaseResult]:
-    yield from (sampled(0.1 * seed, lost=seed) for seed in range(seeds))
+def _finished(_bench: Bench, seeds: range, _progress: Progress) -> Iterator[CaseResult]:
+    yield from (sampled(0.1 * seed, lost=seed) for seed in seeds)
 
 
 def _interrupted(*_: object) -> Iterator[CaseResult]:

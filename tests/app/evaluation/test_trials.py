@@ -32,8 +32,8 @@ def made(case: str, **measured: float) -> CaseResult:
     return trial(case=case, name="", measured=measured, limits=dict.fromkeys(measured, 2.0), problem=problem)
 
 
-def measure(_bench: Bench, seeds: int, _progress: Progress) -> Iterator[CaseResult]:
-    yield from (made("one", a=float(value), b=0.5) for value in range(1, seeds + 1))
+def measure(_bench: Bench, seeds: range, _progress: Progress) -> Iterator[CaseResult]:
+    yield from (made("one", a=float(value), b=0.5) for value in range(1, len(seeds) + 1))
     yield made("other", a=math.nan, b=math.nan)
 
 
@@ -41,7 +41,7 @@ STUDY = TrialStudy(name="made", title="Made up", measure=measure)
 
 
 def trials_of(study: TrialStudy, small_toml: Path) -> tuple[xr.Dataset, list[dict[str, object]]]:
-    data = collect(study.dims, study.measure(load_bench(small_toml), 1, lambda *_: None))
+    data = collect(study.dims, study.measure(load_bench(small_toml), range(1), lambda *_: None))
     return data, list(study.trials(data))
 
 
@@ -117,7 +117,7 @@ def test_calibration_measures_wrong_results(monkeypatch: pytest.MonkeyPatch, sma
         return replace(found, lattice=moved, rows=found.rows + 1, illuminated=lit)
 
     monkeypatch.setattr(lattice_trials, "survey", wrong)
-    results = calibration_trials().measure(load_bench(small_toml), 1, lambda *_: None)
+    results = calibration_trials().measure(load_bench(small_toml), range(1), lambda *_: None)
     (first,) = TrialStudy.trials(collect(TrialStudy.dims, itertools.islice(results, 1)))
     expected = {
         "centre (px)": 5.0,

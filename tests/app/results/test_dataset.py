@@ -96,6 +96,16 @@ def test_frames_stack_along_a_first_dimension(dataset: xr.Dataset) -> None:
     assert stacked["view_x"].dims == ("view_column",)
 
 
+@pytest.mark.parametrize("change", ["separation", "coefficients"])
+def test_frames_with_other_settings_do_not_stack(dataset: xr.Dataset, change: str) -> None:
+    """Other positions, or another method, though the sizes are the same."""
+    other = (
+        dataset.drop_vars(change) if change == "coefficients" else dataset.assign_coords({change: dataset[change] * 2})
+    )
+    with pytest.raises(InputError, match="the settings changed between these frames"):
+        stack_frames([dataset, other], [0, 1], [0.0, 0.1], [0.0, 0.0])
+
+
 def test_pieces_write_the_same_file_as_the_whole(dataset: xr.Dataset, tmp_path: Path) -> None:
     frames = [
         dataset.assign(rms=dataset["rms"] * factor, valid=dataset["valid"] ^ bool(factor % 2)) for factor in range(5)

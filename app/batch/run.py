@@ -1,0 +1,155 @@
+"""`svwfs batch`: reconstruct recordings into one store; what is there already is not done again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from app.batch.job import Job
+from app.batch.sources import Source, find_sources
+from app.batch.store import ResultStore, is_store, only_writer
+from app.batch.work import Block, DoneBlock, first_result, reconstruct_block
+from app.errors import InputError, Interrupted, RunError
+from app.files import in_words
+from app.progress import Progress
+from app.tasks import Evaluate
+
+
+@dataclass(slots=True)
+class Batch:
+    """Outcome of a run."""
+
+    recordings: int  # that were named, each once
+    frames: int = 0  # of the recordings that are done
+    wavefronts: int = 0
+    computed: int = 0  # frames of this run; the others were there
+    problem: str = ""  # of the first frame without a wavefront in this run
+    failed: dict[Path, str] = field(default_factory=dict)  # recordings with the reason
+
+
+def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, progress: Progress) -> Batch:
+    """Reconstruct the blocks of recordings that are missing in the store `out`, which is made if necessary.
+
+    Parameters
+    ----------
+    folders
+        The recordings.
+    out
+        Folder of the store.
+    job
+        Settings; those of an existing store must be the same.
+    evaluate
+        Calls a function with each block, here or on workers that see the same folders.
+    progress
+        Gets the number of finished frames.
+
+    Raises
+    ------
+    InputError
+        If no recording can be used, or the store is of another job.
+    RunError
+        If nothing can be written, or the workers are lost. Everything that was finished stays.
+    Interrupted
+        On Ctrl-C; the text says how many frames are in the store.
+    """
+    for folder in folders:
+        if out.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{out}: lies in the recording {folder}: give the results another place")
+    sources, failed = find_sources(folders)
+    batch = Batch(len(sources) + len(failed), failed=failed)
+    if not sources:
+        raise InputError("; ".join(failed.values()))
+    with only_writer(out):
+        store = _opened(out, job, sources, evaluate, progress)
+        numbered, changed = store.register(sources)
+        batch.failed |= changed
+        filling = _Filling(store, numbered, batch)
+
+        def state() -> str:
+            return f"{filling.done} of {filling.frames} frames"
+
+        progress(state(), filling.done / filling.frames)
+        try:
+            for block, result in evaluate(partial(reconstruct_block, out, job), filling.blocks()):
+                if isinstance(result, RunError):  # the disk or the workers, not this recording
+                    raise result
+                filling.take(block, result)
+                progress(state(), filling.done / filling.frames)
+        except RunError as error:
+            raise RunError(f"{error}; {state()} are in {out}, the same command does the rest") from error
+        except Interrupted:
+            raise Interrupted(f"interrupted: {state()} are in {out}, the same command does the rest") from None
+        filling.count()
+    return batch
+
+
+def _opened(out: Path, job: Job, sources: Sequence[Source], evaluate: Evaluate, progress: Progress) -> ResultStore:
+    """Open the store, or make it for results like those of the first recording that has any."""
+    if is_store(out):
+        store = ResultStore(out)
+        store.check(job)
+        return store
+    problem = ""
+    for source in sources:
+        progress("preparing", 0.0)
+        for _, template in evaluate(partial(first_result, job), [source]):
+            if isinstance(template, RunError):
+                raise template
+            if isinstance(template, Exception):
+                problem = problem or _reason(template)
+            elif template is not None:
+                return ResultStore.create(out, job, template)
+    raise RunError(f"{out}: there is nothing to write: {problem or 'no frame has a wavefront'}")
+
+
+class _Filling:
+    """The blocks of a run: which are missing, and what becomes of each."""
+
+    def __init__(self, store: ResultStore, numbered: Sequence[tuple[int, Source]], batch: Batch) -> None:
+        self._store, self._numbered, self._batch = store, numbered, batch
+        self._missing: dict[int, int] = {}  # blocks
+        self._facts: dict[int, dict[str, Any]] = {}
+        self.frames = self.done = sum(source.frames for _, source in numbered)
+        for number, source in numbered:
+            missing = store.missing(number, source)
+            self._missing[number] = len(missing)
+            self.done -= sum(map(len, missing))
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the missing blocks, recording by recording; the rest of a failed one is left out."""
+        for number, source in self._numbered:
+            for frames in self._store.missing(number, source):
+                if source.folder in self._batch.failed:
+                    break
+                yield Block(source, number, frames)
+
+    def take(self, block: Block, result: DoneBlock | Exception) -> None:
+        """Count a block, and write the provenance of a recording that is done or has failed."""
+        number, source, failed = block.number, block.source, self._batch.failed
+        if isinstance(result, DoneBlock):
+            self.done += len(block.frames)
+            self._batch.computed += len(block.frames)
+            self._batch.problem = self._batch.problem or result.problem
+            self._missing[number] -= 1
+            self._facts[number] = result.facts
+        else:
+            failed.setdefault(source.folder, _reason(result))
+        if source.folder in failed:
+            self._store.write_provenance(number, source, {"failed": failed[source.folder]})
+        elif not self._missing[number]:
+            self._store.write_provenance(number, source, self._facts.pop(number))
+
+    def count(self) -> None:
+        """Count frames and wavefronts of the recordings that are done."""
+        for number, source in self._numbered:
+            if source.folder not in self._batch.failed:
+                self._batch.frames += source.frames
+                self._batch.wavefronts += self._store.count(number, source)
+
+
+def _reason(error: Exception) -> str:
+    """Say why a recording cannot be reconstructed; an unexpected error with its kind."""
+    return in_words(error) if isinstance(error, InputError) else f"{type(error).__name__}: {in_words(error)}"

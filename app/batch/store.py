@@ -1,0 +1,301 @@
+"""The store of a batch: one Zarr group of results (recording, frame, ...) that xarray opens as one dataset.
+
+A chunk holds one block of frames of one recording, and every file is written atomically, so workers need no lock. The
+chunk of `state` is written last: a block whose chunk exists is done.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import NDArray
+from zarr.core.buffer import Buffer
+from zarr.errors import ZarrUserWarning
+from zarr.storage import LocalStore
+
+from app.batch.job import Job
+from app.batch.sources import Source, unique_names
+from app.errors import InputError
+from app.files import atomic_write, check_writable, in_words, make_folder
+from app.recording.folder import lock
+from app.recording.frame_array import METADATA
+from app.recording.reprocess import BLOCK_FRAMES
+from app.results.view_quality import about
+
+FORMAT = "svwfs batch 1"
+STATE = "state"
+WAVEFRONT, NO_WAVEFRONT = 1, 2  # values of `state`; 0: not done
+
+_RECORDING, _FRAME = "recording", "frame"
+_PROVENANCE, _FRAMES = "provenance", "frames"
+_COORDINATES = ("frame_index", "time", "bias_age", _PROVENANCE, _FRAMES)
+_NAMES_CHUNK, _FRAME_CHUNK = 4096, 1 << 16
+
+
+class _DurableStore(LocalStore):
+    """A folder in which every file is on the disk before it has its name."""
+
+    async def set(self, key: str, value: Buffer) -> None:
+        """Write a file."""
+        self._check_writable()
+        await asyncio.to_thread(_write, self.root / key, value.to_bytes())
+
+
+def _write(path: Path, contents: bytes) -> None:
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(contents)
+
+
+@contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Check the folder of a store, and keep other runs out; `InputError` if one writes into it already."""
+    _check_free(folder)
+    make_folder(folder.parent)
+    with folder.with_name(f".{folder.name}.lock").open("ab") as file:
+        try:
+            lock(file)
+        except InputError as error:
+            raise InputError(f"{folder}: another svwfs batch is writing into it") from error
+        yield
+
+
+def is_store(folder: Path) -> bool:
+    """True if a folder holds a whole store; a run may have been killed while it made one."""
+    return "job" in _attributes(folder)
+
+
+def _attributes(folder: Path) -> dict[str, Any]:
+    """Attributes of a store; empty if the folder holds none."""
+    try:
+        attributes = json.loads((folder / METADATA).read_text("utf-8"))["attributes"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
+    return attributes if isinstance(attributes, dict) and attributes.get("format") == FORMAT else {}
+
+
+def _check_free(folder: Path) -> None:
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder}: is a file; the results need a folder")
+        if folder.is_dir() and not _attributes(folder) and any(folder.iterdir()):
+            raise InputError(f"{folder}: exists already and holds no results of svwfs batch")
+        check_writable(folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be used: {in_words(error)}") from error
+
+
+class ResultStore:
+    """An existing store, opened to be written into; it belongs to one `Job`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        try:
+            self._group = zarr.open_group(_DurableStore(folder), mode="r+", zarr_format=3, use_consolidated=False)
+            self._arrays = dict(self._group.arrays())
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"{folder}: cannot be read as results of svwfs batch: {in_words(error)}") from error
+        self._of_frames = {
+            name: array
+            for name, array in self._arrays.items()
+            if _dimensions(array)[:2] == (_RECORDING, _FRAME) and name != STATE
+        }
+
+    @classmethod
+    def create(cls, folder: Path, job: Job, template: xr.Dataset) -> ResultStore:
+        """Make an empty store for results like these of some frames of one recording."""
+        group = zarr.open_group(_DurableStore(folder), mode="a", zarr_format=3)
+        group.attrs.update({"format": FORMAT})
+        for name, variable in template.variables.items():
+            attributes = {
+                key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in variable.attrs.items()
+            }
+            if variable.dims[:1] == (_FRAME,):
+                if name != "recording_index":  # it is the position along `frame`
+                    _make(group, str(name), variable.dtype, variable.dims[1:], variable.shape[1:], attributes)
+            else:
+                values = (
+                    variable.values if variable.dtype.kind != "U" else variable.values.astype(np.dtypes.StringDType())
+                )
+                group.create_array(
+                    str(name),
+                    data=values,
+                    dimension_names=[*map(str, variable.dims)],
+                    attributes=attributes,
+                    overwrite=True,
+                )
+        meanings = {"flag_values": [0, WAVEFRONT, NO_WAVEFRONT], "flag_meanings": "not_done wavefront no_wavefront"}
+        _make(group, STATE, np.dtype(np.uint8), (), (), about("1", "whether the frame has a wavefront") | meanings)
+        text: Any = np.dtypes.StringDType()
+        for name, dtype, along, chunk, long_name in (
+            (_RECORDING, text, _RECORDING, _NAMES_CHUNK, "name of the recording"),
+            (_PROVENANCE, text, _RECORDING, 1, "JSON: folder, bench, software, computer, failure"),
+            (_FRAMES, np.int64, _RECORDING, _NAMES_CHUNK, "number of recorded frames"),
+            (_FRAME, np.int64, _FRAME, _FRAME_CHUNK, "the frame's index in the recording"),
+        ):
+            attributes = {"long_name": long_name}
+            group.create_array(
+                name,
+                shape=(0,),
+                chunks=(chunk,),
+                dtype=dtype,
+                dimension_names=(along,),
+                attributes=attributes,
+                overwrite=True,
+            )
+        more = [str(name) for name in template.coords if name not in template.dims and name != "recording_index"]
+        coordinates = " ".join(dict.fromkeys((*more, *_COORDINATES)))
+        # the job is written last: a store without it is not whole
+        group.attrs.update({"title": "Space-variant wavefronts", "coordinates": coordinates, "job": asdict(job)})
+        return cls(folder)
+
+    def check(self, job: Job) -> None:
+        """Raise `InputError` unless the results in the store are of the same job."""
+        kept = self._group.attrs["job"]
+        given = json.loads(json.dumps(asdict(job)))
+        if kept != given:
+            differing = [name for name in given if not isinstance(kept, dict) or kept.get(name) != given[name]]
+            raise InputError(
+                f"{self._folder}: its results were made with another {' and '.join(differing)}: repeat those options,"
+                " or give another --out"
+            )
+
+    def register(self, sources: Sequence[Source]) -> tuple[list[tuple[int, Source]], dict[Path, str]]:
+        """Give each recording its number in the store, making room for new ones.
+
+        Returns the numbers with the recordings, and the reason for each recording that has changed.
+        """
+        known = self._known()
+        numbers = {record["fingerprint"]: number for number, record in enumerate(known)}
+        folders = {record["folder"] for record in known}
+        changed = {
+            source.folder: f"{source.folder}: has changed since its results were written: give another --out"
+            for source in sources
+            if source.fingerprint not in numbers and str(source.folder) in folders
+        }
+        new = [source for source in sources if source.fingerprint not in numbers and source.folder not in changed]
+        names = [*self._names(), *unique_names((source.folder for source in new), self._names())]
+        numbers |= {source.fingerprint: len(known) + index for index, source in enumerate(new)}
+        frames = [*(record["frames"] for record in known), *(source.frames for source in new)]
+        self._resize(len(frames), max(frames, default=0))
+        self._arrays[_FRAME][:] = np.arange(max(frames, default=0))
+        self._arrays[_FRAMES][:] = np.array(frames, np.int64)
+        self._arrays[_RECORDING][:] = np.array(names, np.dtypes.StringDType())
+        registered = [(numbers[source.fingerprint], source) for source in sources if source.fingerprint in numbers]
+        for number, source in registered:
+            if number >= len(known):
+                self.write_provenance(number, source, {})
+        with warnings.catch_warnings():  # Zarr readers other than Python's may ignore it
+            warnings.filterwarnings("ignore", "Consolidated metadata", ZarrUserWarning)
+            zarr.consolidate_metadata(self._group.store)  # xarray opens the store much faster
+        return registered, changed
+
+    def write_provenance(self, number: int, source: Source, facts: Mapping[str, Any]) -> None:
+        """Replace what is known of the origin of a recording's results."""
+        record = {"folder": str(source.folder), "fingerprint": source.fingerprint, "frames": source.frames, **facts}
+        self._arrays[_PROVENANCE][number] = json.dumps(record)
+
+    def missing(self, number: int, source: Source) -> list[range]:
+        """Frames of each block of a recording that is not done."""
+        folder, block = self._folder / STATE / "c" / str(number), self._arrays[STATE].chunks[1]
+        done = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+        return [
+            range(first, min(first + block, source.frames))
+            for first in range(0, source.frames, block)
+            if str(first // block) not in done
+        ]
+
+    def count(self, number: int, source: Source) -> int:
+        """Number of frames of a recording that have a wavefront."""
+        return int(np.count_nonzero(np.asarray(self._arrays[STATE][number, : source.frames]) == WAVEFRONT))
+
+    def write(self, number: int, frames: range, pieces: Iterable[xr.Dataset]) -> int:
+        """Write the results of one block, as `results_in_pieces` yields them; return the number of wavefronts."""
+        values: dict[str, NDArray[Any]] = {
+            name: np.full((len(frames), *array.shape[2:]), array.fill_value, array.dtype)
+            for name, array in self._of_frames.items()
+        }
+        state = np.full(len(frames), NO_WAVEFRONT, np.uint8)
+        for piece in pieces:
+            self._check_alike(piece)
+            at = piece["recording_index"].values - frames.start
+            state[at] = WAVEFRONT
+            for name, block in values.items():
+                block[at] = piece[name].values
+        for name, block in values.items():
+            self._of_frames[name][number, frames.start : frames.stop] = block
+        self._arrays[STATE][number, frames.start : frames.stop] = state
+        return int(np.count_nonzero(state == WAVEFRONT))
+
+    def _check_alike(self, piece: xr.Dataset) -> None:
+        """Raise `InputError` unless results have the sizes and coordinates of the store."""
+        sizes = {
+            dimension: size
+            for array in self._of_frames.values()
+            for dimension, size in zip(_dimensions(array)[2:], array.shape[2:], strict=True)
+        }
+        found = {dimension: size for dimension, size in piece.sizes.items() if dimension != _FRAME}
+        differing = [
+            f"{found.get(name, 'no')} {name} instead of {sizes.get(str(name), 'no')}"
+            for name in sorted({*map(str, found), *sizes})
+            if found.get(name) != sizes.get(name)
+        ]
+        if not differing:
+            along = [name for name in piece.coords if _FRAME not in piece[name].dims and piece[name].dtype.kind == "f"]
+            differing = [
+                f"another {name}" for name in along if not np.array_equal(piece[name], self._arrays[str(name)][:])
+            ]
+        if differing:
+            raise InputError(
+                f"its results do not fit the store: {', '.join(differing)}; fix warp and modes by --set, or give"
+                " another --out"
+            )
+
+    def _known(self) -> list[dict[str, Any]]:
+        """Provenance of all registered recordings; the last ones may not be registered completely."""
+        texts = [str(text) for text in np.asarray(self._arrays[_PROVENANCE][:])]
+        return [json.loads(text) for text in texts[: texts.index("") if "" in texts else None]]
+
+    def _names(self) -> list[str]:
+        return [str(name) for name in np.asarray(self._arrays[_RECORDING][:])][: len(self._known())]
+
+    def _resize(self, recordings: int, frames: int) -> None:
+        for array in (*self._of_frames.values(), self._arrays[STATE]):
+            array.resize((recordings, frames, *array.shape[2:]))
+        for name in (_RECORDING, _PROVENANCE, _FRAMES):
+            self._arrays[name].resize((recordings,))
+        self._arrays[_FRAME].resize((frames,))
+
+
+def _make(
+    group: zarr.Group,
+    name: str,
+    dtype: np.dtype[Any],
+    dims: Sequence[Any],
+    shape: Sequence[int],
+    attributes: dict[str, Any],
+) -> None:
+    """Make an array (recording, frame, *dims), whose chunk is a block of frames."""
+    group.create_array(
+        name,
+        shape=(0, 0, *shape),
+        chunks=(1, BLOCK_FRAMES, *shape),
+        dtype=dtype,
+        fill_value=np.nan if dtype.kind == "f" else -1 if dtype.kind == "i" else 0,
+        dimension_names=(_RECORDING, _FRAME, *dims),
+        attributes=attributes,
+        overwrite=True,
+    )
+
+
+def _dimensions(array: zarr.Array[Any]) -> tuple[str, ...]:
+    return tuple(map(str, array.metadata.dimension_names or ()))  # type: ignore[union-attr] # always of version 3

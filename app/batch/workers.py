@@ -1,0 +1,117 @@
+"""Workers of Dask: processes of this computer, or those of a running scheduler."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from app.errors import InputError, RunError
+from app.files import in_words
+
+if TYPE_CHECKING:
+    from distributed import Client, Future, LocalCluster
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_CONNECT_S = 20
+_LEAST_WAITING = 16  # tasks at the scheduler; more would only delay Ctrl-C
+_CLOSE_S = 30
+
+
+class Workers:
+    """Evaluates tasks on the workers of a scheduler; see `app.tasks.Evaluate`."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    @property
+    def dashboard(self) -> str:
+        """Address of Dask's dashboard in a browser."""
+        return str(self._client.dashboard_link)
+
+    def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
+        """Yield each item with its result or error, as they finish.
+
+        `RunError` stands for every item that a lost scheduler leaves undone.
+        """
+        from distributed import as_completed
+
+        remaining = iter(items)
+        waiting: dict[Future[R], T] = {}
+        finished = as_completed(loop=self._client.loop)
+        try:
+            while True:
+                wanted = max(_LEAST_WAITING, 2 * self._threads()) - len(waiting)
+                for item in islice(remaining, max(wanted, 0)):
+                    future = self._client.submit(function, item, pure=False)
+                    waiting[future] = item
+                    finished.add(future)
+                if not waiting:
+                    return
+                future = next(finished)
+                yield waiting.pop(future), _outcome(future)
+        finally:
+            self._client.cancel(list(waiting))
+
+    def _threads(self) -> int:
+        """Number of tasks that run at a time."""
+        try:
+            return sum(self._client.nthreads().values())
+        except (OSError, TimeoutError, RuntimeError) as error:  # RuntimeError: the client has closed
+            raise RunError(f"the scheduler is lost: {in_words(error)}") from error
+
+
+def _outcome(future: Any) -> Any:
+    """Result or error of a finished task."""
+    from distributed.client import FutureCancelledError
+    from distributed.scheduler import KilledWorker
+
+    try:
+        return future.result()
+    except FutureCancelledError as error:
+        return RunError(f"the scheduler is lost: {error.reason}")
+    except KilledWorker as error:
+        return InputError(f"{error.allowed_failures + 1} workers died of it; is there too little memory?")
+    except Exception as error:  # noqa: BLE001 - the caller decides
+        return error
+
+
+@contextmanager
+def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
+    """Start `count` worker processes, by default one for each core, or connect to the scheduler at an address.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or both are given.
+    RunError
+        If there is no scheduler at the address.
+    """
+    if count is not None and scheduler is not None:
+        raise InputError("--workers starts processes here, --scheduler uses those of a cluster: give one of them")
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise InputError('workers need Dask: pip install "svwfs[batch]"') from error
+    with ExitStack() as stack:
+        if scheduler is None:
+            cluster = LocalCluster(
+                n_workers=count, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
+            )
+            stack.callback(_close, cluster)
+        try:
+            client = Client(cluster if scheduler is None else scheduler, timeout=_CONNECT_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise RunError(f"{scheduler}: no scheduler can be reached there: {in_words(error)}") from error
+        stack.callback(_close, client)
+        yield Workers(client)
+
+
+def _close(opened: Client | LocalCluster) -> None:
+    """Close; what a busy computer does not end in time ends with this process."""
+    with suppress(TimeoutError):
+        opened.close(timeout=_CLOSE_S)

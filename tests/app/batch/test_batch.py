@@ -1,0 +1,316 @@
+"""Batches in one process: the same results as a replay, only what is missing, failures by recording."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from support.batches import QUICK, Counting, assert_equals_replay, batch, files_of, small_blocks
+from support.recordings import edit_line, record, replace_pixels
+
+from app import files
+from app.batch.job import Job
+from app.batch.sources import unique_names
+from app.bench.config import load_bench, write_bench
+from app.bench.imaging_model import BenchModel
+from app.errors import InputError, Interrupted, RunError
+from app.recording.reader import Recording
+from app.recording.reprocess import Reprocessing
+from reconstruction.refinement import Refinement
+
+BLOCK = 4
+
+
+@pytest.fixture(scope="module")
+def recordings(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
+    """Three blocks, the last of one frame; and one block."""
+    folder = tmp_path_factory.mktemp("recordings")
+    return [record(small_toml, folder / name, *QUICK, frames=frames) for name, frames in (("long", 9), ("short", 3))]
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    small_blocks(monkeypatch, BLOCK)
+
+
+@pytest.fixture
+def mine(recordings: list[Recording], tmp_path: Path) -> Recording:
+    """A copy that a test may damage."""
+    copy = shutil.copytree(recordings[0].folder, tmp_path / "mine")
+    run = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps({**run, "began": "another day"}))
+    return Recording(copy)
+
+
+@pytest.mark.parametrize("setting", [(), ("registration.warp=translation",)])
+def test_results_are_those_of_a_replay(recordings: list[Recording], tmp_path: Path, setting: tuple[str, ...]) -> None:
+    """Also with another registration, where each frame starts from the one before in its block."""
+    made = batch(tmp_path / "r.zarr", *recordings, job=Job(settings=setting))
+    assert (made.frames, made.wavefronts, made.computed, made.failed) == (12, 12, 12, {})
+    for recording in recordings:
+        assert_equals_replay(tmp_path / "r.zarr", recording, tmp_path, *setting)
+
+
+def test_another_bench_is_that_of_a_replay(recordings: list[Recording], small_toml: Path, tmp_path: Path) -> None:
+    other = load_bench(small_toml, (*QUICK, "reconstruction.method=zonal"))
+    batch(tmp_path / "r.zarr", recordings[1], job=Job(bench=write_bench(other)))
+    assert_equals_replay(tmp_path / "r.zarr", recordings[1], tmp_path, "reconstruction.method=zonal")
+    with xr.open_zarr(tmp_path / "r.zarr") as stored:
+        assert "coefficients" not in stored
+
+
+def test_frames_are_refined_by_the_model(recordings: list[Recording], tmp_path: Path) -> None:
+    batch(tmp_path / "r.zarr", recordings[1], job=Job(rounds=2))
+    recording = recordings[1]
+    calibration = recording.calibration(0)
+    reconstructor = calibration.reconstructor()
+    refinement = Refinement(reconstructor, BenchModel(calibration.bench, reconstructor, threads=1))
+    with xr.open_zarr(tmp_path / "r.zarr") as stored:
+        for index in range(len(recording)):
+            *_, last = refinement.rounds(reconstructor.register(recording.pixels(index)), 2)
+            np.testing.assert_allclose(stored["wavefront"][0, index], last.wavefront.views, atol=2e-3)
+            np.testing.assert_array_equal(stored["bias_age"][0, index], 0.0)
+        (whole,) = [made.wavefront for made in Reprocessing(recording, rounds=2)([2])]
+        assert whole is not None
+        np.testing.assert_array_equal(stored["wavefront"][0, 2], whole.views)
+
+
+def test_store_opens_as_one_dataset_with_its_origin(recordings: list[Recording], tmp_path: Path) -> None:
+    batch(tmp_path / "r.zarr", *recordings)
+    with xr.open_zarr(tmp_path / "r.zarr") as stored:
+        assert stored["wavefront"].dims[:2] == ("recording", "frame")
+        assert stored.sizes["frame"] == 9
+        assert stored["recording"].to_numpy().tolist() == ["long", "short"]
+        np.testing.assert_array_equal(stored["frames"], [9, 3])
+        np.testing.assert_array_equal(stored["state"], [[1] * 9, [1] * 3 + [0] * 6])
+        assert bool(np.isnan(stored["wavefront"].sel(recording="short")[3:]).all())
+        assert {"view_x", "pupil_y", "time", "bias_age"} <= set(stored.coords)
+        origin = json.loads(stored["provenance"].sel(recording="short").to_numpy().item())
+    assert origin["folder"] == str(recordings[1].folder)
+    assert origin["frames"] == 3
+    assert "[sensor]" in origin["bench"]
+    assert {"svwfs", "numpy", "numba"} <= set(origin["versions"])
+    assert origin["machine"]["cores"] >= 1
+
+
+def test_second_run_does_only_what_is_missing(recordings: list[Recording], tmp_path: Path) -> None:
+    out = tmp_path / "r.zarr"
+    batch(out, *recordings)
+    before = files_of(out)
+    (out / "state/c/0/1").unlink()  # as if a worker had been killed before it finished the block
+    (out / "wavefront/c/0/1/0/0/0/0").unlink()
+    made = batch(out, *recordings, evaluate=(counting := Counting()))
+    assert (counting.items, made.computed, made.frames) == (1, 4, 12)
+    after = files_of(out)
+    assert {name: contents for name, (_, contents) in after.items()} == {
+        name: contents for name, (_, contents) in before.items()
+    }
+    rewritten = {name for name in after if after[name][0] != before[name][0]}
+    assert {name.split("/c/")[1][:3] for name in rewritten} == {"0/1"}
+    assert batch(out, *recordings, evaluate=(counting := Counting())).computed == counting.items == 0
+
+
+def test_more_and_longer_recordings_are_added(recordings: list[Recording], tmp_path: Path) -> None:
+    out, whole = tmp_path / "r.zarr", tmp_path / "whole.zarr"
+    batch(out, recordings[1])
+    made = batch(out, recordings[0], recordings[0])
+    assert (made.recordings, made.computed) == (1, 9)
+    batch(whole, recordings[1], recordings[0])
+    with xr.open_zarr(out) as one, xr.open_zarr(whole) as other:
+        xr.testing.assert_identical(one.drop_vars("provenance"), other.drop_vars("provenance"))
+
+
+def test_interrupted_run_is_continued(recordings: list[Recording], tmp_path: Path) -> None:
+    out = tmp_path / "r.zarr"
+
+    def interrupt(items: int) -> None:
+        if items == 3:  # the first was to make the store
+            raise Interrupted("interrupted")
+
+    with pytest.raises(Interrupted, match=r"8 of 12 frames are in .*r.zarr, the same command does the rest"):
+        batch(out, *recordings, evaluate=Counting(interrupt))
+    made = batch(out, *recordings)
+    assert made.computed == 4
+    assert_equals_replay(out, recordings[0], tmp_path)
+
+
+def test_store_cut_short_while_it_was_made_is_made_again(
+    recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "r.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr("app.batch.store.asdict", lambda _: 1 / 0)  # the last step
+        with pytest.raises(ZeroDivisionError):
+            batch(out, recordings[1])
+    assert (out / "zarr.json").exists()
+    assert batch(out, recordings[1]).wavefronts == 3
+
+
+def _cut_pixels(mine: Recording) -> None:
+    path = mine.folder / "frames.zarr/0/c/6/0/0"
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def _lose_lines(mine: Recording) -> None:
+    path = mine.folder / "frames.jsonl"
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:5]))
+
+
+def _edit_run(**changes: object) -> Callable[[Recording], None]:
+    def edit(mine: Recording) -> None:
+        path = mine.folder / "run.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+    return edit
+
+
+DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
+    "half a frame": (_cut_pixels, "is damaged: 100 bytes"),
+    "lost lines": (_lose_lines, "4 of 9 frames have no line; svwfs recover"),
+    "a damaged line": (lambda mine: edit_line(mine, 5, lost="many"), "line 6 is damaged"),
+    "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
+    "cut short": (_edit_run(complete=False), "is not complete"),
+    "no number of frames": (_edit_run(frames=None), "does not tell the number of frames"),
+    "no frame": (_edit_run(frames={"recorded": 0}), "holds no frame"),
+    "no recording": (lambda mine: shutil.rmtree(mine.folder), "no such folder"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_damaged_recording_is_named_while_the_others_complete(
+    recordings: list[Recording], mine: Recording, tmp_path: Path, name: str
+) -> None:
+    damage, sentence = DAMAGES[name]
+    damage(mine)
+    out = tmp_path / "r.zarr"
+    made = batch(out, mine, recordings[1])
+    assert list(made.failed) == [mine.folder]
+    assert sentence in made.failed[mine.folder]
+    assert (made.recordings, made.frames, made.wavefronts) == (2, 3, 3)
+    with xr.open_zarr(out) as stored:
+        if "mine" in stored["recording"]:
+            assert sentence in json.loads(stored["provenance"].sel(recording="mine").to_numpy().item())["failed"]
+
+
+def test_repaired_recording_is_completed(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:
+    out, kept = tmp_path / "r.zarr", mine.pixels(6)
+    _cut_pixels(mine)
+    assert batch(out, recordings[1], mine).failed
+    replace_pixels(mine, 6, kept)
+    made = batch(out, recordings[1], mine)
+    assert (made.failed, made.frames) == ({}, 12)
+    assert made.computed < 9  # the blocks before the damage were there
+    with xr.open_zarr(out) as stored:
+        assert "failed" not in json.loads(stored["provenance"].sel(recording="mine").to_numpy().item())
+
+
+def test_frames_without_a_wavefront_are_told_and_done(mine: Recording, tmp_path: Path) -> None:
+    for index in (0, 4, 5, 6, 7):  # the first, and a whole block
+        replace_pixels(mine, index, np.full_like(mine.pixels(index), 500))
+    out = tmp_path / "r.zarr"
+    made = batch(out, mine)
+    assert (made.frames, made.wavefronts) == (9, 4)
+    assert "is the light on?" in made.problem
+    assert_equals_replay(out, mine, tmp_path)
+    with xr.open_zarr(out) as stored:
+        np.testing.assert_array_equal(stored["state"][0], [2, 1, 1, 1, 2, 2, 2, 2, 1])
+        assert bool(np.isnan(stored["rms"][0, 4:8]).all())
+    assert batch(out, mine).computed == 0
+
+
+def test_other_sizes_do_not_fit(recordings: list[Recording], small_toml: Path, tmp_path: Path) -> None:
+    """Other views, and as many at other places."""
+    fewer = record(small_toml, tmp_path / "fewer", *QUICK, "field.view_rows=2", frames=2)
+    wider = record(small_toml, tmp_path / "wider", *QUICK, "field.view_spacing_m=0.3e-3", frames=2)
+    made = batch(tmp_path / "r.zarr", recordings[1], fewer, wider)
+    assert "2 view_row instead of 3" in made.failed[fewer.folder]
+    assert "another view_x, another view_y" in made.failed[wider.folder]
+    assert made.wavefronts == 3
+
+
+@pytest.mark.parametrize(
+    ("job", "named"), [(Job(rounds=1), "rounds"), (Job(settings=("reconstruction.pupil_modes=10",)), "settings")]
+)
+def test_store_keeps_to_its_settings(recordings: list[Recording], tmp_path: Path, job: Job, named: str) -> None:
+    batch(tmp_path / "r.zarr", recordings[1])
+    with pytest.raises(InputError, match=f"with another {named}: repeat those options, or give another --out"):
+        batch(tmp_path / "r.zarr", recordings[1], job=job)
+
+
+def test_worker_with_another_version_ends_the_run(recordings: list[Recording], tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"another version than svwfs 0.0.1: install the same everywhere"):
+        batch(tmp_path / "r.zarr", recordings[1], job=Job(software="svwfs 0.0.1"))
+
+
+def test_changed_recording_is_refused(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:
+    batch(tmp_path / "r.zarr", mine)
+    _edit_run(note="edited")(mine)
+    made = batch(tmp_path / "r.zarr", mine, recordings[1])
+    assert "has changed since its results were written" in made.failed[mine.folder]
+    assert (made.recordings, made.wavefronts) == (2, 3)
+
+
+def test_moved_recording_is_recognised(mine: Recording, tmp_path: Path) -> None:
+    batch(tmp_path / "r.zarr", mine)
+    moved = mine.folder.rename(tmp_path / "moved")
+    assert batch(tmp_path / "r.zarr", moved).computed == 0
+
+
+def test_nothing_but_a_store_is_written_into(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "letter.txt").write_text("")
+    for out, sentence in (
+        (tmp_path / "folder", "exists already and holds no results of svwfs batch"),
+        (tmp_path / "folder" / "letter.txt", "is a file"),
+        (mine.folder / "frames.zarr", "lies in the recording"),
+        (recordings[1].folder / "frames.zarr", "exists already and holds no results of svwfs batch"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            batch(out, mine)
+
+
+def test_second_writer_is_refused(recordings: list[Recording], tmp_path: Path) -> None:
+    def another(_: int) -> None:
+        with pytest.raises(InputError, match="another svwfs batch is writing into it"):
+            batch(tmp_path / "r.zarr", recordings[1])
+
+    batch(tmp_path / "r.zarr", recordings[1], evaluate=(counting := Counting(another)))
+    assert counting.items == 2
+
+
+def test_batch_without_any_result_leaves_nothing(mine: Recording, tmp_path: Path) -> None:
+    shutil.rmtree(mine.folder / "calibrations")
+    with pytest.raises(RunError, match=r"there is nothing to write: .*calibrations"):
+        batch(tmp_path / "r.zarr", mine)
+    with pytest.raises(InputError, match="nowhere: no such folder"):
+        batch(tmp_path / "r.zarr", tmp_path / "nowhere")
+    assert not (tmp_path / "r.zarr").exists()
+
+
+def test_full_disk_ends_the_run_and_keeps_what_is_there(
+    recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, sync = tmp_path / "r.zarr", files.sync
+
+    def fill(path: Path) -> None:
+        if (out / "state/c/0/1").exists():
+            raise OSError(28, "No space left on device")  # just before the block counts
+        sync(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "sync", fill)
+        with pytest.raises(RunError, match=r"No space left on device; 4 of 12 frames are in .*the same command"):
+            batch(out, *recordings)
+    assert batch(out, *recordings).computed == 4
+    assert_equals_replay(out, recordings[0], tmp_path)
+
+
+def test_names_are_as_short_as_they_can_be_told_apart() -> None:
+    folders = [Path("/x/monday/run1"), Path("/x/tuesday/run1"), Path("/y/tuesday/run1"), Path("/run1"), Path("/run1")]
+    names = unique_names(folders, ["run2", "monday/run1"])
+    assert names == ["run1", "tuesday/run1", "y/tuesday/run1", "run1-2", "run1-3"]

@@ -1,0 +1,241 @@
+"""Batches and studies on real worker processes of Dask: identical results, killed workers, a lost scheduler."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import pytest
+import xarray as xr
+from support.batches import batch, files_of, small_blocks
+from support.command_line import run
+from support.patience import HANG_S
+from support.recordings import record
+
+from app.batch import workers as workers_module
+from app.batch.workers import Workers, workers
+from app.bench.config import load_bench
+from app.errors import InputError, RunError
+from app.evaluation.run_studies import run_studies
+from app.evaluation.study.lattice_trials import calibration_trials
+from app.recording.reader import Recording
+
+BLOCK, FRAMES = 4, 40
+
+
+@pytest.fixture(scope="module")
+def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def alone(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Chunks of the results that one process makes."""
+    out = tmp_path_factory.mktemp("alone") / "r.zarr"
+    with pytest.MonkeyPatch.context() as patch:
+        small_blocks(patch, BLOCK)
+        batch(out, recording)
+    return contents(out)
+
+
+@pytest.fixture(scope="module")
+def two_workers() -> Iterator[Workers]:
+    with workers(2, None) as started:
+        yield started
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    small_blocks(monkeypatch, BLOCK)
+
+
+def contents(out: Path) -> dict[str, bytes]:
+    return {name: chunk for name, (_, chunk) in files_of(out).items()}
+
+
+class Killing:
+    """Evaluates on workers, and kills one of them after some results."""
+
+    def __init__(self, on: Workers, after: set[int]) -> None:
+        self._on, self._after = on, after
+        self.killed: list[int] = []
+        self.items = 0
+
+    def __call__(self, function: Any, items: Any) -> Iterator[Any]:
+        for each in self._on(function, items):
+            self.items += 1
+            if self.items in self._after:
+                self.killed.append(self._kill())
+            yield each
+
+    def _kill(self) -> int:
+        living = [pid for pid in self._on._client.run(os.getpid, on_error="ignore").values() if isinstance(pid, int)]
+        pid = sorted(living)[len(self.killed) % len(living)]
+        os.kill(pid, signal.SIGKILL)
+        return pid
+
+
+def test_two_workers_make_the_same_files_although_one_is_killed(
+    recording: Recording, two_workers: Workers, alone: dict[str, bytes], tmp_path: Path
+) -> None:
+    killing = Killing(two_workers, {4})
+    made = batch(tmp_path / "r.zarr", recording, evaluate=killing)
+    assert (made.wavefronts, made.failed, len(killing.killed)) == (FRAMES, {}, 1)
+    assert contents(tmp_path / "r.zarr") == alone
+
+
+@pytest.mark.soak
+def test_three_killed_workers_change_nothing(
+    recording: Recording, two_workers: Workers, alone: dict[str, bytes], tmp_path: Path
+) -> None:
+    killing = Killing(two_workers, {2, 5, 8})
+    made = batch(tmp_path / "r.zarr", recording, evaluate=killing)
+    assert (made.wavefronts, made.failed, len(set(killing.killed))) == (FRAMES, {}, 3)
+    assert contents(tmp_path / "r.zarr") == alone
+
+
+def test_dashboard_answers(two_workers: Workers) -> None:
+    assert two_workers.dashboard.startswith("http://127.0.0.1:")
+    with urlopen(two_workers.dashboard, timeout=HANG_S) as page:  # noqa: S310 - of this computer, see above
+        assert b"Dask" in page.read()
+
+
+def test_errors_of_tasks_are_results(two_workers: Workers) -> None:
+    results = dict(two_workers(_inverse, [1.0, 0.0, 4.0]))
+    assert (results[1.0], results[4.0]) == (1.0, 0.25)
+    assert isinstance(results[0.0], ZeroDivisionError)
+
+
+def _inverse(number: float) -> float:
+    return 1 / number
+
+
+@pytest.mark.soak
+def test_deadly_task_is_told(two_workers: Workers) -> None:
+    """After some workers, the task is at fault."""
+    ((_, error),) = two_workers(os._exit, [3])
+    assert isinstance(error, InputError)
+    assert re.search(r"\d workers died of it; is there too little memory\?", str(error))
+
+
+@contextmanager
+def scheduler_and_worker() -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Address and process of a scheduler with one worker."""
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    scheduler = subprocess.Popen(  # noqa: S603 - Dask's own program
+        [*command, "--no-dashboard"], stderr=subprocess.PIPE, text=True, env=environment
+    )
+    worker = None
+    try:
+        assert scheduler.stderr is not None
+        address = next(
+            found[1] for line in scheduler.stderr if (found := re.search(r"Scheduler at:\s+(tcp://\S+)", line))
+        )
+        words = ["-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        worker = subprocess.Popen(  # noqa: S603 - the same
+            [sys.executable, *words], stderr=subprocess.DEVNULL, env=environment
+        )
+        yield address, scheduler
+    finally:
+        for process in (worker, scheduler):
+            if process is not None:
+                process.kill()
+                process.wait()
+        if scheduler.stderr is not None:
+            scheduler.stderr.close()
+
+
+def test_second_run_completes_what_a_killed_scheduler_left(
+    recording: Recording, alone: dict[str, bytes], tmp_path: Path
+) -> None:
+    out = tmp_path / "r.zarr"
+    with scheduler_and_worker() as (address, scheduler), workers(None, address) as cluster:
+        killing = Killing(cluster, {3})
+        killing._kill = lambda: scheduler.kill() or 0  # type: ignore[method-assign,func-returns-value] # not a worker
+        with pytest.raises(RunError, match=r"the scheduler is lost.*; \d+ of 40 frames are in .*the same command"):
+            batch(out, recording, evaluate=killing)
+    left = files_of(out)
+    done = sum(name.startswith("state/") for name in left)
+    assert 2 <= done < FRAMES // BLOCK
+    made = batch(out, recording)
+    assert made.computed == FRAMES - BLOCK * done
+    assert contents(out) == alone
+    kept = {name for name in left if name.startswith("state/")}
+    assert all(files_of(out)[name][0] == left[name][0] for name in kept)  # not written again
+
+
+def test_ctrl_c_stops_cleanly(recording: Recording, alone: dict[str, bytes], tmp_path: Path) -> None:
+    out = tmp_path / "r.zarr"
+    program = (
+        "from app.batch import store; store.BLOCK_FRAMES = 4; import sys; from app.cli import main\n"
+        "if __name__ == '__main__': main()"
+    )
+    (tmp_path / "program.py").write_text(program)
+    given = (tmp_path / "program.py", "batch", recording.folder, "--out", out, "--workers", "1")
+    words = [sys.executable, *map(str, given)]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    started = subprocess.Popen(  # noqa: S603 - this program
+        words, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
+    )
+    deadline_s = time.monotonic() + HANG_S
+    while not (out / "state" / "c" / "0" / "1").exists():
+        assert time.monotonic() < deadline_s
+        assert started.poll() is None
+        time.sleep(0.02)
+    os.killpg(started.pid, signal.SIGINT)  # as a terminal does, also to the worker
+    _, said = started.communicate(timeout=HANG_S)
+    assert started.returncode == 130
+    assert re.search(r"svwfs: interrupted: \d+ of 40 frames are in \S+, the same command does the rest\n$", said)
+    assert "Traceback" not in said
+    done = sum(name.startswith("state/") for name in files_of(out))
+    assert batch(out, recording).computed == FRAMES - BLOCK * done
+    assert contents(out) == alone
+
+
+def test_command_reports_failures_at_the_end(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with scheduler_and_worker() as (address, _):
+        words = ("batch", recording.folder, tmp_path / "nowhere", "--out", tmp_path / "r.zarr", "--scheduler", address)
+        assert run(monkeypatch, *words) == 1
+    said = capsys.readouterr()
+    assert "nowhere: no such folder" in said.out
+    assert f"1 recording with {FRAMES} frames are in" in said.out
+    assert said.err.endswith("svwfs: 1 of 2 recordings failed\n")
+
+
+def test_missing_scheduler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers_module, "_CONNECT_S", 0.5)
+    with (
+        pytest.raises(RunError, match=r"tcp://127.0.0.1:1: no scheduler can be reached there"),
+        workers(None, "tcp://127.0.0.1:1"),
+    ):
+        pass
+    with pytest.raises(InputError, match="give one of them"), workers(2, "tcp://127.0.0.1:1"):
+        pass
+
+
+def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r'workers need Dask: pip install "svwfs\[batch\]"'), workers(1, None):
+        pass
+
+
+def test_studies_are_shared_among_workers(two_workers: Workers, small_toml: Path, tmp_path: Path) -> None:
+    """Also settings that are functions in functions reach the workers."""
+    bench, study = load_bench(small_toml), calibration_trials()
+    (whole,) = run_studies(bench, [study], 2, tmp_path / "whole", lambda *_: None)
+    (shared,) = run_studies(bench, [study], 2, tmp_path / "shared", lambda *_: None, two_workers)
+    measured = [data["measured"].sel(quantity="centre (px)") for data in (shared.data, whole.data)]
+    assert measured[0].size >= 8
+    xr.testing.assert_identical(*measured)

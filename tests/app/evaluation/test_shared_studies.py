@@ -1,0 +1,71 @@
+"""Studies whose seeds are tasks of their own: the same results as in one go."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray as xr
+
+from app.bench.config import Bench, load_bench
+from app.errors import InputError
+from app.evaluation.cases import CaseResult
+from app.evaluation.noise_free import seeded
+from app.evaluation.run_studies import run_studies
+from app.evaluation.study import camera_noise
+from app.evaluation.study.camera_noise import PHOTONS
+from app.evaluation.study.lattice_trials import calibration_trials
+from app.evaluation.study_kinds import Study, Sweep
+from app.progress import Progress
+from app.tasks import one_by_one
+
+
+def _made_up(bench: Bench, seeds: range, _progress: Progress) -> Iterator[CaseResult]:
+    for screen in seeded(bench, seeds):
+        for at in (2.0, 1.0):
+            values = {"rms_rad": screen.simulation.seed * at, "lost": 0, "left_cell": 0, "seconds": math.nan}
+            yield CaseResult(at={"curve": "only", "at": at}, values=values)
+
+
+def made_up(name: str) -> Sweep:
+    return Sweep(name=name, title="", axis="", measure=_made_up)
+
+
+def without_times(data: xr.Dataset) -> xr.Dataset:
+    data = data.drop_vars("seconds", errors="ignore")
+    return data.sel(quantity=data["quantity"] != "CPU time (s)") if "quantity" in data.dims else data
+
+
+@pytest.mark.parametrize("study", [made_up("made"), PHOTONS, calibration_trials()], ids=lambda study: study.name)
+def test_shared_seeds_give_the_same_results(
+    study: Study, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(camera_noise, "_PEAKS_E", (1e3,))
+    monkeypatch.setattr(camera_noise, "_NOISE_DRAWS", 2)
+    bench = load_bench(small_toml)
+    (whole,) = run_studies(bench, [study], 2, tmp_path / "whole", lambda *_: None)
+    (shared,) = run_studies(bench, [study], 2, tmp_path / "shared", lambda *_: None, one_by_one)
+    xr.testing.assert_identical(without_times(shared.data), without_times(whole.data))
+    assert shared.data.sizes["repeat"] >= 2
+
+
+def test_studies_keep_their_order_whichever_ends_first(small_toml: Path, tmp_path: Path) -> None:
+    def backwards(function: Any, items: Any) -> Iterator[Any]:
+        yield from reversed(list(one_by_one(function, items)))
+
+    studies = [made_up("first"), made_up("second")]
+    results = run_studies(load_bench(small_toml), studies, 3, tmp_path, lambda *_: None, backwards)
+    assert [result.study.name for result in results] == ["first", "second"]
+    assert results[0].data["rms_rad"].sel(curve="only", at=2.0).to_numpy().tolist() == [0.0, 2.0, 4.0]
+
+
+def test_failure_of_a_seed_is_that_of_the_study(small_toml: Path, tmp_path: Path) -> None:
+    def fail(*_: object) -> Iterator[CaseResult]:
+        raise InputError("no view lies inside it")
+
+    study = Sweep(name="failing", title="", axis="", measure=fail)
+    with pytest.raises(InputError, match="no view lies inside it"):
+        run_studies(load_bench(small_toml), [study], 2, tmp_path, lambda *_: None, one_by_one)
