@@ -57,9 +57,11 @@ def test_studies_keep_their_order_whichever_ends_first(small_toml: Path, tmp_pat
         yield from reversed(list(one_by_one(function, items)))
 
     studies = [made_up("first"), made_up("second")]
-    results = run_studies(load_bench(small_toml), studies, 3, tmp_path, lambda *_: None, backwards)
+    bench = load_bench(small_toml)
+    results = run_studies(bench, studies, 3, tmp_path, lambda *_: None, backwards)
     assert [result.study.name for result in results] == ["first", "second"]
-    assert results[0].data["rms_rad"].sel(curve="only", at=2.0).to_numpy().tolist() == [0.0, 2.0, 4.0]
+    seeds = [screen.simulation.seed for screen in seeded(bench, range(3))]
+    assert results[0].data["rms_rad"].sel(curve="only", at=2.0).to_numpy().tolist() == [2.0 * seed for seed in seeds]
 
 
 def test_failure_of_a_seed_is_that_of_the_study(small_toml: Path, tmp_path: Path) -> None:
