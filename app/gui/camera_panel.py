@@ -53,8 +53,7 @@ class CameraPanel(QWidget):
         self._lattice: Lattice | None = None
         self._sensor: Sensor | None = None
         self.full_scale = 0  # highest count; 0 is unknown
-        self._levels = ContrastLevels()
-        self._reach = AdaptiveScale(MAGNIFICATIONS)  # longest displacement over what fits between two lenslets
+        self._levels, self._reach = (ContrastLevels(), AdaptiveScale(MAGNIFICATIONS))  # longest arrow over its room
         self._pointer: QPointF | None = None
         self._statistics: FrameStatistics | None = None
         self._inspected: tuple[int, int] | None = None  # row and column of the clicked lenslet
@@ -95,6 +94,7 @@ class CameraPanel(QWidget):
         scene.sigMouseMoved.connect(self._point_at)
         scene.sigMouseClicked.connect(self._click)
         self.legend = label("", "on-image", self._graphics)
+        self.legend.hide()
         self.caption = ElidedLabel("dim")
         self._title = label("Camera", "title")
         self.header = row_of((self._title, 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours)

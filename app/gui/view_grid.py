@@ -227,7 +227,9 @@ class ViewGrid(QWidget):
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
+        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
         painter.drawImage(bar, _image(self._scale(maps).bar[::-1, None]))
+        painter.setOpacity(1.0)
         painter.setPen(theme.TEXT)
         title = QRect(bar.left(), bar.top() - line - 4, self.width(), line)
         painter.drawText(title, Qt.AlignmentFlag.AlignVCenter, maps.scale.title)

@@ -48,6 +48,9 @@ def test_stale_map_is_grey_and_keeps_its_sign(make_window: MakeWindow) -> None:
     assert max(np.ptp(tile, axis=-1).max() for tile in tiles) < 10
     left, middle, right = (tile.mean() for tile in tiles)
     assert left + 30 < middle < right - 30
+    assert grid.maps is not None
+    bar = part(seen, grid._bar(grid.maps)).mean(axis=(1, 2))
+    assert [bar[-2], bar[1]] == pytest.approx([left, right], abs=3)  # the colours of the maps
     grid.show_stale(is_stale=False)
     assert np.ptp(part(picture(grid).astype(int), grid.tile(1, 2)).mean(axis=(0, 1))) > 100
 
