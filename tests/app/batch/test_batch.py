@@ -292,22 +292,35 @@ def test_batch_without_any_result_leaves_nothing(mine: Recording, tmp_path: Path
     assert not (tmp_path / "r.zarr").exists()
 
 
+@pytest.mark.parametrize(("last", "left"), [("state/c/0/1", 4), ("wavefront/c/0/1", 8)])
 def test_full_disk_ends_the_run_and_keeps_what_is_there(
-    recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recordings: list[Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: str, left: int
 ) -> None:
+    """A block counts when its last file is there, and that is the chunk of `state`."""
     out, sync = tmp_path / "r.zarr", files.sync
 
     def fill(path: Path) -> None:
-        if (out / "state/c/0/1").exists():
-            raise OSError(28, "No space left on device")  # just before the block counts
+        if (out / last).exists():
+            raise OSError(28, "No space left on device")  # the file has its name, but nobody was told
         sync(path)
 
     with monkeypatch.context() as patch:
         patch.setattr(files, "sync", fill)
         with pytest.raises(RunError, match=r"No space left on device; 4 of 12 frames are in .*the same command"):
             batch(out, *recordings)
-    assert batch(out, *recordings).computed == 4
+    assert batch(out, *recordings).computed == left
     assert_equals_replay(out, recordings[0], tmp_path)
+
+
+def test_first_frame_of_a_block_is_judged_beside_the_one_before(mine: Recording, tmp_path: Path) -> None:
+    """A frozen camera repeats frames also across the border of two blocks."""
+    replace_pixels(mine, BLOCK, mine.pixels(BLOCK - 1))
+    batch(tmp_path / "r.zarr", mine)
+    with xr.open_zarr(tmp_path / "r.zarr") as stored:
+        faults = stored["quality"][0].to_numpy()
+    assert faults[BLOCK] != 0
+    assert not np.delete(faults, BLOCK).any()
+    assert_equals_replay(tmp_path / "r.zarr", mine, tmp_path)
 
 
 def test_names_are_as_short_as_they_can_be_told_apart() -> None:
