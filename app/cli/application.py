@@ -36,18 +36,7 @@ def _common(
 # in the order of the help
 _BENCH = (live, measure, recover, replay, batch, export, report)
 _ANSWERS = (layers, corrector, field)
-for command in (
-    *_BENCH,
-    *_ANSWERS,
-    calibrate,
-    simulate,
-    devices,
-    desktop,
-    selftest,
-    study,
-    benchmark,
-    reconstruct,
-    deconvolve,
-):
+_OTHERS = (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct, deconvolve)
+for command in (*_BENCH, *_ANSWERS, *_OTHERS):
     cli.command()(command)
 cli.add_typer(paper, name="paper")

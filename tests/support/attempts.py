@@ -194,6 +194,7 @@ _OF_RECORDINGS = (
     *("recover run", "replay run", "replay run --verify", "replay run --out out.nc", "replay run --frames 1:3"),
     *("export run --to csv --out out", "export run --to tiff --out out", "export run --to netcdf --out out"),
     *("replay run --set reconstruction.method=zonal", "recover run", "export run --to psf --out out"),
+    *("export run --to double-zernike --out out", "export run --to zernike-table --out out", "field run --out out.nc"),
 )
 _JSON: tuple[Any, ...] = (
     None,

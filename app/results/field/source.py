@@ -38,7 +38,7 @@ def _of_recording(folder: Path, frame: int) -> tuple[Bench, ModalFit]:
 
 def _of_results(path: Path, frame: int) -> tuple[Bench, ModalFit]:
     with open_results(path) as opened:
-        if "coefficients" not in opened:
+        if "coefficients" not in opened or "coefficients_sigma" not in opened:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
         results = opened if "frame" in opened.dims else opened.expand_dims("frame")
         _require_frame(path, frame, results.sizes["frame"])

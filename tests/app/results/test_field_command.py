@@ -184,7 +184,6 @@ def test_sources_without_the_coefficients_are_refused(
     modal = "no coefficients: reconstruct with reconstruction.method=modal"
     zonal = record(small_toml, tmp_path / "zonal", "reconstruction.method=zonal", frames=1).folder
     assert modal in refused("field", zonal)
-    assert modal in refused("export", zonal, "--to", "double-zernike")
     assert modal in refused("export", zonal, "--to", "zernike-table")
     assert "no such file" in refused("field", tmp_path / "nothing.nc")
     with xr.open_dataset(recording / "results.nc") as results:
