@@ -92,7 +92,7 @@ def corrector(
     Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
     """
     from app.cli.tables import progress_bar
-    from app.results.layers.correction import summary
+    from app.results.layers.correction import in_words
     from app.results.layers.correction_run import correct
     from reconstruction.layers.corrector import Corrector
 
@@ -114,7 +114,7 @@ def corrector(
             overwrite=overwrite,
             progress=progress,
         )
-    typer.echo("\n".join(summary(found)))
+    typer.echo(in_words(found))
 
 
 def field(

@@ -1,16 +1,19 @@
-"""Tabs below the camera image: quality, coefficients, history, histogram, lenslet. Hidden ones compute nothing."""
+"""Tabs below the camera image, from quality to layers and corrector. Hidden ones compute nothing."""
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.analysis_panel import AnalysisPanel
 from app.gui.coefficients_panel import CoefficientsPanel
+from app.gui.corrector_panel import CorrectorPanel
 from app.gui.histogram_panel import HistogramPanel
 from app.gui.history_panel import HistoryPanel
+from app.gui.layers_panel import LayersPanel
 from app.gui.lenslet_panel import LensletPanel
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
 from app.results.history import sample
+from app.results.layers.answers import FoundLayers
 from app.results.view_analysis import Analysis
 
 
@@ -25,6 +28,7 @@ class AnalysisTabs(QObject):
         self._measurement: Measurement | None = None
         self.quality, self.coefficients, self.history = AnalysisPanel(), CoefficientsPanel(), HistoryPanel()
         self.histogram, self.lenslet = HistogramPanel(), LensletPanel()
+        self.layers, self.corrector = LayersPanel(), CorrectorPanel()
         self.coefficients.pinned.connect(self.history.pin)
         self.panels: dict[str, QWidget] = {
             "Quality": self.quality,
@@ -32,6 +36,8 @@ class AnalysisTabs(QObject):
             "History": self.history,
             "Histogram": self.histogram,
             "Lenslet": self.lenslet,
+            "Layers": self.layers,
+            "Corrector": self.corrector,
         }
 
     @property
@@ -49,6 +55,13 @@ class AnalysisTabs(QObject):
         if analysis.request.lenslet is not None:
             self.lenslet.show_inspection(analysis.inspection)
 
+    def show_layers(self, found: FoundLayers) -> None:
+        """Show layers in the unit of the wavefronts."""
+        wavefront, unit = found.request.measurement.wavefront, self._wavefront_panel.menu.unit
+        if wavefront is not None:
+            self.layers.use_unit(unit, unit.per_rad(wavefront.sensor.wavelength_m))
+        self.layers.show_layers(found)
+
     def inspect(self, row: int, column: int) -> None:
         """Show a lenslet in its tab."""
         self.lenslet.select((row, column))
@@ -58,6 +71,7 @@ class AnalysisTabs(QObject):
         """Clear the tabs: there is no wavefront."""
         self.quality.show_nothing()
         self.coefficients.show_coefficients(None)
+        self.layers.show_stale()
 
     def record(self, measurement: Measurement, *, full_scale: float, temperature_c: float | None) -> None:
         """Add a measurement to the history."""

@@ -1,66 +1,22 @@
 """Background analysis: computes the maps and plots of the panels on its own thread."""
 
-import math
-import time
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from concurrent.futures import CancelledError
+from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
-from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
 from app.gui.analysis_tabs import AnalysisTabs
+from app.gui.analysis_thread import AnalysisThread
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
-from app.results.view_analysis import Analysis, AnalysisRequest, Quantity, analyse
+from app.results.layers.answers import FoundLayers, LayersRequest, find_shown_correctors, find_shown_layers
+from app.results.view_analysis import AnalysisRequest, Quantity, analyse
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
 
-_INTERVAL_S = 0.2  # between two analyses of a running measurement
 _POLL_INTERVAL_MS = 40
 
-
-class AnalysisThread:
-    """Analyses one request at a time, and a running measurement five times a second."""
-
-    def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix="analysis")
-        self._libraries = ThreadpoolController()
-        self._request: AnalysisRequest | None = None
-        self._future: Future[Analysis] | None = None
-        self._requested_s = -math.inf
-
-    def submit(self, request: AnalysisRequest) -> None:
-        """Analyse a request unless the thread is busy or the request is unchanged.
-
-        A new wavefront alone waits until the interval is over; any other change is analysed immediately.
-        """
-        if self._future is not None or request == self._request:
-            return
-        differs_by_wavefront = (
-            self._request is not None
-            and replace(request, wavefront=self._request.wavefront, measurement=self._request.measurement)
-            == self._request
-        )
-        if differs_by_wavefront and time.monotonic() < self._requested_s + _INTERVAL_S:
-            return
-        self._request, self._requested_s = request, time.monotonic()
-        self._future = self._executor.submit(self._analyse, request)
-
-    def take(self) -> Analysis | None:
-        """Return a finished analysis once, or raise its error; None if there is none."""
-        if self._future is None or not self._future.done():
-            return None
-        future, self._future = self._future, None
-        return future.result()
-
-    def close(self) -> None:
-        """Wait some milliseconds for the current analysis and end the thread."""
-        self._executor.shutdown(cancel_futures=True)
-
-    def _analyse(self, request: AnalysisRequest) -> Analysis:
-        """Analyse on one core: waiting BLAS threads take five times as long beside a measurement."""
-        with self._libraries.limit(limits=1, user_api="blas"):
-            return analyse(request)
+A = TypeVar("A")
 
 
 class BackgroundAnalysis(QObject):
@@ -71,7 +27,10 @@ class BackgroundAnalysis(QObject):
     def __init__(self, wavefront_panel: WavefrontPanel, tabs: AnalysisTabs, parent: QObject) -> None:
         super().__init__(parent)
         self._wavefront_panel, self._tabs = wavefront_panel, tabs
-        self._thread = AnalysisThread()
+        self._thread = AnalysisThread(analyse)
+        self._layers = AnalysisThread(self._find_layers)  # a search takes seconds
+        self._correctors = AnalysisThread(find_shown_correctors)
+        self._is_closing = False
         self._measurement: Measurement | None = None
         self._settings: ReconstructionSettings | None = None
         self._view: tuple[int, int] | None = None  # None: the middle one
@@ -95,12 +54,10 @@ class BackgroundAnalysis(QObject):
         return self._wavefront_panel.shown
 
     def poll(self) -> None:
-        """Show a finished analysis and request the next."""
-        try:
-            analysis = self._thread.take()
-        except Exception as error:  # noqa: BLE001 - reported; the measurement continues
-            self.failed.emit(f"Analysis failed: {error}")
-            analysis = None
+        """Show finished analyses and request the next."""
+        self._poll_layers()
+        self._poll_correctors()
+        analysis = self._taken(self._thread)
         if analysis is not None and self._wavefront is not None:
             self._wavefront_panel.show_analysis(analysis)
             self._tabs.show_analysis(analysis)
@@ -126,9 +83,38 @@ class BackgroundAnalysis(QObject):
             self._thread.submit(request)
 
     def close(self) -> None:
-        """End the thread."""
+        """End the threads."""
         self._timer.stop()
-        self._thread.close()
+        self._is_closing = True
+        for thread in (self._thread, self._layers, self._correctors):
+            thread.close()
+
+    def _poll_layers(self) -> None:
+        if (found := self._taken(self._layers)) is not None:
+            self._tabs.show_layers(found)
+        if (request := self._tabs.layers.wanted(self._measurement)) is not None:
+            self._layers.submit(request)
+
+    def _poll_correctors(self) -> None:
+        if (found := self._taken(self._correctors)) is not None:
+            self._tabs.corrector.show_correctors(found)
+        if (request := self._tabs.corrector.wanted(self._measurement)) is not None:
+            self._correctors.submit(request)
+
+    def _find_layers(self, request: LayersRequest) -> FoundLayers:
+        return find_shown_layers(request, self._check)
+
+    def _check(self) -> None:
+        if self._is_closing:
+            raise CancelledError
+
+    def _taken(self, thread: AnalysisThread[Any, A]) -> A | None:
+        """Return a finished analysis once; report its error."""
+        try:
+            return thread.take()
+        except Exception as error:  # noqa: BLE001 - reported; the measurement continues
+            self.failed.emit(f"Analysis failed: {error}")
+            return None
 
     def _select(self, row: int, column: int) -> None:
         self._view = (row, column)

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
+from typing import ClassVar, Self
 
 from app.measurement.measurement import Measurement
 from app.results.lenslet_inspection import LensletInspection, inspect_lenslet
@@ -41,6 +42,12 @@ class AnalysisRequest:
     modes: ModeChoice | None = None  # coefficients to compute
     lenslet: tuple[int, int] | None = None  # lenslet to inspect
     measurement: Measurement | None = None  # of the wavefront; the inspection needs it
+
+    interval_s: ClassVar[float] = 0.2  # between two analyses of a running measurement
+
+    def follows(self, other: Self) -> bool:
+        """Return whether only wavefront and measurement differ."""
+        return replace(self, wavefront=other.wavefront, measurement=other.measurement) == other
 
 
 @dataclass(frozen=True, slots=True, eq=False)

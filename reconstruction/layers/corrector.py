@@ -17,8 +17,9 @@ from reconstruction.modes.zernike import zernike
 
 Influence = Literal["legendre", "zernike", "actuators"]
 
+_POSITIONS = 7  # along each side of the field
 _COUPLING = 0.15  # of an actuator's influence at its neighbour
-_DEPENDENT = 1e-13  # eigenvalue over the largest, below which modes are alike on the lenslets
+_DEPENDENT = 1e-4  # eigenvalue over the largest, below which a command shows too little at the lenslets to be known
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,14 @@ class Correction:
         )
         phase = self.phase(x_m, y_m[:, None])
         return x_m, y_m, np.asarray(phase - phase.mean())
+
+
+def field_positions_m(field: Field) -> Floats:
+    """Field positions, evenly spread over the field, at which correctors are judged, (position, xy)."""
+    along = np.linspace(-1, 1, _POSITIONS)
+    y, x = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
+    inside = field.contains(x, y)
+    return np.stack([x, y], axis=-1)[inside] * field.half_width_m
 
 
 def best_correction(

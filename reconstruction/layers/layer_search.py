@@ -20,6 +20,7 @@ Verdict = Literal["one layer", "two layers", "not a single layer", "not one or t
 
 # The search runs over t = ratio / (1 + ratio), even between layers near the lenslets (0) and near the source (1).
 _GRID, _GRID_OF_TWO = np.linspace(0.0, 0.96, 49), np.linspace(0.0, 0.95, 20)
+FARTHEST_RATIO = float(_GRID[-1] / (1 - _GRID[-1]))
 _TOLERANCE = 1e-5  # of t
 _STEP = 2e-3  # of t, for the curvature
 # Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first it may
@@ -61,15 +62,25 @@ class LayerSearch:
         return beyond < least or (beyond < most and is_noise)
 
 
-def find_layers(equations: FrameEquations, count: int = 1, *, at: tuple[float, ...] = ()) -> LayerSearch:
-    """Find the distance of one layer, or two, unless the ratios are given by `at`."""
-    tried = [equations.fit(_ratio(t)) for t in _GRID]
+def find_layers(
+    equations: FrameEquations, count: int = 1, *, at: tuple[float, ...] = (), check: Callable[[], None] = lambda: None
+) -> LayerSearch:
+    """Find the distance of one layer, or two, unless the ratios are given by `at`.
+
+    `check` is called before each fit; its exception ends the search.
+    """
+
+    def fit_at(*t: float) -> LayerFit:
+        check()
+        return equations.fit(*map(_ratio, t))
+
+    tried = [fit_at(t) for t in _GRID]
     best = _GRID[int(np.argmax([fit.log_evidence for fit in tried]))]
-    one = _refined(equations, (float(best),))
+    one = _refined(fit_at, (float(best),))
     two = None
     if count == 2 and not at:
-        start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: equations.fit(*map(_ratio, pair)).log_evidence)
-        two = _refined(equations, tuple(map(float, start)))
+        start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: fit_at(*pair).log_evidence)
+        two = _refined(fit_at, tuple(map(float, start)))
     if len(at) == 2:
         two = equations.fit(*sorted(at))
     fit = two or (equations.fit(*at) if at else one)
@@ -88,11 +99,11 @@ def _ratio(t: float) -> float:
     return float(t / (1 - t))
 
 
-def _refined(equations: FrameEquations, start: tuple[float, ...]) -> LayerFit:
+def _refined(fit_at: Callable[..., LayerFit], start: tuple[float, ...]) -> LayerFit:
     """Maximise the evidence over the distances, from a start in t; their error bars follow from its curvature."""
 
     def cost(t: Floats) -> float:
-        return -equations.fit(*map(_ratio, np.clip(t, -_STEP, 1 - _STEP))).log_evidence
+        return -fit_at(*np.clip(t, -_STEP, 1 - _STEP)).log_evidence
 
     found = optimize.minimize(
         cost,
@@ -102,7 +113,7 @@ def _refined(equations: FrameEquations, start: tuple[float, ...]) -> LayerFit:
     )
     best = np.clip(found.x, 0.0, 1 - _STEP)
     sigma = np.sqrt(np.diag(_inverse(_curvature(cost, best))))
-    fit = equations.fit(*map(_ratio, best))
+    fit = fit_at(*best)
     layers = [
         replace(layer, ratio_sigma=float(of_t * (1 + layer.ratio) ** 2))
         for layer, of_t in zip(fit.layers, sigma, strict=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from app.errors import InputError
 from app.evaluation.study.camera_noise import EM_GAIN, PHOTONS
+from app.evaluation.study.corrector import CORRECTOR
 from app.evaluation.study.deconvolution import DECONVOLUTION
 from app.evaluation.study.defects import DEAD, FOCAL_LENGTH, LATTICE
 from app.evaluation.study.exposure_trials import EXPOSURE
@@ -25,7 +26,7 @@ def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Stu
     """
     names, masks = _split(names)
     known: dict[str, Study] = {
-        study.name: study for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION)
+        study.name: study for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR)
     }
     for name in names:
         if name not in known:

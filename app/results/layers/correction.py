@@ -11,10 +11,9 @@ from app.results.layers.dataset import Origin, distance_m
 from app.results.view_quality import about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
-from reconstruction.layers.corrector import Correction, Corrector, best_correction
+from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
 
-_POSITIONS = 7  # along each side of the field
 _SHARES = np.linspace(0.0, 0.95, 39)  # ratio / (1 + ratio) of the correctors compared
 _REFINED = 0.02  # about the best of them
 _POINTS = 129  # of the phase along its longer axis
@@ -58,14 +57,6 @@ def compare_correctors(
     return CorrectorComparison(curve, chosen, positions_m, float(np.sqrt(np.nanmean(rms(wavefronts) ** 2))))
 
 
-def field_positions_m(field: Field) -> Floats:
-    """Field positions, evenly spread over the field, at which correctors are judged, (position, xy)."""
-    along = np.linspace(-1, 1, _POSITIONS)
-    y, x = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
-    inside = field.contains(x, y)
-    return np.stack([x, y], axis=-1)[inside] * field.half_width_m
-
-
 def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
     """Return residual and Strehl ratio over the distance, and those of the chosen corrector over the field."""
     curve, made = found.curve, found.chosen
@@ -105,13 +96,12 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin 
     )
 
 
-def summary(found: xr.Dataset) -> list[str]:
-    """Residuals in words."""
+def in_words(found: xr.Dataset) -> str:
+    """Residuals of correctors at the pupil and at the chosen distance, and without one."""
     origin = found.attrs["distances_from"]
     at_pupil = found["residual"].values[0 if origin == "lenslets" else -1]
-    best = f"{float(found['corrector_residual']):.2g} rad, Strehl ratio {float(found['field_strehl'].mean()):.2f}"
-    return [
-        f"without a corrector: {float(found['uncorrected']):.3g} rad RMS over the field",
-        f"a corrector at the pupil leaves {at_pupil:.2g} rad",
-        f"one at {float(found['corrector_distance_m']) * 1e3:.1f} mm from the {origin} leaves {best}",
-    ]
+    return (
+        f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS;"
+        f" at {float(found['corrector_distance_m']) * 1e3:.0f} mm from the {origin},"
+        f" {float(found['corrector_residual']):.2g} rad (Strehl {float(found['field_strehl'].mean()):.2f})"
+    )

@@ -11,7 +11,7 @@ from app.errors import InputError
 from app.results.view_quality import about
 from reconstruction.arrays import Floats
 from reconstruction.layers.layer_fit import Layer
-from reconstruction.layers.layer_search import LayerSearch
+from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch
 
 Origin = Literal["lenslets", "mask"]
 
@@ -43,6 +43,12 @@ def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
     """Distance of a layer with that ratio, m."""
     focal_length_m = bench.field.collimator_focal_length_m
     return np.asarray(focal_length_m * np.asarray(ratio) if origin == "lenslets" else focal_length_m / (1 + ratio))
+
+
+def distance_range_m(origin: Origin, bench: Bench) -> tuple[float, float]:
+    """Shortest and longest distance at which layers are searched for, m."""
+    ends = distance_m(np.array([0.0, FARTHEST_RATIO]), origin, bench)
+    return float(ends.min()), float(ends.max())
 
 
 def layer_maps(

@@ -174,7 +174,7 @@ def test_redraw_continues_while_analysis_hangs_and_thread_ends_with_window(
         assert may_go_on.wait(HANG_S)
         return analyse(request)
 
-    monkeypatch.setattr("app.gui.background_analysis.analyse", hang)
+    monkeypatch.setattr(window._analysis._thread, "_analyse", hang)
     qtbot.waitUntil(hangs.is_set)
     before = window.status_line.shown
     qtbot.waitUntil(lambda: window.status_line.shown > before + 15)

@@ -11,8 +11,8 @@ from support.gui_bench import BENCH
 from support.patience import HANG_S
 from support.wavefronts import bowl
 
-from app.gui.background_analysis import AnalysisThread
-from app.results.view_analysis import Analysis, AnalysisRequest, Quantity
+from app.gui.analysis_thread import AnalysisThread
+from app.results.view_analysis import Analysis, AnalysisRequest, Quantity, analyse
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront
 
@@ -22,13 +22,13 @@ def request(quantity: Quantity, wavefront: Wavefront | None = None) -> AnalysisR
 
 
 @pytest.fixture
-def thread() -> Iterator[AnalysisThread]:
-    made = AnalysisThread()
+def thread() -> Iterator[AnalysisThread[AnalysisRequest, Analysis]]:
+    made = AnalysisThread(analyse)
     yield made
     made.close()
 
 
-def wait(thread: AnalysisThread) -> Analysis:
+def wait(thread: AnalysisThread[AnalysisRequest, Analysis]) -> Analysis:
     deadline_s = time.monotonic() + HANG_S
     while time.monotonic() < deadline_s:
         analysis = thread.take()
@@ -38,7 +38,7 @@ def wait(thread: AnalysisThread) -> Analysis:
     raise TimeoutError
 
 
-def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThread) -> None:
+def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThread[AnalysisRequest, Analysis]) -> None:
     first = request(Quantity.PSF)
     began_s = time.monotonic()  # the second waits from here, however long the first takes
     thread.submit(first)
@@ -54,7 +54,7 @@ def test_repeated_request_is_ignored_and_new_wavefront_waits(thread: AnalysisThr
     assert thread._future is not None
 
 
-def test_error_of_analysis_is_raised_and_thread_continues(thread: AnalysisThread) -> None:
+def test_error_of_analysis_is_raised_and_thread_continues(thread: AnalysisThread[AnalysisRequest, Analysis]) -> None:
     class Broken:
         def wavefront(self, field_modes: Floats) -> Floats:
             raise NotImplementedError("broken")

@@ -1,0 +1,84 @@
+"""The corrector panel: what one corrector would leave, over its distance."""
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QWidget
+
+from app.gui import theme
+from app.gui.layers_panel import ORIGINS
+from app.gui.plot import Plot
+from app.gui.widgets import Choice, ElidedLabel, column, row
+from app.measurement.measurement import Measurement
+from app.results.layers.answers import CorrectorRequest, FoundCorrectors
+from app.results.layers.correction import in_words
+from reconstruction.layers.corrector import Corrector
+
+_CORRECTORS = (
+    *(Corrector("zernike", count) for count in (10, 21, 45, 66)),
+    *(Corrector("legendre", count) for count in (10, 21, 45, 66)),
+    *(Corrector("actuators", side**2) for side in (5, 8, 12, 17)),
+)
+_DEFAULT = 2
+_INTERVAL_S = 5.0
+_LEAST_SHOWN_MM = 300.0
+_FARTHEST = 2.0  # of the best distance, shown
+
+
+class CorrectorPanel(QWidget):
+    """Asks for the residuals of a corrector while it is visible, and shows them."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.corrector = Choice()
+        for corrector in _CORRECTORS:
+            self.corrector.addItem(_name(corrector), corrector)
+        self.corrector.setCurrentIndex(_DEFAULT)
+        self.corrector.setToolTip("Shapes that the corrector can take over its footprint")
+        self.origin = Choice()
+        for text, origin in ORIGINS:
+            self.origin.addItem(text, origin)
+        self.origin.setToolTip("Where distances are measured from: lenslets, in the collimated beam, or mask")
+        keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
+        self.plot = Plot("Residual (rad RMS)", "conjugate distance of the corrector (mm)", keys, widest="00.0")
+        self.plot.setToolTip(
+            "RMS of the wavefronts over field and pupil after the best command of one corrector,\n"
+            "over the distance that the corrector is conjugate to. Measurement noise is part of it."
+        )
+        self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
+        self._curve, self._mark = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)
+        self.sentence = ElidedLabel()
+        header = row(self.corrector, self.origin, (ElidedLabel(), 1))
+        column(header, (self.plot, 1), self.sentence, parent=self)
+
+    def wanted(self, measurement: Measurement | None) -> CorrectorRequest | None:
+        """Return what to compute; None while hidden or without a wavefront."""
+        if not self.isVisible() or measurement is None or measurement.wavefront is None:
+            return None
+        return CorrectorRequest(measurement, self.corrector.currentData(), self.origin.currentData(), _INTERVAL_S)
+
+    def show_correctors(self, made: FoundCorrectors) -> None:
+        """Show residuals, or why there are none."""
+        found = made.found
+        if found is None:
+            self._say(f"No residual: {made.problem}")
+            return
+        distance_mm, residual_rad = found["distance"].values * 1e3, found["residual"].values
+        at_mm, without_rad = float(found["corrector_distance_m"]) * 1e3, float(found["uncorrected"])
+        farthest_mm = min(max(_LEAST_SHOWN_MM, _FARTHEST * at_mm), float(distance_mm[-1]))
+        top = 1.1 * max(without_rad, 1e-6)
+        self._curve.setData(distance_mm, residual_rad)
+        self._limit.setData([0.0, farthest_mm], [without_rad, without_rad])
+        self._mark.setData([at_mm, at_mm], [0.0, top])
+        self.plot.set_ranges((0, farthest_mm), (0, top))
+        text = in_words(found)
+        self._say(text[0].upper() + text[1:])
+
+    def _say(self, text: str) -> None:
+        self.sentence.setText(text)
+        self.sentence.setToolTip(text.replace("; ", "\n"))
+
+
+def _name(corrector: Corrector) -> str:
+    if corrector.influence == "actuators":
+        side = round(corrector.count**0.5)
+        return f"{side} x {side} actuators"
+    return f"{corrector.count} {corrector.influence.capitalize()} modes"

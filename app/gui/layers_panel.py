@@ -1,0 +1,182 @@
+"""The layers panel: misfit over the distance, the layers found with their phase, or one at a known distance, live."""
+
+import math
+
+import numpy as np
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QWidget
+
+from app.bench.config import Bench
+from app.gui import theme
+from app.gui.adaptive_scale import RANGES, AdaptiveScale
+from app.gui.colours import diverging
+from app.gui.number_field import NumberField
+from app.gui.plot import Plot
+from app.gui.presentation import number, signed
+from app.gui.view_grid import Maps, ViewGrid
+from app.gui.widgets import Choice, ElidedLabel, column, row
+from app.measurement.measurement import Measurement
+from app.results.layers.answers import FoundLayers, LayersRequest
+from app.results.layers.dataset import Origin, distance_m, distance_range_m, ratio_at
+from app.results.shown_wavefront import Unit
+from drivers.interface import Range
+from reconstruction.layers.layer_search import LayerSearch
+
+ORIGINS: tuple[tuple[str, Origin], ...] = (("from the lenslets", "lenslets"), ("from the mask", "mask"))
+_MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
+_INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
+_LEAST_SHOWN_MM = 300.0
+_FARTHEST = 2.0  # of the farthest layer's distance, shown
+_FINE_M = 1e-4  # errors below it have two decimals in mm
+
+
+class LayersPanel(QWidget):
+    """Asks for layers while it is visible, and shows them."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._bench: Bench | None = None
+        self._ratio = 0.0  # of the layer found last, or of the known one
+        self._unit, self._per_rad = Unit.RAD, 1.0
+        self._scale = AdaptiveScale(RANGES)
+        self.mode = Choice()
+        for text, layers in _MODES:
+            self.mode.addItem(text, layers)
+        self.mode.setToolTip(
+            "Search for one or two layers every few seconds,\nor show the phase of one at a known distance live"
+        )
+        self.mode.currentIndexChanged.connect(self._show_distance)
+        self.distance = NumberField(
+            tool_tip="Distance of the known layer", name="Distance of the layer", unit="mm", decimals=1
+        )
+        self.distance.entered.connect(self._enter)
+        self.origin = Choice()
+        for text, origin in ORIGINS:
+            self.origin.addItem(text, origin)
+        self.origin.setToolTip("Where distances are measured from: lenslets, in the collimated beam, or mask")
+        self.origin.currentIndexChanged.connect(self._show_distance)
+        keys = (("single layer there", theme.ACCENT), ("found", theme.AMBER), ("any wavefront", theme.DIM))
+        self.plot = Plot("Unexplained (%)", "distance (mm)", keys, widest="100")
+        self.plot.setToolTip(
+            "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
+            "No fit explains more than one without any assumption about layers."
+        )
+        self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
+        self._curve, self._marks = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)
+        self.map = ViewGrid()
+        self.map.setMinimumSize(80, 50)
+        self.map.setToolTip("Phase of each layer, without piston")
+        self.map.empty = "no layer"
+        self.sentence = ElidedLabel()
+        header = row(self.mode, self.distance, self.origin, (ElidedLabel(), 1))
+        column(header, (row((self.plot, 3), (self.map, 2), spacing=12), 1), self.sentence, parent=self)
+        self._show_distance()
+
+    def use_unit(self, unit: Unit, per_rad: float) -> None:
+        """Set the unit of the phase."""
+        self._unit, self._per_rad = unit, per_rad
+
+    def wanted(self, measurement: Measurement | None) -> LayersRequest | None:
+        """Return what to compute; None while hidden or without a wavefront."""
+        if not self.isVisible() or measurement is None or measurement.wavefront is None:
+            return None
+        if measurement.calibration is not None and measurement.calibration.bench is not self._bench:
+            self._bench = measurement.calibration.bench
+            self._show_distance()
+        origin, count = self.origin.currentData(), self.mode.currentData()
+        return LayersRequest(measurement, count, None if count else self._ratio, origin, _INTERVALS_S[count])
+
+    def show_layers(self, found: FoundLayers) -> None:
+        """Show layers, or why there are none."""
+        if found.request.origin != self.origin.currentData() or found.request.count != self.mode.currentData():
+            return  # another choice was made meanwhile
+        if found.problem:
+            self._say(f"No layer: {found.problem}")
+            self.show_stale()
+            return
+        self._say(_in_words(found))
+        if found.search is not None:
+            self._ratio = found.ratios[0]
+            self._show_distance()
+            self._show_curve(found, found.search)
+        self._mark(found)
+        self._show_maps(found)
+
+    def show_stale(self) -> None:
+        """Show the maps in grey: they are not those of the newest frame."""
+        if not self.map.is_stale:
+            self.map.is_stale = True
+            self.map.update()
+
+    def _show_curve(self, found: FoundLayers, search: LayerSearch) -> None:
+        order = np.argsort(found.curve_m)
+        distance_mm, percent = found.curve_m[order] * 1e3, 100 * search.misfits[order]
+        self._curve.setData(distance_mm, percent)
+        least = 100 * search.any_wavefront.misfit
+        farthest_mm = max(_LEAST_SHOWN_MM, _FARTHEST * 1e3 * float(found.distances_m.max()))
+        farthest_mm = min(farthest_mm, float(distance_mm[-1]))
+        self._limit.setData([0.0, farthest_mm], [least, least])
+        self.plot.set_ranges((0, farthest_mm), (0, 1.1 * max(float(percent[distance_mm <= farthest_mm].max()), least)))
+
+    def _mark(self, found: FoundLayers) -> None:
+        """Draw a vertical line at each distance."""
+        top = self.plot.view.viewRange()[1][1]
+        each_mm = np.repeat(found.distances_m * 1e3, 2)
+        self._marks.setData(each_mm, np.tile([0.0, top], len(found.distances_m)), connect="pairs")
+
+    def _show_maps(self, found: FoundLayers) -> None:
+        values = found.maps * self._per_rad
+        limit = self._scale.follow(float(np.nanmax(np.abs(values), initial=1e-6)))
+        reach_mm = (found.half_width_m[0] * 1e3, found.half_width_m[1] * 1e3)
+        unit = str(self._unit)
+
+        def describe(row: int, column: int, value: float) -> str:
+            last = values.shape[1] - 1, values.shape[2] - 1
+            x_mm, y_mm = reach_mm[0] * (2 * column / last[1] - 1), reach_mm[1] * (2 * row / last[0] - 1)
+            text = f"{signed(value)} {unit}" if np.isfinite(value) else "no ray meets the layer"
+            return f"{x_mm:+.2f}, {y_mm:+.2f} mm on the layer: {text}"
+
+        self.map.is_stale = False
+        self.map.show_maps(Maps(values[None], diverging(limit, unit), describe, True, reach_mm, "mm"))
+        wide = (f"half width {reach_mm[0]:.2f} mm", f"\N{PLUS-MINUS SIGN} {reach_mm[0]:.1f} mm")
+        self.map.set_captions(
+            {(0, index): ((f"{at_m * 1e3:.1f} mm",), wide) for index, at_m in enumerate(found.distances_m)}
+        )
+
+    def _say(self, text: str) -> None:
+        self.sentence.setText(text)
+        self.sentence.setToolTip(text)
+
+    def _enter(self, typed_m: float) -> None:
+        if self._bench is not None:
+            self._ratio = ratio_at(typed_m, self.origin.currentData(), self._bench)
+
+    def _show_distance(self) -> None:
+        """Show the distance of the layer, to be changed while it is the known one."""
+        self.distance.setEnabled(not self.mode.currentData() and self._bench is not None)
+        if self._bench is not None:
+            origin = self.origin.currentData()
+            allowed = Range(*distance_range_m(origin, self._bench))
+            self.distance.show_value(float(distance_m(self._ratio, origin, self._bench)), allowed)
+
+
+def _in_words(found: FoundLayers) -> str:
+    """Verdict, distances and what they leave."""
+    places = " and ".join(_place(*values) for values in zip(found.distances_m, found.sigma_m, strict=True))
+    places += f" mm from the {found.request.origin}"
+    share = f"{number(100 * found.misfit, 2)} % of the displacements unexplained"
+    if found.search is None:
+        return f"Layer at {places}, as given: {share}"
+    verdict = found.search.verdict
+    share += f" (any wavefront: {number(100 * found.search.any_wavefront.misfit, 2)} %)"
+    if verdict.startswith("not"):
+        return f"{verdict.capitalize()}: the best at {places} leave{'s' * (len(found.ratios) == 1)} {share}"
+    return f"{verdict.capitalize()} at {places}: {share}"
+
+
+def _place(at_m: float, sigma_m: float) -> str:
+    """Distance in mm with its error, if that is known."""
+    if not math.isfinite(sigma_m):
+        return f"{at_m * 1e3:.1f}"
+    decimals = 1 if sigma_m > _FINE_M else 2
+    return f"{at_m * 1e3:.{decimals}f} \N{PLUS-MINUS SIGN} {sigma_m * 1e3:.{decimals}f}"

@@ -1,0 +1,173 @@
+"""Panels of the layers and of what a corrector could do, on a simulated frame whose layer is known."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+from support.gui_bench import make_frame
+from support.window_tools import MakeWindow, click, press, tab
+
+from app.bench.config import load_bench
+from app.evaluation.simulated_frames import simulated_frames
+from app.gui.main_window import MainWindow
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import FrameTotals, Measurement
+from app.measurement.routines.averages import Average
+from simulated_devices.sample import make_sample
+
+DISTANCE_M = 0.195  # of the screen in small_demo
+
+
+def measured(*settings: str) -> Measurement:
+    bench = load_bench("small_demo", settings)
+    images = simulated_frames(bench)
+    dark, reference = (
+        Average(image, np.zeros_like(image), 1, 0.02, 8.0, "em") for image in (images.dark, images.reference)
+    )
+    calibration = Calibration.of(bench, dark, reference, 65535.0)
+    frame = images.frames[0].astype(np.uint16)
+    wavefront = calibration.reconstructor()(frame)
+    counts, now_s = FrameTotals(1, 1, 0), time.perf_counter()
+    return Measurement(make_frame(frame), wavefront, "", counts, now_s, 0.004, calibration=calibration)
+
+
+@pytest.fixture(scope="module")
+def measurement() -> Measurement:
+    return measured()
+
+
+@pytest.fixture
+def window(make_window: MakeWindow, measurement: Measurement) -> MainWindow:
+    made = make_window()
+    made.show_measurement(measurement)
+    return made
+
+
+def open_tab(qtbot: QtBot, window: MainWindow, title: str) -> None:
+    click(qtbot, *tab(window, title))
+
+
+def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> None:
+    open_tab(qtbot, window, "Layers")
+    panel = window.tabs.layers
+    qtbot.waitUntil(lambda: panel.map.maps is not None)
+    assert panel.sentence.text().startswith("One layer at 19")
+    assert panel.distance.value() == pytest.approx(DISTANCE_M * 1e3, abs=4)
+    distance_mm, percent = panel._curve.getData()
+    assert abs(distance_mm[np.argmin(percent)] - DISTANCE_M * 1e3) < 20
+    assert percent[0] > 5 * percent.min()
+    marks_mm, _ = panel._marks.getData()
+    np.testing.assert_allclose(marks_mm, panel.distance.value(), atol=0.06)
+    maps = panel.map.maps
+    assert maps is not None
+    bench = load_bench("small_demo")
+    x_m, y_m = (np.linspace(-half_mm, half_mm, 65) * 1e-3 for half_mm in maps.reach)
+    true = make_sample(bench.simulation, bench.sensor, bench.field).screen.at(x_m, y_m[:, None])
+    inner = slice(8, -8)
+    assert np.std((maps.values[0, 0] - true)[inner, inner]) < 0.05 * np.std(true)
+    assert "mm on the layer: " in panel.map._value_at(panel.map.tile(0, 0).center())
+    window.wavefront_panel.menu.units[2].trigger()  # nm
+    panel.mode.setCurrentIndex(2)  # the layer as found
+    qtbot.waitUntil(lambda: panel.map.maps is not None and panel.map.maps.scale.title == "nm")
+    in_nm = panel.map.maps
+    assert in_nm is not None
+    np.testing.assert_allclose(in_nm.values, maps.values * 462 / (2 * np.pi), rtol=1e-6)
+
+
+def test_known_distance_is_fitted_to_every_measurement(
+    window: MainWindow, qtbot: QtBot, measurement: Measurement
+) -> None:
+    open_tab(qtbot, window, "Layers")
+    panel = window.tabs.layers
+    qtbot.waitUntil(lambda: panel.map.maps is not None)
+    assert not panel.distance.isEnabled()
+    panel.mode.setCurrentIndex(2)
+    qtbot.waitUntil(lambda: "as given" in panel.sentence.text())
+    panel.distance.edit()
+    qtbot.keyClicks(panel.distance, "150")  # type: ignore[no-untyped-call] # pytest-qt declares no types
+    press(qtbot, panel.distance, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: panel.sentence.text().startswith("Layer at 150.0 mm from the lenslets, as given: "))
+    assert panel.map.maps is not None
+    half_width_mm = panel.map.maps.reach[0]
+    assert half_width_mm == pytest.approx(7 * 0.25 + 0.75 * 0.6)  # of the lattice, and 150 / 200 of the field's
+    before = panel.map.maps
+    window.show_measurement(replace(measurement))
+    qtbot.waitUntil(lambda: panel.map.maps is not before)
+    assert window._analysis._layers._request is not None
+    assert window._analysis._layers._request.measurement is window._measurement
+
+
+def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
+    open_tab(qtbot, window, "Layers")
+    panel = window.tabs.layers
+    panel.origin.setCurrentIndex(1)
+    qtbot.waitUntil(lambda: "from the mask" in panel.sentence.text())
+    assert panel.distance.value() == pytest.approx(200 / (1 + 0.975), abs=1)  # of the screen: f1 / (1 + r), mm
+    assert panel.distance.maximum() == pytest.approx(200)
+
+
+def test_closed_panels_compute_nothing(window: MainWindow, qtbot: QtBot, measurement: Measurement) -> None:
+    open_tab(qtbot, window, "Histogram")
+    window.show_measurement(replace(measurement))
+    window._analysis.poll()
+    assert window._analysis._layers._request is None
+    assert window._analysis._correctors._request is None
+
+
+def test_lost_wavefront_makes_the_map_grey(window: MainWindow, qtbot: QtBot, measurement: Measurement) -> None:
+    open_tab(qtbot, window, "Layers")
+    panel = window.tabs.layers
+    qtbot.waitUntil(lambda: panel.map.maps is not None and not panel.map.is_stale)
+    window.show_measurement(replace(measurement, wavefront=None, problem="no light"))
+    qtbot.waitUntil(lambda: panel.map.is_stale)
+    panel.mode.setCurrentIndex(2)
+    window.show_measurement(replace(measurement))
+    qtbot.waitUntil(lambda: not panel.map.is_stale)
+
+
+def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    window.show_measurement(measured("registration.warp=translation"))
+    open_tab(qtbot, window, "Layers")
+    sentence = window.tabs.layers.sentence
+    qtbot.waitUntil(lambda: bool(sentence.text()))
+    assert sentence.text() == "No layer: the distance of a layer needs displacements that change over the field"
+
+
+def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot) -> None:
+    panel, thread = window.tabs.layers, window._analysis._layers
+    panel.mode.setCurrentIndex(1)
+    open_tab(qtbot, window, "Layers")
+    qtbot.waitUntil(lambda: thread._future is not None and thread._future.running())
+    window.close()
+    assert not any(one.is_alive() for one in thread._executor._threads)
+    assert not panel.sentence.text()
+
+
+def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -> None:
+    open_tab(qtbot, window, "Corrector")
+    panel = window.tabs.corrector
+    qtbot.waitUntil(lambda: bool(panel.sentence.text()))
+    distance_mm, residual_rad = panel._curve.getData()
+    assert abs(distance_mm[np.argmin(residual_rad)] - DISTANCE_M * 1e3) < 20
+    # At the pupil the deviation from the mean wavefront of the field remains, apart from the modes' own error.
+    bench = load_bench("small_demo")
+    sensor, screen = bench.sensor, make_sample(bench.simulation, bench.sensor, bench.field).screen
+    s_m = sensor.pupil_x_m + 0.975 * np.linspace(-0.6e-3, 0.6e-3, 7)[:, None]  # (field, lenslet)
+    true = screen.at(s_m[None, :, None, :], s_m[:, None, :, None]).reshape(49, -1)
+    true -= true.mean(axis=1, keepdims=True)
+    assert residual_rad[0] == pytest.approx(np.sqrt(np.mean((true - true.mean(axis=0)) ** 2)), rel=0.1)
+    without_rad = panel._limit.getData()[1][0]
+    assert without_rad == pytest.approx(np.sqrt(np.mean(true**2)), rel=0.02)
+    assert panel.sentence.text().startswith(
+        f"One corrector at the pupil leaves {residual_rad[0]:.2g} of {without_rad:.2g} rad"
+    )
+    before = panel.sentence.text()
+    panel.corrector.setCurrentIndex(0)  # fewer modes
+    qtbot.waitUntil(lambda: panel.sentence.text() != before)
+    assert panel._curve.getData()[1].min() > residual_rad.min()
