@@ -100,7 +100,11 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
     with ExitStack() as stack:
         if scheduler is None:
             cluster = LocalCluster(
-                n_workers=count, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
+                n_workers=count,
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+                preload="app.batch.worker_setup",
             )
             stack.callback(_close, cluster)
         try:
