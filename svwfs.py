@@ -228,7 +228,8 @@ def reconstructor(
     dark
         Frame without light, (row, column), counts. Without one, the darkest percent of each image is the background.
     full_scale
-        Count at which a pixel saturates, such as 4095 for a 12-bit camera; by default that of 16 bits.
+        Count at which a pixel saturates, such as 4095 for a 12-bit camera, infinite if none does; by default that of 16
+        bits.
 
     Returns
     -------
@@ -240,6 +241,8 @@ def reconstructor(
     ------
     ReconstructionError
         If reference, dark and bench do not go together; the message says why.
+    InputError
+        If the full scale is not positive.
 
     Examples
     --------

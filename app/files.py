@@ -19,6 +19,9 @@ from app.errors import InputError, RunError
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
 _MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
+_ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
+RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
+_SUFFIXES = {".csv", ".fits", ".json", ".nc", ".npy", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".toml"}
 
 
 def read_image(path: Path) -> NDArray[Any]:
@@ -50,18 +53,35 @@ def _read_npy(path: Path) -> NDArray[Any]:
 
 
 def _read_tiff(path: Path) -> NDArray[Any]:
+    """Read the only image of a file, besides previews, turned as its tag says."""
     with tifffile.TiffFile(path) as file:
-        series = file.series[0]
+        images = [series for series in file.series if not series.keyframe.is_reduced]
+        if len(images) != 1:
+            raise ValueError(f"it holds {len(images)} images; save one frame")
+        (series,) = images
         if math.prod(series.shape) > _MOST_PIXELS:
             raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
-        return series.asarray()
+        if series.keyframe.photometric == _WHITE_IS_ZERO:
+            raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
+        tag = series.keyframe.tags.get(_ORIENTATION)
+        image = series.asarray()
+        return image if tag is None or image.ndim != 2 else _upright(image, int(tag.value))
+
+
+def _upright(image: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Turn or mirror an image (row, column) as stored with an orientation of TIFF, 1 ... 8."""
+    image = image.T if orientation in {5, 6, 7, 8} else image
+    image = image[::-1] if orientation in {3, 4, 7, 8} else image
+    image = image[:, ::-1] if orientation in {2, 3, 6, 7} else image
+    return np.ascontiguousarray(image)
 
 
 def check_readable(path: Path) -> None:
     """Raise `InputError` if a path is no file: a folder, a pipe, or nothing at all."""
     try:
         if not path.is_file():
-            raise InputError(f"{path}: no such file" if not path.exists() else f"{path}: not a file")
+            leads_nowhere = "is a symbolic link that leads to no file" if path.is_symlink() else "no such file"
+            raise InputError(f"{path}: {'not a file' if path.exists() else leads_nowhere}")
     except OSError as error:
         raise InputError(f"{path}: cannot be used: {in_words(error)}") from error
 
@@ -109,7 +129,8 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
     Raises
     ------
     InputError
-        If an output is an input, lies in an input folder or is named twice, or exists and must not be replaced.
+        If an output is an input, lies in an input folder or is named twice, is part of a recording, or exists and must
+        not be replaced.
     """
     taken = [path for path in inputs if path is not None]
     for path in outputs:
@@ -118,6 +139,8 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
         try:
             if any(_is_part(path, other) for other in taken):
                 raise InputError(f"{path}: is used by this command already; give the output another name")
+            if _is_recorded(path):
+                raise InputError(f"{path}: is part of a recording; give the output another name")
             if os.path.lexists(path) and not overwrite:
                 raise InputError(f"{path}: exists already; --overwrite replaces it")
             if not path.name or (path.exists() and not path.is_file()):
@@ -132,6 +155,20 @@ def _is_part(path: Path, other: Path) -> bool:
     if Path(os.path.realpath(path)).is_relative_to(os.path.realpath(other)):
         return True
     return path.exists() and other.exists() and path.samefile(other)  # a hard link
+
+
+def _is_recorded(path: Path) -> bool:
+    """True if a path is, or would be, part of a recording; other files may lie beside its parts."""
+    real = Path(os.path.realpath(path))
+    return any(
+        each.name in RECORDING_PARTS and each.with_name("frames.jsonl").is_file() for each in (real, *real.parents)
+    )
+
+
+def check_suffix(path: Path | None, *suffixes: str) -> None:
+    """Raise `InputError` if a name ends as those of another format than the one that will be written."""
+    if path is not None and path.suffix.lower() in _SUFFIXES - set(suffixes):
+        raise InputError(f"{path}: the file will not be what its name says: end it with {suffixes[0]}")
 
 
 @contextmanager

@@ -214,6 +214,14 @@ def test_clipped_frame_of_a_12_bit_camera_is_refused(bench: Bench, images: Simul
         reconstruct(clipped)
 
 
+def test_full_scale_is_positive(bench: Bench, images: SimulatedFrames) -> None:
+    for full_scale in (-1, 0, float("nan"), "4095"):
+        with pytest.raises(svwfs.InputError, match=r"full_scale = .*: give the count at which a pixel saturates"):
+            svwfs.reconstructor(bench, images.reference, full_scale=full_scale)  # type: ignore[arg-type] # refused
+    unlimited = svwfs.reconstructor(bench, images.reference, dark=images.dark, full_scale=np.inf)
+    assert unlimited(images.frames[0]).displacement.valid.all()
+
+
 def test_refine_counts_its_rounds(bench: Bench, images: SimulatedFrames) -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     once = reconstruct(images.frames[0])

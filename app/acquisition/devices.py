@@ -6,6 +6,7 @@ from contextlib import ExitStack
 
 from app.bench.config import Bench, CameraSettings, LightSettings
 from app.bench.settings import RecordingSettings
+from app.bench.trusted_libraries import check_unchanged
 from app.cache import cache_folder
 from app.errors import InputError
 from app.recording.reader import Recording
@@ -80,6 +81,7 @@ def _check_pitch(bench: Bench, camera: Camera) -> None:
 
 def open_camera(settings: CameraSettings) -> Camera:
     """Open a real camera."""
+    check_unchanged(settings)
     match settings:
         case DcamSettings():
             from drivers.dcam.camera import DcamCamera

@@ -23,8 +23,10 @@ def main() -> None:
             _exit(error, 130)
         except MemoryError as error:
             _exit(RunError(f"there is not enough memory: {error or 'use fewer lenslets, views or pixels'}"), 1)
-        except (RunError, OSError) as error:  # OSError: standard output is full or closed
+        except RunError as error:
             _exit(error, 1)
+        except OSError as error:  # of a file it would be a RunError
+            _exit(RunError(f"the output cannot be printed: {error.strerror or error}"), 1)
 
 
 def _interrupt(_number: int, _frame: object) -> None:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from app.cli.answers import corrector, field, layers
+from app.cli.command import Command
 from app.cli.evaluation import benchmark, paper, selftest, study
 from app.cli.frames import calibrate, deconvolve, reconstruct, simulate
 from app.cli.measuring import desktop, devices, live, measure
@@ -38,5 +39,5 @@ _BENCH = (live, measure, recover, replay, batch, export, report)
 _ANSWERS = (layers, corrector, field)
 _OTHERS = (calibrate, simulate, devices, desktop, selftest, study, benchmark, reconstruct, deconvolve)
 for command in (*_BENCH, *_ANSWERS, *_OTHERS):
-    cli.command()(command)
+    cli.command(cls=Command)(command)
 cli.add_typer(paper, name="paper")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from app.cli.command import FOLDER, Command
 from app.cli.options import (
     BenchOption,
     OverwriteOption,
@@ -53,7 +54,7 @@ def study(
         ),
     ] = None,
     *,
-    out: Annotated[Path, typer.Option(help="Folder for tables and figures: JSON, CSV and PNG.")],
+    out: Annotated[Path, typer.Option(metavar=FOLDER, help="Folder for tables and figures: JSON, CSV and PNG.")],
     seeds: SeedsOption = 3,
     frames: Annotated[
         Path | None,
@@ -133,7 +134,7 @@ def benchmark(
         ),
     ] = None,
     record_in: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="With --live: folder of the temporary recording.")
+        Path | None, typer.Option(metavar=FOLDER, help="With --live: folder of the temporary recording.")
     ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="With --live: do not record.")] = False,
     panels: Annotated[bool, typer.Option("--panels", help="With --live: open all panels of the analysis.")] = False,
@@ -202,11 +203,11 @@ def _benchmark_live(
 paper = typer.Typer(
     help="Reproduce the paper's tables beside its own numbers.", no_args_is_help=True, rich_markup_mode=None
 )
-OutOption = Annotated[Path, typer.Option(help="Folder for the table (JSON, CSV) and its figure.")]
+OutOption = Annotated[Path, typer.Option(metavar=FOLDER, help="Folder for the table (JSON, CSV) and its figure.")]
 PeersOption = Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")]
 
 
-@paper.command()
+@paper.command(cls=Command)
 def table1(
     *,
     out: OutOption,
@@ -225,7 +226,7 @@ def table1(
     _run([paper_tables.table1(peers=peers)], load(bench, setting), seeds, out, overwrite=overwrite)
 
 
-@paper.command()
+@paper.command(cls=Command)
 def table2(
     *,
     out: OutOption,
@@ -244,7 +245,7 @@ def table2(
     _run([paper_tables.table2(peers=peers)], load(bench, setting), seeds, out, overwrite=overwrite)
 
 
-@paper.command()
+@paper.command(cls=Command)
 def sources(
     *,
     out: OutOption,

@@ -7,8 +7,10 @@ from typing import Annotated, Literal
 
 import typer
 
+from app.cli.command import FOLDER
 from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, bench_file, load
-from app.files import check_outputs
+from app.files import check_outputs, check_suffix
+from app.progress import counted
 
 
 def calibrate(
@@ -37,6 +39,7 @@ def calibrate(
 
     loaded = load(bench, setting)
     check_outputs((out, plot), inputs=(reference, dark, bench_file(bench), *loaded.files), overwrite=overwrite)
+    check_suffix(out, ".toml")
     if plot is not None:
         from app.results.plot import check_plot_path
 
@@ -60,7 +63,9 @@ def calibrate(
 def simulate(
     *,
     bench: BenchOption,
-    out: Annotated[Path, typer.Option(help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")],
+    out: Annotated[
+        Path, typer.Option(metavar=FOLDER, help="Folder for dark.tif, reference.tif, frame.tif and truth.nc.")
+    ],
     setting: SetOption = None,
     noise_free: Annotated[
         bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")
@@ -109,6 +114,7 @@ def reconstruct(
     loaded = load(bench, setting)
     inputs = (frame, reference, dark, bench_file(bench), *loaded.files)
     check_outputs((out, plot), inputs=inputs, overwrite=overwrite)
+    check_suffix(out, ".nc")
     if plot is not None:
         check_plot_path(plot)
     with progress_bar() if refine else nullcontext(lambda *_: None) as progress:
@@ -122,6 +128,8 @@ def reconstruct(
     write_results(out, dataset, bench=reconstructed.bench, inputs=names)
     if plot is not None:
         plot_views(reconstructed.wavefront, plot)
+    if reconstructed.note:
+        typer.echo(f"note: {reconstructed.note}", err=True)
     print_views(reconstructed.wavefront)
     if refine:
         print_refinement(reconstructed.changes_rad)
@@ -186,4 +194,4 @@ def deconvolve(
         made = run(plan, progress)
     known = "noise unknown" if math.isnan(made.chi_square) else f"chi-square {made.chi_square:.2f}"
     share = f"{100 * made.inside.mean():.0f} % of the pixels lie in the measured field"
-    typer.echo(f"{made.iterations} iterations, {known}; {share}; the image is in {out}")
+    typer.echo(f"{counted(made.iterations, 'iteration')}, {known}; {share}; the image is in {out}")

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from app.cli.command import FOLDER
 from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, TrustOption, load
 from app.errors import InputError
 
@@ -32,7 +33,9 @@ def live(
             help="Close by itself SECONDS after the first wavefront, saving the results.",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for screenshot, results and timings of such a run.")] = _LIVE_OUT,
+    out: Annotated[
+        Path, typer.Option(metavar=FOLDER, help="For screenshot, results and timings of such a run.")
+    ] = _LIVE_OUT,
     overwrite: OverwriteOption = False,
     trust_library: TrustOption = False,
 ) -> None:
@@ -70,7 +73,9 @@ def measure(
     *,
     bench: BenchOption,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
-    out: Annotated[Path, typer.Option(help="New folder for the recording, with results.nc beside the frames.")],
+    out: Annotated[
+        Path, typer.Option(metavar=FOLDER, help="New folder for the recording, with results.nc beside the frames.")
+    ],
     mask: Annotated[
         str | None, typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ...")
     ] = None,

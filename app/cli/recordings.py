@@ -5,8 +5,10 @@ from typing import Annotated, Literal
 
 import typer
 
+from app.cli.command import FOLDER
 from app.cli.options import FramesOption, OverwriteOption, SchedulerOption, SetOption, WorkersOption
 from app.errors import RunError
+from app.progress import counted
 
 RecordingArgument = Annotated[Path, typer.Argument(help="Folder of a recording.")]
 
@@ -74,7 +76,9 @@ def replay(
 def batch(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Folders of recordings.")],
     *,
-    out: Annotated[Path, typer.Option(help="Zarr store for the results; one that exists is continued.")],
+    out: Annotated[
+        Path, typer.Option(metavar=FOLDER, help="Zarr store for the results; one that exists is continued.")
+    ],
     bench: Annotated[
         str | None, typer.Option("--bench", "-b", metavar="TOML", help="Another bench than the recorded ones.")
     ] = None,
@@ -143,7 +147,7 @@ def export(
 
     with progress_bar() as progress:
         count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)
-    typer.echo(f"{count} frames of {recording} are in {out}")
+    typer.echo(f"{out} holds {counted(count)} of {recording}")
     _warn_of_missing(recording)
 
 

@@ -40,9 +40,8 @@ def print_views(wavefront: Wavefront) -> None:
 def print_refinement(changes_rad: Sequence[float]) -> None:
     """Print how much each round of refinement changed the wavefront."""
     changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
-    rounds = f"{len(changes_rad)} round" + "s" * (len(changes_rad) != 1)
     Console().print(
-        f"refined in {rounds}, changing the wavefront by {changes} rad RMS"
+        f"refined in {counted(len(changes_rad), 'round')}, changing the wavefront by {changes} rad RMS"
         if changes
         else "not refined: it would not improve"
     )
@@ -85,14 +84,14 @@ def print_replay(made: Replay) -> None:
             (f"{then:.3f} > {now:.3f}\n{apart:.3f} apart" for then, now, apart in zip(*row, strict=True))
             for row in rows
         )
-        title = f"RMS (rad) as recorded > with this bench, mean of {compared.frames} frames"
+        title = f"RMS (rad) as recorded > with this bench, mean of {counted(compared.frames)}"
         _print_by_view(compared.field, title, cells)
     elif compared is not None and made.reconstructed:
         console.print(
             "this bench has other views or lenslets than the recorded one: nothing to compare", soft_wrap=True
         )
     if made.unrefined:
-        console.print(f"{made.unrefined} frames were refined when they were recorded; with this bench they are not")
+        console.print(f"{counted(made.unrefined)} refined when recorded, but not with this bench")
     if made.verification is not None:
         (print_warning if made.verification.different else _print_sentence)(made.verification.sentence)
     print_quality(made.quality)

@@ -11,7 +11,7 @@ import tifffile
 from app.bench.bench_files import read_bench_text
 from app.bench.config import Bench
 from app.errors import InputError, Interrupted
-from app.files import atomic_write, check_outputs, in_words, read_image
+from app.files import atomic_write, check_outputs, check_suffix, in_words, read_image
 from app.progress import Progress, between
 from app.recording.folder import parts_of
 from app.results.field_wavefront import mean_wavefront, read_bench_of
@@ -46,10 +46,11 @@ def deconvolve(plan: Plan, progress: Progress) -> CorrectedImage:
     Interrupted
         On Ctrl-C; nothing is written.
     """
-    inputs = [plan.image, plan.imaging, *(parts_of(plan.source) if plan.source.is_dir() else [plan.source])]
-    check_outputs([plan.out], inputs=inputs, overwrite=plan.overwrite)
-    image = read_image(plan.image)
     bench = read_bench_of(plan.source, (*_section(plan.imaging), *plan.settings))
+    source = parts_of(plan.source) if plan.source.is_dir() else [plan.source]
+    check_outputs([plan.out], inputs=[plan.image, plan.imaging, *source, *bench.files], overwrite=plan.overwrite)
+    check_suffix(plan.out, ".tif", ".tiff")
+    image = read_image(plan.image)
     try:
         phase_at = mean_wavefront(plan.source, bench, plan.frames, between(progress, 0, _READING))
         corrected = correct(

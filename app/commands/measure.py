@@ -15,7 +15,7 @@ from app.bench.config import Bench
 from app.commands.prompt import LIGHT_BY_HAND, ask, remind
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_outputs
-from app.progress import Progress
+from app.progress import Progress, counted
 from app.recording.folder import RUN, check_free
 from app.recording.reader import Recording
 from app.recording.recorder import Limit
@@ -70,7 +70,7 @@ def measure(
     except (Interrupted, RunError) as error:
         why = "stopped before the results were written" if isinstance(error, Interrupted) else fault or str(error)
         raise type(error)(
-            f"{why}: {len(recording)} frames are in {out}; compute their results with svwfs replay {out} --out FILE"
+            f"{why}: {out} holds {counted(len(recording))}; svwfs replay {out} --out FILE computes the results"
         ) from error
     if is_stopped:
         raise Interrupted(f"stopped: {measured.reconstructed} of {frames} frames are in {out}")
@@ -137,7 +137,7 @@ def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, prog
             time.sleep(_POLL_S)
         _wait([begin()], acquisition, progress)
     while acquisition.is_alive and (state := acquisition.recording) is not None and state.stage == "recording":
-        progress(f"recording {frames} frames", state.frames / frames)
+        progress(f"recording {counted(frames)}", state.frames / frames)
         time.sleep(_POLL_S)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.bench.config import Bench
+from app.bench.config import Bench, CameraSettings
 from app.errors import InputError
 from app.files import read_image
 from app.measurement.bench_reconstructor import BenchReconstructor, full_scale_of
@@ -15,6 +15,7 @@ from app.progress import Progress
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
+from simulated_devices.settings import SimulatedCameraSettings
 
 _PEAK_PERCENT = 99.9  # percentile taken for the peak, so that hot pixels do not count
 
@@ -27,6 +28,7 @@ class Reconstructed:
     bench: Bench  # with the lattice in force
     changes_rad: tuple[float, ...]  # RMS change by each round of refinement, mean over the views
     quality: Quality
+    note: str  # if the frame has not the size that the bench says; else empty
 
 
 def reconstruct_files(
@@ -44,11 +46,8 @@ def reconstruct_files(
     paths = {"frame": frame, "reference": reference, "dark": dark}
     try:
         most = min(full_scale_of(image, bench.camera_model.bits) for image in (reference_image, frame_image))
-        if np.percentile(reference_image, _PEAK_PERCENT, method="lower") > full_scale_of(frame_image, 64):
-            raise InputError(
-                f"{frame}: holds {frame_image.dtype} values, which cannot be as large as those of the reference"
-                f" {reference}: save both in the same form"
-            )
+        _check_scale(frame_image, frame, reference_image, reference, bench.camera_model.bits)
+        _check_scale(reference_image, reference, frame_image, frame, bench.camera_model.bits)
         reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image, full_scale=most, frame=frame_image)
         wavefront = reconstructor(frame_image)
         changes_rad = []
@@ -59,9 +58,29 @@ def reconstruct_files(
                 changes_rad.append(step.change_rad)
                 progress("refining", done / refine)
         quality = reconstructor.quality(frame_image, wavefront)
-        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), quality)
+        note = _size_note(bench.camera, frame_image)
+        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), quality, note)
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
+
+
+def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_path: Path, bits: int) -> None:
+    """Raise `InputError` if another image has larger counts than this one's type, or the camera, allows it."""
+    most = full_scale_of(image, 64 if image.dtype.kind in "ui" else bits)
+    if np.percentile(other, _PEAK_PERCENT, method="lower") > most:
+        raise InputError(
+            f"{path}: holds {image.dtype} values up to {image.max():g}, but {other_path} {other.dtype} values up to"
+            f" {other.max():g}: save both in the same form"
+        )
+
+
+def _size_note(camera: CameraSettings, frame: NDArray[Any]) -> str:
+    """Say if a frame has another size than the bench's simulated camera, unless that has the size it has by default."""
+    usual = SimulatedCameraSettings()
+    size = (camera.rows, camera.columns) if isinstance(camera, SimulatedCameraSettings) else frame.shape
+    if size in {frame.shape, (usual.rows, usual.columns)}:
+        return ""
+    return f"the frame has {_size(frame)} pixels, the bench's camera {size[0]} x {size[1]}: is this its bench?"
 
 
 def _size(image: NDArray[Any]) -> str:

@@ -40,7 +40,7 @@ class BenchReconstructor:
     dark
         Frame without light, (row, column), counts. Without one, the darkest percent of each image is the background.
     full_scale
-        Count at which a pixel saturates; by default see `full_scale_of`.
+        Count at which a pixel saturates, infinite if none does; by default see `full_scale_of`.
     frame
         A frame with the sample. With it, the camera's noise is estimated from frame and reference.
 
@@ -48,6 +48,8 @@ class BenchReconstructor:
     ------
     ReconstructionError
         If the reference shows no lattice or cannot be used; the message says why.
+    InputError
+        If the full scale is not positive.
     """
 
     def __init__(
@@ -61,6 +63,8 @@ class BenchReconstructor:
     ) -> None:
         reference, dark = as_image(reference, "reference"), None if dark is None else as_image(dark, "dark")
         most = full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale
+        if not (isinstance(most, float | int | np.number) and most > 0):
+            raise InputError(f"full_scale = {full_scale!r}: give the count at which a pixel saturates, as 4095")
         lattice = bench.lattice or survey(reference, bench.sensor, dark=dark, full_scale=most).lattice
         self._reference, self._dark, self._full_scale = reference, dark, most
         self._is_lattice_given = bench.lattice is not None

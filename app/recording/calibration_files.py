@@ -1,6 +1,7 @@
 """Calibrations on disk: `bench.toml` with the lattice in force, `dark.npz`, `reference.npz`, `camera.json`."""
 
 import json
+import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
@@ -25,13 +26,17 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
     temporary = folder.with_name(f".{folder.name}.partial")
     temporary.mkdir(parents=True)
     bench = replace(calibration.bench, lattice=calibration.lattice)
-    with atomic_write(temporary / "bench.toml") as path:
-        path.write_text(write_bench(bench), "utf-8")
-    write_record(temporary / "camera.json", {"full_scale": calibration.full_scale})
-    _write_average(temporary / "reference.npz", calibration.reference)
-    if calibration.dark is not None:
-        _write_average(temporary / "dark.npz", calibration.dark)
-    temporary.rename(folder)
+    try:
+        with atomic_write(temporary / "bench.toml") as path:
+            path.write_text(write_bench(bench), "utf-8")
+        write_record(temporary / "camera.json", {"full_scale": calibration.full_scale})
+        _write_average(temporary / "reference.npz", calibration.reference)
+        if calibration.dark is not None:
+            _write_average(temporary / "dark.npz", calibration.dark)
+        temporary.rename(folder)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
     sync(folder.parent)
     sync(folder.parent.parent)
 

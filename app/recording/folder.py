@@ -1,26 +1,25 @@
 """The folder of a recording: names in it, `run.json`, free folders and the lock."""
 
 import json
+import os
 import sys
+from contextlib import suppress
 from glob import escape
 from itertools import chain, count
 from pathlib import Path
 from typing import IO, Any
 
+from app.bench.config import parse_bench
 from app.errors import InputError
-from app.files import check_readable, check_writable, in_words
+from app.files import RECORDING_PARTS, check_readable, check_writable, in_words
 
 FORMAT = "svwfs recording 1"
 
-RUN = "run.json"
-FRAME_LINES = "frames.jsonl"
-STORE = "frames.zarr"
-START = "start.npy"  # displacement of the frame before the first, px
-BIAS = "biases/{}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy), px
-CALIBRATION = "calibrations/{}"  # folder of a calibration, by number
+RUN, FRAME_LINES, STORE, START, _BIASES, _CALIBRATIONS = RECORDING_PARTS  # START: frame before the first, px
+BIAS = f"{_BIASES}/{{}}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy), px
+CALIBRATION = f"{_CALIBRATIONS}/{{}}"  # folder of a calibration, by number
 RESULTS = "results/{}"  # group in the store, by number of the calibration
 PIXELS = "0"  # the array of frames in the store: the finest scale of an OME-NGFF image
-_PARTS = (RUN, FRAME_LINES, STORE, START, BIAS, CALIBRATION)
 BEFORE = -1  # in place of a frame index: the frame before the recording
 
 
@@ -49,8 +48,11 @@ def recorded_frames(run: dict[str, Any]) -> int | None:
 
 
 def parts_of(folder: Path) -> list[Path]:
-    """Return the files and folders of a recording, which no command may replace."""
-    return [folder / part.split("/")[0] for part in _PARTS]
+    """Return the parts of a recording and the files that its bench names, which no command may replace."""
+    parts = [folder / part for part in RECORDING_PARTS]
+    with suppress(InputError):  # the reader says what is wrong
+        parts += parse_bench(str(read_run(folder)["bench"]), RUN, is_recorded=True).files
+    return parts
 
 
 def check_free(folder: Path) -> None:
@@ -59,7 +61,10 @@ def check_free(folder: Path) -> None:
         for name in (RUN, STORE, FRAME_LINES):
             # an empty list of frames was left by a program that died before its first one
             if (folder / name).exists() and (name != FRAME_LINES or (folder / name).stat().st_size):
-                raise InputError(f"{folder}: holds a recording already: {name}")
+                raise InputError(f"{folder}: holds a recording already: {name}; choose another folder")
+        for parent in Path(os.path.realpath(folder)).parents:
+            if all((parent / name).exists() for name in (RUN, FRAME_LINES)):
+                raise InputError(f"{folder}: lies in the recording {parent}: choose another folder")
         check_writable(folder)
     except OSError as error:
         raise _unusable(folder, error) from error
@@ -86,6 +91,12 @@ def _is_made(folder: Path) -> bool:
     except FileExistsError:
         return False
     return True
+
+
+def damaged_name(path: Path) -> Path:
+    """Return a free name beside a damaged file, under which it is kept."""
+    names = chain(["damaged"], (f"damaged-{number}" for number in count(2)))
+    return next(each for name in names if not (each := path.with_suffix(f".{name}{path.suffix}")).exists())
 
 
 def _unusable(folder: Path, error: OSError) -> InputError:

@@ -1,5 +1,6 @@
 """Rebuilding the metadata of a recording from its other files."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,19 +10,33 @@ from numpy.typing import NDArray
 from app.bench.bench_files import read_bench_text
 from app.errors import InputError
 from app.recording.calibration_files import read_calibration
-from app.recording.folder import CALIBRATION, FORMAT, FRAME_LINES, PIXELS, RESULTS, RUN, STORE
+from app.recording.folder import CALIBRATION, FORMAT, FRAME_LINES, PIXELS, RESULTS, RUN, STORE, damaged_name
 from app.recording.frame_array import METADATA, FrameArray
 from app.recording.writer import make_array, make_store
 from app.run_facts import write_record
 
 
 def rebuild_run(folder: Path) -> str:
-    """Make a missing or empty `run.json` again, as far as it is known; return what was done."""
+    """Make `run.json` again, as far as it is known, if it is missing or no JSON; return what was done."""
     run, bench, lines = folder / RUN, folder / CALIBRATION.format(0) / "bench.toml", folder / FRAME_LINES
-    if (run.exists() and run.stat().st_size) or not lines.is_file() or not lines.stat().st_size or not bench.is_file():
+    if not _is_lost(run) or not lines.is_file() or not lines.stat().st_size or not bench.is_file():
         return ""
+    kept = ""
+    if run.exists() and run.stat().st_size:
+        kept = f"; the damaged one is {run.rename(damaged_name(run)).name}"
     write_record(run, {"format": FORMAT, "complete": False, "bench": read_bench_text(bench)})
-    return f"{RUN} was missing and is made again, with the bench of the first calibration"
+    return f"{RUN} was missing or damaged and is made again, with the bench of the first calibration{kept}"
+
+
+def _is_lost(path: Path) -> bool:
+    """True if there is no file, or no JSON in it."""
+    if not path.is_file():
+        return not path.exists()
+    try:
+        json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError):
+        return True
+    return False
 
 
 def rebuild_arrays(folder: Path) -> Iterator[str]:

@@ -4,12 +4,13 @@ import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 
 from app.errors import InputError, RunError
 from app.files import atomic_write
-from app.recording.folder import FRAME_LINES, PIXELS, RESULTS, RUN, STORE, lock
+from app.progress import counted
+from app.recording.folder import FRAME_LINES, PIXELS, RESULTS, RUN, STORE, damaged_name, lock
 from app.recording.frame_array import METADATA, FrameArray, is_array
 from app.recording.frame_lines import FoundLines, find_lines
 from app.recording.reader import Recording
@@ -39,8 +40,8 @@ class Recovered:
     @property
     def summary(self) -> str:
         """The numbers in words."""
-        text = f"{self.frames} frames, {self.reconstructed} of them reconstructed live"
-        return text + (f"; the camera lost {self.lost} in {self.gaps} gaps" if self.lost else "; no gaps")
+        text = f"{counted(self.frames)}, {self.reconstructed} of them reconstructed live"
+        return text + (f"; the camera lost {self.lost} in {counted(self.gaps, 'gap')}" if self.lost else "; no gaps")
 
     @property
     def readable(self) -> str:
@@ -170,7 +171,7 @@ def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
     """Put each line in its place and remove what follows; return where the original is, empty if only a half line."""
     path, end = lines.path, lines.end_in_place(frames)
     if end is None:
-        aside = _free_name(path)
+        aside = damaged_name(path)
         with atomic_write(aside) as temporary:
             shutil.copyfile(path, temporary)
         with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -183,17 +184,12 @@ def _put_in_place(lines: FoundLines, frames: int, *, is_complete: bool) -> str:
         file.seek(end)
         rest = file.read()
     if left_out := rest.count(b"\n"):
-        aside = _free_name(path)
+        aside = damaged_name(path)
         with atomic_write(aside) as temporary:
             temporary.write_bytes(rest)
         put_aside = f"the lines after the last whole frame, {left_out} of them, are in {aside.name}"
     os.truncate(path, end)
     return put_aside
-
-
-def _free_name(path: Path) -> Path:
-    names = chain(["damaged"], (f"damaged-{number}" for number in count(2)))
-    return next(each for name in names if not (each := path.with_suffix(f".{name}{path.suffix}")).exists())
 
 
 def _set_length(recording: Recording, frames: int) -> None:

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 
 from app.errors import InputError, RunError
-from app.files import atomic_write, check_outputs, read_image, write_image
+from app.files import RECORDING_PARTS, atomic_write, check_outputs, check_suffix, read_image, write_image
 
 IMAGE = np.arange(12, dtype=np.uint16).reshape(3, 4)
 
@@ -40,6 +40,49 @@ def test_unusable_image_error_names_file(tmp_path: Path) -> None:
             read_image(tmp_path / name)
         assert str(tmp_path / name) in str(fault.value)
         assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "first", "second", "below"),  # where TIFF 6.0 has stored pixels (0, 0), (0, 1) and (1, 0)
+    [
+        *((1, (0, 0), (0, 1), (1, 0)), (2, (0, 3), (0, 2), (1, 3)), (3, (2, 3), (2, 2), (1, 3))),
+        *((4, (2, 0), (2, 1), (1, 0)), (5, (0, 0), (1, 0), (0, 1)), (6, (0, 2), (1, 2), (0, 1))),
+        *((7, (3, 2), (2, 2), (3, 1)), (8, (3, 0), (2, 0), (3, 1))),
+    ],
+)
+def test_image_is_turned_as_its_tag_says(
+    tmp_path: Path, orientation: int, first: tuple[int, int], second: tuple[int, int], below: tuple[int, int]
+) -> None:
+    tifffile.imwrite(tmp_path / "turned.tif", IMAGE, extratags=[(274, 3, 1, orientation, True)])
+    image = read_image(tmp_path / "turned.tif")
+    assert image.shape == ((3, 4) if orientation < 5 else (4, 3))
+    assert [image[at] for at in (first, second, below)] == [IMAGE[0, 0], IMAGE[0, 1], IMAGE[1, 0]]
+
+
+def test_only_image_of_a_file_is_read(tmp_path: Path) -> None:
+    """Pages of other sizes or types are other images, a reduced one is a preview."""
+    with tifffile.TiffWriter(tmp_path / "preview.tif") as file:
+        file.write(IMAGE)
+        file.write(IMAGE[::2, ::2], subfiletype=1)
+    np.testing.assert_array_equal(read_image(tmp_path / "preview.tif"), IMAGE)
+    with tifffile.TiffWriter(tmp_path / "two.tif") as file:
+        file.write(IMAGE)
+        file.write(IMAGE[::2, ::2])
+    with pytest.raises(InputError, match="holds 2 images; save one frame"):
+        read_image(tmp_path / "two.tif")
+
+
+def test_negative_is_refused(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "negative.tif", IMAGE, photometric="miniswhite")
+    with pytest.raises(InputError, match="a negative, in which 0 is white"):
+        read_image(tmp_path / "negative.tif")
+
+
+def test_link_that_leads_nowhere_is_named(tmp_path: Path) -> None:
+    for name in ("itself.tif", "dangling.tif"):
+        (tmp_path / name).symlink_to(tmp_path / name.replace("dangling", "nowhere"))
+        with pytest.raises(InputError, match=f"{name}: is a symbolic link that leads to no file"):
+            read_image(tmp_path / name)
 
 
 def test_failed_write_keeps_old_file(tmp_path: Path) -> None:
@@ -74,6 +117,29 @@ def test_outputs_never_replace_inputs(tmp_path: Path) -> None:
             check_outputs([output], inputs=[frame, None, folder], overwrite=True)
     with pytest.raises(InputError, match="is used by this command already"):
         check_outputs([tmp_path / "new", None, tmp_path / "new"], overwrite=True)
+
+
+def test_parts_of_any_recording_are_never_replaced(tmp_path: Path) -> None:
+    run, free = tmp_path / "run", tmp_path / "free"
+    for folder in (run, free):
+        folder.mkdir()
+        (folder / "run.json").touch()
+    (run / "frames.jsonl").touch()
+    (tmp_path / "link").symlink_to(run)
+    for part in (*RECORDING_PARTS, "calibrations/0/bench.toml"):
+        for folder in (run, tmp_path / "link"):
+            with pytest.raises(InputError, match="is part of a recording; give the output another name"):
+                check_outputs([folder / part], overwrite=True)
+        check_outputs([free / part], overwrite=True)
+    check_outputs([run / "results.nc"], overwrite=True)
+
+
+def test_name_of_another_format_is_refused() -> None:
+    for name in ("frame.tif", "run/plot.PNG", "bench.toml"):
+        with pytest.raises(InputError, match=f"{name}: the file will not be what its name says: end it with .nc"):
+            check_suffix(Path(name), ".nc")
+    for path in (Path("result"), Path("result.v2"), Path("result.NC"), None):
+        check_suffix(path, ".nc")
 
 
 def test_existing_outputs_need_overwrite(tmp_path: Path) -> None:

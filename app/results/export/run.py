@@ -9,7 +9,7 @@ import numpy as np
 
 from app.bench.config import write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
-from app.files import check_outputs
+from app.files import check_outputs, check_suffix
 from app.progress import Progress
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
@@ -34,6 +34,7 @@ _REACH_FRAMES = 50  # evenly spaced frames that set the angular range of the poi
 def export(folder: Path, to: Format, out: Path, *, frames: str | None, overwrite: bool, progress: Progress) -> int:
     """Write the frames FIRST:END of a recording, or their results, to a file; return their number."""
     check_outputs([out], inputs=parts_of(folder), overwrite=overwrite)
+    check_suffix(out, *_SUFFIXES[to])
     recording = Recording(folder)
     chosen = recording.select(frames)
     with one_blas_thread():
@@ -146,6 +147,14 @@ def _counted(items: Iterable[T], count: int, progress: Progress, text: str) -> I
         progress(text, done / count)
 
 
+_SUFFIXES = {
+    "tiff": (".tif", ".tiff"),
+    "csv": (".csv",),
+    "netcdf": (".nc",),
+    "psf": (".tif", ".tiff"),
+    "double-zernike": (".nc",),
+    "zernike-table": (".csv",),
+}
 _WRITERS = {
     "tiff": _write_tiff,
     "csv": _write_csv,

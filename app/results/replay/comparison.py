@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.measurement.measurement import SKIPPED
+from app.progress import counted
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed
 from app.results.view_quality import Variable, about
@@ -49,7 +50,7 @@ class Verification:
         if not self.frames:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
         if not self.different:
-            return f"{self.frames} frames, each bit-identical to what was recorded"
+            return f"{counted(self.frames)}, each bit-identical to what was recorded"
         versions, now = self._recording.run.get("versions"), version("svwfs")
         then = versions.get("svwfs") if isinstance(versions, dict) else "an unknown version"
         software = f"recorded by svwfs {then}, replayed by {now}" if then != now else f"both by svwfs {now}"

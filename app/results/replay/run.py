@@ -7,9 +7,9 @@ from pathlib import Path
 from app.bench.bench_files import bench_file
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.errors import InputError, RunError
-from app.files import check_outputs
+from app.files import check_outputs, check_suffix
 from app.measurement.calibration import Calibration
-from app.progress import Progress
+from app.progress import Progress, counted
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
@@ -63,6 +63,9 @@ def replay(
     bench_read = () if bench is None or other is None else (bench_file(bench), *other.files)
     check_outputs([out], inputs=[*parts_of(folder), *bench_read], overwrite=overwrite)
     recording = Recording(folder)
+    if other is None and settings:
+        check_outputs([out], inputs=_changed(recording.bench, settings).files, overwrite=overwrite)
+    check_suffix(out, ".nc")
     chosen = recording.select(frames)
     change = change_of(other, settings)
     if verify and change is not None:
@@ -93,7 +96,7 @@ def _frames(
         if made.comparison is not None:
             more = made.comparison.take(next(originals), frame)
         made.take(frame)
-        progress(f"replaying {len(chosen)} frames", done / len(chosen))
+        progress(f"replaying {counted(len(chosen))}", done / len(chosen))
         yield frame, more
 
 
@@ -103,13 +106,17 @@ def change_of(bench: Bench | None, settings: tuple[str, ...]) -> Change | None:
         return None
 
     def change(calibration: Calibration) -> Calibration:
-        other = bench or parse_bench(write_bench(calibration.bench), "the recorded bench", settings)
+        other = bench or _changed(calibration.bench, settings)
         try:
             return Calibration.of(other, calibration.dark, calibration.reference, calibration.full_scale)
         except ReconstructionError as error:
             raise InputError(f"the recorded reference does not fit this bench: {error}") from error
 
     return change
+
+
+def _changed(recorded: Bench, settings: tuple[str, ...]) -> Bench:
+    return parse_bench(write_bench(recorded), "the recorded bench", settings)
 
 
 def first_bench(recording: Recording, chosen: range, change: Change | None = None) -> Bench:

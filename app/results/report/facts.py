@@ -9,6 +9,7 @@ from typing import Any
 from app.bench.config import Bench
 from app.measurement.calibration import Calibration
 from app.measurement.routines.averages import Average
+from app.progress import counted
 from app.recording.frame_lines import FrameLine
 from app.results.report.summary import Summary
 
@@ -123,7 +124,7 @@ def _of_calibration(summary: Summary) -> Iterator[Fact]:
 
 def _average(average: Average) -> str:
     gain = f", em gain {average.em_gain:g}" * (average.em_gain != 1)
-    return f"mean of {average.frames} frames of {average.exposure_s * 1e3:g} ms{gain}"
+    return f"mean of {counted(average.frames)} of {average.exposure_s * 1e3:g} ms{gain}"
 
 
 def _noise(calibration: Calibration) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
 from app.measurement.calibration import Calibration
-from app.progress import Progress
+from app.progress import Progress, counted
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, Reprocessed, reprocess
@@ -65,7 +65,7 @@ class Summary:
     @property
     def sampled_frames(self) -> str:
         """Number of frames in the statistics, in words."""
-        whole = f"{len(self.lines)} frame" + "s" * (len(self.lines) != 1)
+        whole = counted(len(self.lines))
         count = 0 if self.statistics is None else len(self.statistics.frames)
         return whole if count == len(self.lines) else f"{count} of {whole}"
 

@@ -140,7 +140,7 @@ def test_interrupted_measure_names_folder_of_frames(
 
     monkeypatch.setattr("app.results.recording_results.write_pieces", interrupt)
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 130
-    assert "3 frames are in" in capsys.readouterr().err.replace("\n", " ")
+    assert "m holds 3 frames; svwfs replay" in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "m" / "results.nc").exists()
 
 
@@ -154,7 +154,7 @@ def test_measure_on_full_disk_names_folder_of_frames(
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 1
     said = capsys.readouterr().err.replace("\n", " ")
     assert "no space left" in said
-    assert "3 frames are in" in said
+    assert "m holds 3 frames; svwfs replay" in said
 
 
 @pytest.mark.usefixtures("no_hurry")
@@ -415,6 +415,14 @@ def test_lack_of_memory_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert capsys.readouterr().err == "svwfs: there is not enough memory: Unable to allocate 9 TiB\n"
 
 
+def test_output_that_cannot_be_printed_is_one_line() -> None:
+    program = "import sys; from app.cli import main; main()"
+    command = [sys.executable, "-c", program, "devices", "--help"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)  # noqa: S603
+    assert (done.returncode, done.stderr) == (1, "svwfs: the output cannot be printed: No space left on device\n")
+
+
 def test_ctrl_c_while_the_commands_are_imported_is_one_line() -> None:
     program = "import os, signal, sys; from app.cli import main; sys.argv = ['svwfs', 'selftest']\n"
     program += "class Interrupting:\n    def find_spec(self, name, *_):\n"
@@ -433,7 +441,29 @@ def test_frame_of_a_smaller_type_than_the_reference_is_named(
     tifffile.imwrite(tmp_path / "frame.tif", (reference >> shift).astype(kind))
     command = ("--reference", tmp_path / "reference.tif", "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
     assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *command) == 2
-    assert "cannot be as large as those of the reference" in capsys.readouterr().err
+    assert "values up to 60000: save both in the same form" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("factor", [2.0**16, 1e7])
+def test_frame_of_another_scale_than_the_reference_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, factor: float
+) -> None:
+    for name, peak in (("reference", 4e4), ("frame", 3e4 * factor)):
+        image = tifffile.imread(FRAMES / f"square_{name}.tif").astype(np.float32)
+        tifffile.imwrite(tmp_path / f"{name}.tif", image * np.float32(peak / image.max()))
+    command = ("--reference", tmp_path / "reference.tif", "--bench", FRAMES / "bench.toml", "--out", tmp_path / "r.nc")
+    assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *command) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"svwfs: {tmp_path / 'reference.tif'}: holds float32 values up to ")
+    assert said.endswith(": save both in the same form\n")
+
+
+@pytest.mark.parametrize(("setting", "is_told"), [("camera.rows=100", True), ("camera.exposure_s=0.1", False)])
+def test_frame_of_another_size_than_the_bench_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, setting: str, is_told: bool
+) -> None:
+    assert run(monkeypatch, *reconstruct_foreign(tmp_path / "r.nc", "--set", setting)) == 0
+    assert ("bench's camera 100 x 512: is this its bench?" in capsys.readouterr().err) == is_told
 
 
 @pytest.mark.parametrize(("kind", "full"), [(np.uint16, 65535), (np.float32, 65535), (np.uint8, 255)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -13,6 +14,7 @@ import xarray as xr
 from support.command_line import run
 
 from app.files import write_image
+from app.recording.folder import FORMAT
 
 INPUTS = ("frame.tif", "reference.tif", "dark.tif", "bench.toml", "estimator.png", "run/run.json", "run/frames.jsonl")
 RECONSTRUCT = "reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out"
@@ -35,6 +37,10 @@ ONTO_INPUTS = (
     "field run --out run/run.json",
     "field frame.tif --out f.nc --plot frame.tif",
     "replay run --bench bench.toml --out bench.toml",
+    *(f"{command} --out recorded.nc" for command in ("replay run", "export run --to netcdf")),
+    "replay run --set simulation.source.file=mask.tif --out mask.tif",
+    "deconvolve frame.tif --with run --scale 1e-6 --out recorded.nc",
+    "deconvolve frame.tif --with run --scale 1e-6 --set simulation.source.file=mask.tif --out mask.tif",
     "study mask estimator.png --out .",
     *(
         f"{command} --set simulation.{kind}.file={file}"
@@ -60,6 +66,11 @@ ONTO_EXISTING = (
     "benchmark --json old",
     "live --seconds 1 --out window",
 )
+OF_ANOTHER_RECORDING = (
+    f"{RECONSTRUCT} run/run.json",
+    f"{RECONSTRUCT} r.nc --plot run/calibrations/0/r.png",
+    f"{CALIBRATE} --out run/frames.zarr/zarr.json",
+)
 EXISTING = ("old", "old.pdf", "results.nc", "study/study.csv", "study/table1.png", "window/window.png")
 
 
@@ -75,6 +86,8 @@ def folder(tmp_path: Path, small_toml: Path, monkeypatch: pytest.MonkeyPatch) ->
         write_image(tmp_path / name, np.full((172, 240), 500, np.uint16))
     cv2.imwrite("estimator.png", np.full((8, 8), 255, np.uint8))
     shutil.copyfile(small_toml, "bench.toml")
+    bench = small_toml.read_text() + '[simulation.source]\nmask = "image"\nfile = "recorded.nc"\n'
+    Path("run/run.json").write_text(json.dumps({"format": FORMAT, "complete": True, "bench": bench}))
     return tmp_path
 
 
@@ -90,6 +103,47 @@ def test_no_input_is_overwritten(
     assert run(monkeypatch, *command.split(), "--overwrite") == 2
     assert "is used by this command already; give the output another name" in capsys.readouterr().err
     assert contents(folder) == before
+
+
+@pytest.mark.parametrize("command", OF_ANOTHER_RECORDING)
+def test_no_part_of_another_recording_is_overwritten(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, command: str
+) -> None:
+    before = contents(folder)
+    assert run(monkeypatch, *command.split(), "--overwrite") == 2
+    assert "is part of a recording; give the output another name" in capsys.readouterr().err
+    assert contents(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        (f"{RECONSTRUCT} a.nc --out b.nc", "--out is given 2 times: give it once"),
+        (f"{RECONSTRUCT} new/", "--out new/: no such folder; leave the slash out of a file's name"),
+        (f"{RECONSTRUCT} r.tif", "r.tif: the file will not be what its name says: end it with .nc"),
+        (f"{CALIBRATE} --out r.nc", "end it with .toml"),
+        ("replay run --out r.csv", "end it with .nc"),
+        ("export run --to csv --out r.nc", "end it with .csv"),
+        ("export run --to psf --out r.nc", "end it with .tif"),
+        ("deconvolve frame.tif --with run --out r.nc", "end it with .tif"),
+        ("paper table1 --out a --out b", "--out is given 2 times: give it once"),
+    ],
+)
+def test_output_that_cannot_be_meant_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, command: str, told: str
+) -> None:
+    before = contents(folder)
+    assert run(monkeypatch, *command.split()) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert contents(folder) == before
+
+
+def test_folder_may_end_with_a_slash_and_settings_may_be_repeated(
+    monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    more = ("--set", "camera.em_gain=1", "--set", "camera.em_gain=2", "--overwrite", "--overwrite")
+    assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", "new/", *more) == 0
+    assert (folder / "new" / "truth.nc").exists()
 
 
 @pytest.mark.parametrize("command", ONTO_EXISTING)

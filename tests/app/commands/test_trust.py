@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,29 +11,16 @@ from pathlib import Path
 import pytest
 from support.command_line import run
 
-from app.bench.config import Bench, load_bench
+from app.acquisition.devices import open_camera
+from app.bench.config import Bench, load_bench, write_bench
 from app.commands.trust import confirm_libraries
 from app.errors import InputError
+from drivers.dcam.settings import DcamSettings
+from drivers.errors import Unsupported
 from drivers.micro_manager.settings import MicroManagerSettings
+from drivers.serial_lights.settings import CoolLEDSettings
 
-BENCH = """
-[sensor]
-lenslet_rows = 5
-lenslet_columns = 7
-lenslet_pitch_m = 500e-6
-lenslet_focal_length_m = 46.7e-3
-wavelength_m = 462e-9
-pixel_pitch_m = 16e-6
-[field]
-collimator_focal_length_m = 0.2
-half_width_m = 0.6e-3
-[camera]
-driver = "dcam"
-library = "{library}"
-[light]
-driver = "coolled"
-port = "/dev/nowhere"
-"""
+LIGHT = CoolLEDSettings(port="/dev/nowhere")
 
 
 class Terminal(io.StringIO):
@@ -45,7 +33,8 @@ def library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     path = tmp_path / "libevil.so"
     path.write_bytes(b"code")
-    (tmp_path / "bench.toml").write_text(BENCH.format(library=path))
+    bench = replace(load_bench("small_demo"), camera=DcamSettings(library=str(path)), light=LIGHT)
+    (tmp_path / "bench.toml").write_text(write_bench(bench))
     return path
 
 
@@ -90,6 +79,41 @@ def test_confirmed_library_is_remembered_until_it_changes(
     library.write_bytes(b"other code")
     with pytest.raises(InputError, match="would run code"):
         confirm_libraries(bench, trust=False)
+
+
+@pytest.mark.parametrize(
+    "name", ["libmmgr_dal_DemoCamera.so.0", "mmgr_dal_DemoCamera", "atcore.DLL", "libpvcam.so.3.2"]
+)
+def test_folder_whose_code_changes_is_asked_for_again(
+    bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Also if names, sizes and dates stay; what is no code may change."""
+    camera = MicroManagerSettings(adapter="DemoCamera", device="DCam", adapter_folder=str(library.parent))
+    adapter, is_of = library.with_name(name), replace(bench, camera=camera)
+    adapter.write_bytes(b"code")
+    confirm_libraries(is_of, trust=True)
+    library.with_name("MMConfig.cfg").write_text("other settings")
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    confirm_libraries(is_of, trust=False)
+    before = adapter.stat()
+    adapter.write_bytes(b"evil")
+    os.utime(adapter, ns=(before.st_atime_ns, before.st_mtime_ns))
+    with pytest.raises(InputError, match="would run code"):
+        confirm_libraries(is_of, trust=False)
+
+
+def test_library_that_changes_before_it_is_loaded_is_refused(
+    bench: Bench, library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(Unsupported, match="cannot be loaded"):  # from Python nothing is asked
+        open_camera(bench.camera)
+    confirm_libraries(bench, trust=True)
+    with pytest.raises(Unsupported, match="cannot be loaded"):
+        open_camera(bench.camera)
+    library.write_bytes(b"other code")
+    monkeypatch.setattr("ctypes.CDLL", lambda *_, **__: pytest.fail("the library was loaded"))
+    with pytest.raises(InputError, match=r"libevil\.so has changed since it was confirmed: open the bench again"):
+        open_camera(bench.camera)
 
 
 def test_bench_without_library_needs_no_confirmation(monkeypatch: pytest.MonkeyPatch) -> None:

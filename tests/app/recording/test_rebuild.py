@@ -87,13 +87,16 @@ def test_shape_follows_from_whole_chunks(recording: Recording, array: str, chunk
     assert len(found.whole) == (3 if chunk else 4)
 
 
-@pytest.mark.parametrize("is_empty", [True, False])
-def test_missing_run_is_made_again(recording: Recording, is_empty: bool) -> None:
+@pytest.mark.parametrize("damage", [None, b"", b"\x89HDF\r\n\x1a\n", b'{"format": '])
+def test_missing_or_damaged_run_is_made_again(recording: Recording, damage: bytes | None) -> None:
     path = recording.folder / "run.json"
-    path.write_text("") if is_empty else path.unlink()
+    path.unlink() if damage is None else path.write_bytes(damage)
     found = recover(recording.folder)
     assert (found.whole, found.damage) == ([0, 1, 2, 3], ())
-    assert "run.json was missing and is made again" in found.rebuilt[0]
+    assert "run.json was missing or damaged and is made again" in found.rebuilt[0]
+    kept = recording.folder / "run.damaged.json"
+    assert kept.exists() == (kept.name in found.rebuilt[0]) == bool(damage)
+    assert not damage or kept.read_bytes() == damage
     again = Recording(recording.folder)
     assert again.is_complete
     assert again.bench.sensor == recording.calibration(0).bench.sensor
@@ -278,6 +281,23 @@ def test_folder_left_by_a_program_that_died_at_once_is_free(tmp_path: Path) -> N
         RecordingWriter(tmp_path / "r", FACTS)
 
 
+def test_no_recording_begins_inside_another(recording: Recording, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(recording.folder)
+    for folder in (recording.folder / "sub", tmp_path / "link" / "calibrations" / "sub"):
+        with pytest.raises(InputError, match=f"lies in the recording {recording.folder}: choose another folder"):
+            check_free(folder)
+    check_free(tmp_path / "sub")
+
+
+def test_run_of_another_version_stays(recording: Recording) -> None:
+    path = recording.folder / "run.json"
+    path.write_text(json.dumps({**recording.run, "format": "svwfs recording 2"}))
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"run\.json: not the file of a recording"):
+        recover(recording.folder)
+    assert path.read_bytes() == before
+
+
 def test_renamed_folder_leaves_no_ghost(tmp_path: Path) -> None:
     with closing(RecordingWriter(tmp_path / "r", FACTS)) as writer:
         writer.write(make_record(0))
@@ -297,4 +317,4 @@ def test_calibration_is_written_whole_or_not_at_all(
     monkeypatch.setattr(np, "savez", fill_up)
     with pytest.raises(RunError, match=r"reference\.npz: cannot be written: No space left on device"):
         write_calibration(tmp_path / "0", noisy_calibration(small_bench))
-    assert not (tmp_path / "0").exists()
+    assert not list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ from app.cli.tables import print_recovered
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.recording.reader import Recording
-from app.recording.recover import frames_in_words, recover
+from app.recording.recover import Recovered, frames_in_words, recover
 
 
 @pytest.fixture(scope="module")
@@ -336,3 +336,8 @@ def test_recover_suggests_a_usable_selection(tmp_path: Path, capsys: pytest.Capt
 )
 def test_frame_numbers_are_joined_in_words(frames: Sequence[int], words: str) -> None:
     assert frames_in_words(frames) == words
+
+
+def test_single_frame_and_gap_are_named_as_such() -> None:
+    found = Recovered(was_complete=True, frames=1, reconstructed=1, lost=3, gaps=1)
+    assert found.summary == "1 frame, 1 of them reconstructed live; the camera lost 3 in 1 gap"

@@ -192,7 +192,7 @@ def test_other_registration_drops_the_refinement_with_notice(
 ) -> None:
     assert run(monkeypatch, "replay", recording.folder, "--set", "registration.warp=affine") == 0
     said = capsys.readouterr().out
-    assert (f"{FRAMES} frames were refined when they were recorded; with this bench they are not" in said) == (
+    assert (f"{FRAMES} frames refined when recorded, but not with this bench" in said) == (
         recording.folder.name == "refined"
     )
     assert f"mean of {FRAMES} frames" in said
