@@ -40,6 +40,8 @@ _LIMITS: dict[Warp, _Limits] = {
     "cubic": _Limits(0.04, 0.03),
     "quartic": _Limits(0.03, 0.03),
 }
+_OPENING = 0.35  # RMS gradient over contrast, 1/px: squares and circles have less, points more
+_POINTS = 0.25  # by which the first limit rises with what is beyond: no warp describes how points blur
 _LEAST_MISFIT = 0.015  # residual over contrast; uneven pixels of 1 % cause as much
 _LEAST_SLOPES_PX = 0.01
 _NOISE_PIXELS, _NOISE_SLOPES = 1.3, 2.0  # of the expected variances, not counted as misfit
@@ -75,6 +77,9 @@ class FrameJudge:
         is_ours = settings.method == "gauss_newton"
         self._limits = _LIMITS[settings.warp or "quartic"] if is_ours else _LIMITS["translation"]
         has_limit = is_ours and settings.warp != "translation"
+        if has_limit:
+            points = _POINTS * max(_sharpness(reference) - _OPENING, 0.0)
+            self._limits = self._limits._replace(pixels=self._limits.pixels + points)
         self._knows_misfit = has_limit and reference.noise is not None
         why = "the noise of the images is unknown" if has_limit else "it has no limit for this registration"
         self._unjudged = "" if self._knows_misfit else f"misfit is not judged: {why}"
@@ -147,10 +152,11 @@ class FrameJudge:
         elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
-        scatter = 0.0
+        scatter = read_noise = 0.0
         if self._noise is not None:
             scatter = math.sqrt(self._noise.variance(above.max(keepdims=True)).item())
-        clipped = clipped_fraction(counts[self._is_good], scatter)
+            read_noise = self._noise.read_noise_counts
+        clipped = clipped_fraction(counts[self._is_good], scatter, read_noise)
         if clipped > _CLIPPED:
             yield (
                 Fault.CLIPPED,
@@ -186,6 +192,13 @@ class FrameJudge:
 
 
 _LOOK = "another mask, focus, motion, a ghost or wrong grey values?"
+
+
+def _sharpness(reference: ReferenceSubimages) -> float:
+    """RMS gradient of the lit subimages over their contrast, 1/px: 0.31 for the paper's square, 1.04 for its stars."""
+    lit = reference.lit
+    square = np.mean(np.sum(reference.gradient[lit] ** 2, axis=-1)) / np.mean(reference.contrast[lit] ** 2)
+    return math.sqrt(float(square))
 
 
 def _rms(vectors: Floats) -> float:

@@ -1,5 +1,7 @@
 """Quality of a reference and its dark."""
 
+import math
+
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
@@ -70,10 +72,11 @@ def reference_quality(
                 if leak >= 1
                 else f"the dark contains {100 * leak:.0f} % of the reference's light: take it again with the light off"
             )
-    scatter = 0.0
+    scatter = read_noise = 0.0
     if noise is not None:
         scatter = float(np.sqrt(noise.variance(np.max(light, keepdims=True)).item() / frames))
-    clipped = clipped_fraction(reference, scatter)
+        read_noise = noise.read_noise_counts / math.sqrt(frames)
+    clipped = clipped_fraction(reference, scatter, read_noise)
     if clipped > _CLIPPED:
         reasons[Fault.CLIPPED] = (
             f"{100 * clipped:.0f} % of the reference's pixels are clipped below the camera's full scale:"

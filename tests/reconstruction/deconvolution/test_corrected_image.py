@@ -7,19 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import ndimage
+from support.optics import sensor_of
 
 from reconstruction.deconvolution.corrected_image import CorrectedImage, corrected_image
 from reconstruction.deconvolution.imaging import Imaging
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Field
 
-SENSOR = Sensor(
-    lenslet_rows=15,
-    lenslet_columns=15,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+SENSOR = sensor_of(15, 15)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.3e-3, view_spacing_m=0.2e-3)
 PIXEL_M = 5e-6
 U, V = np.meshgrid(SENSOR.pupil_x_m, SENSOR.pupil_y_m)

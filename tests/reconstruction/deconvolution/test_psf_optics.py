@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import special
+from support.optics import sensor_of
 
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.deconvolution.psf_optics import PsfOptics, reach_px
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Field
 from simulated_devices.optics.photograph import true_psf
 
-SENSOR = Sensor(
-    lenslet_rows=11,
-    lenslet_columns=15,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+SENSOR = sensor_of(11, 15)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
 PIXEL_M = 3e-6
 FLAT = np.zeros((11, 15))
@@ -77,7 +72,7 @@ def test_tilt_at_another_wavelength_moves_light_as_far() -> None:
 
 
 def test_aberrated_pattern_is_that_of_another_simulator() -> None:
-    square = Sensor(**{**{name: getattr(SENSOR, name) for name in SENSOR.__slots__}, "lenslet_rows": 15})
+    square = replace(SENSOR, lenslet_rows=15)
     x, y = np.meshgrid(square.pupil_x_m, square.pupil_y_m)
 
     def phase(x_m: Any, y_m: Any) -> Any:

@@ -6,19 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from support.optics import sensor_of
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Sensor
+from reconstruction.geometry import Field
 from reconstruction.layers.corrector import Correction, Corrector, best_correction
 
-SENSOR = Sensor(
-    lenslet_rows=9,
-    lenslet_columns=11,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
+SENSOR = sensor_of(9, 11)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
 POSITIONS_M = np.array([(x, y) for y in (-0.5e-3, 0.1e-3, 0.4e-3) for x in (-0.6e-3, 0.0, 0.3e-3)])
 

@@ -20,6 +20,8 @@ from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.settings import Warp
+from simulated_devices.optics.source import stars
+from simulated_devices.settings import Source
 
 Light = NDArray[np.float32]
 
@@ -30,10 +32,19 @@ NOISE = CameraNoise(counts_per_electron=1.0, read_noise_counts=READ_NOISE_E)
 
 
 @cache
-def aberrated(strength: float) -> Light:
+def star_bench() -> SmallBench:
+    """A bench with the paper's pinholes."""
+    bench = SmallBench()
+    bench.source = stars(Source())
+    bench.reference = bench.model.irradiance(bench.source) * np.float32(1e14)
+    return bench
+
+
+@cache
+def aberrated(strength: float, bench: SmallBench = BENCH) -> Light:
     """Electrons per brightest electron of the reference, behind a wavefront of two layers."""
-    half_m, half_field_m = BENCH.sensor.pupil_half_width_m[0], FIELD.half_width_m
-    u, v = (axis / half_m for axis in BENCH.samples())
+    half_m, half_field_m = bench.sensor.pupil_half_width_m[0], FIELD.half_width_m
+    u, v = (axis / half_m for axis in bench.samples())
 
     def layer(s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.sin(2.5 * s + 1) * np.cos(2.1 * t) + 0.7 * np.sin(1.8 * s - 2.6 * t)
@@ -43,7 +54,7 @@ def aberrated(strength: float) -> Light:
         near, far = layer(u + 0.05 * x, v + 0.05 * y), layer(v + 0.2 * y, u + 0.2 * x)
         return np.asarray(strength * (near + far), np.float32)
 
-    return BENCH.frame(phase) / np.float32(BENCH.reference.max())
+    return bench.frame(phase) / np.float32(bench.reference.max())
 
 
 def exposed(light: Light, peak_e: float, seed: int) -> Light:
@@ -53,25 +64,25 @@ def exposed(light: Light, peak_e: float, seed: int) -> Light:
 
 
 @cache
-def measured_by(warp: Warp, peak_e: float) -> tuple[Reconstructor, FrameJudge]:
-    reference = np.asarray(BENCH.reference / BENCH.reference.max() * peak_e, np.float32)
+def measured_by(warp: Warp, peak_e: float, bench: SmallBench = BENCH) -> tuple[Reconstructor, FrameJudge]:
+    reference = np.asarray(bench.reference / bench.reference.max() * peak_e, np.float32)
     dark = np.zeros_like(reference)
-    reconstructor = BENCH.reconstructor(warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=BENCH.sensor, field=FIELD, dark=dark)
+    reconstructor = bench.reconstructor(warp, pupil_modes=None, reference=reference, dark=dark, noise=NOISE)
+    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, sensor=bench.sensor, field=FIELD, dark=dark)
     return reconstructor, judge
 
 
-def faults(warp: Warp, peak_e: float, light: Light) -> tuple[Fault, str]:
+def faults(warp: Warp, peak_e: float, light: Light, bench: SmallBench = BENCH) -> tuple[Fault, str]:
     """Faults with their reasons; a refusal because subimages look different counts as a misfit."""
     try:
-        found = verdict(warp, peak_e, light)
+        found = verdict(warp, peak_e, light, bench=bench)
     except ReconstructionError as error:
         return (Fault.MISFIT if "look different" in str(error) else Fault(0)), str(error)
     return found.faults, found.sentence
 
 
-def verdict(warp: Warp, peak_e: float, light: Light, seed: int = 0) -> Quality:
-    reconstructor, judge = measured_by(warp, peak_e)
+def verdict(warp: Warp, peak_e: float, light: Light, seed: int = 0, bench: SmallBench = BENCH) -> Quality:
+    reconstructor, judge = measured_by(warp, peak_e, bench)
     frame = exposed(light, peak_e, seed)
     return judge(frame, reconstructor.register(frame))
 
@@ -91,6 +102,22 @@ def test_impossible_frame_is_found(name: str, peak_e: float) -> None:
     for warp in ("quadratic", "cubic"):
         found, why = faults(warp, peak_e, spoil(aberrated(1.0), BENCH.lattice))
         assert fault in found, (warp, why)
+
+
+@pytest.mark.parametrize("warp", WARPS)
+def test_stars_may_blur(warp: Warp) -> None:
+    """A wavefront changes the shape of a point's image, which no warp describes."""
+    for seed, strength in enumerate((0.5, 1.0, 2.0, 4.0)):
+        found = verdict(warp, 1e4, aberrated(strength, star_bench()), seed, star_bench())
+        assert not found.reasons, (strength, found.sentence)
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_impossible_frame_of_stars_is_found(name: str) -> None:
+    spoil, fault = FAULTY[name]
+    right = aberrated(1.0, star_bench())
+    found, why = faults("cubic", 1e4, spoil(right, BENCH.lattice), star_bench())
+    assert found & (fault | Fault.MISFIT), why
 
 
 def test_torn_frame_is_found() -> None:

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.optics import sensor_of
 
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.geometry import Field, Lattice
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.information import layered_information, lenslet_information, wavefront_bound
@@ -16,14 +17,7 @@ from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
 
 CELL_PX, SAMPLES = 31, 12
-SENSOR = Sensor(
-    lenslet_rows=2,
-    lenslet_columns=3,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=500e-6 / CELL_PX,
-)
+SENSOR = replace(sensor_of(2, 3), pixel_pitch_m=500e-6 / CELL_PX)
 FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, view_rows=3, view_columns=3, view_spacing_m=0.5e-3)
 NOISE = CameraNoise(counts_per_electron=0.5, read_noise_counts=3.0)
 # Counts of each lenslet: very different, similar, and none.

@@ -123,6 +123,18 @@ def test_clipped_reference_is_found_but_a_bright_one_passes() -> None:
     assert not quality(LIGHT).reasons
 
 
+@pytest.mark.parametrize(("read_noise", "peak_e"), [(37.0, 1e4), (20.0, 3e3), (8.0, 1e3)])
+def test_read_noise_blurs_the_edge_of_clipping(read_noise: float, peak_e: float) -> None:
+    """Clipped at 60 % of the peak before the read noise, mean of three frames; the same light, not clipped, passes."""
+    noise, rng = CameraNoise(counts_per_electron=1.0, read_noise_counts=read_noise), np.random.default_rng(0)
+    photons = rng.poisson(LIGHT / 1e4 * peak_e, (3, *LIGHT.shape))
+    added = 500 + rng.normal(0, read_noise, photons.shape)
+    for full_well, faults in ((0.6 * peak_e, Fault.CLIPPED), (np.inf, Fault(0))):
+        reference = np.mean(np.minimum(photons, full_well) + added, axis=0)
+        found = quality(reference, dark=np.full(LIGHT.shape, 500.0), noise=noise, frames=3)
+        assert found.faults == faults
+
+
 def test_identical_frames_of_a_reference_are_found() -> None:
     still = np.zeros(LIGHT.shape, np.float32)
     assert quality(variance=still, frames=20).faults == Fault.FROZEN
