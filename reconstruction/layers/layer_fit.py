@@ -27,7 +27,7 @@ class Layer:
     ratio: float  # of field position to pupil position where rays meet the layer
     ratio_sigma: float  # NaN if the ratio was given
     half_width_m: Floats  # of the footprint, (xy,)
-    _coefficients: Floats  # rad, (k,)
+    coefficients: Floats  # of the polynomials over the footprint, rad, (k,)
     _root_covariance: Floats  # rad, (k, n)
     _first: int  # the lowest polynomial of the map: 1, or 3 without tilt
 
@@ -37,7 +37,7 @@ class Layer:
         It has no tilt if there is another layer, because the tilts of two layers cannot be told apart; `with_tilt` adds
         the share of this layer.
         """
-        return self._on(x_m, y_m, self._coefficients[:, None], 1 if with_tilt else self._first)[..., 0]
+        return self._on(x_m, y_m, self.coefficients[:, None], 1 if with_tilt else self._first)[..., 0]
 
     def sigma(self, x_m: Floats, y_m: Floats) -> Floats:
         """Standard deviation of `phase`, rad."""

@@ -1,7 +1,7 @@
 """Distance of one layer, or two, and whether layers explain a frame.
 
 The log evidence of the displacements is a smooth function of the distances. It is searched on a grid, then refined;
-its curvature at the maximum gives the error bars.
+its curvature at the maximum gives the error bars, to which systematic errors of the displacements are added.
 """
 
 from collections.abc import Callable
@@ -76,11 +76,11 @@ def find_layers(
 
     tried = [fit_at(t) for t in _GRID]
     best = _GRID[int(np.argmax([fit.log_evidence for fit in tried]))]
-    one = _refined(fit_at, (float(best),))
+    one = _refined(equations, fit_at, (float(best),))
     two = None
     if count == 2 and not at:
         start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: fit_at(*pair).log_evidence)
-        two = _refined(fit_at, tuple(map(float, start)))
+        two = _refined(equations, fit_at, tuple(map(float, start)))
     if len(at) == 2:
         two = equations.fit(*sorted(at))
     fit = two or (equations.fit(*at) if at else one)
@@ -99,8 +99,8 @@ def _ratio(t: float) -> float:
     return float(t / (1 - t))
 
 
-def _refined(fit_at: Callable[..., LayerFit], start: tuple[float, ...]) -> LayerFit:
-    """Maximise the evidence over the distances, from a start in t; their error bars follow from its curvature."""
+def _refined(equations: FrameEquations, fit_at: Callable[..., LayerFit], start: tuple[float, ...]) -> LayerFit:
+    """Maximise the evidence over the distances, from a start in t, and find their error bars."""
 
     def cost(t: Floats) -> float:
         return -fit_at(*np.clip(t, -_STEP, 1 - _STEP)).log_evidence
@@ -112,8 +112,10 @@ def _refined(fit_at: Callable[..., LayerFit], start: tuple[float, ...]) -> Layer
         options={"initial_simplex": _simplex(start), "xatol": _TOLERANCE, "fatol": 1e-4, "maxiter": 200},
     )
     best = np.clip(found.x, 0.0, 1 - _STEP)
-    sigma = np.sqrt(np.diag(_inverse(_curvature(cost, best))))
     fit = fit_at(*best)
+    before, after = ([fit_at(*best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))
+    systematic = equations.distance_covariance(fit, before, after, _STEP)
+    sigma = np.sqrt(np.diag(_inverse(_curvature(cost, best)) + systematic))
     layers = [
         replace(layer, ratio_sigma=float(of_t * (1 + layer.ratio) ** 2))
         for layer, of_t in zip(fit.layers, sigma, strict=True)

@@ -24,13 +24,16 @@ _HIGHEST_DEGREE = 13  # of a layer's phase, if there are as many lenslets
 _PRIOR_EXPONENT, _PRIOR_PER_FIELD_DEGREE = 5.0, 0.5  # as in `solve.modal`
 _AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
 _LEAST_LENSLETS = 9
+# Systematic error: share of the displacement in one parameter of the warp that appears in another one, or is missing in
+# itself, alike for all lenslets of a frame. Fitted to the distances in noise-free frames (docs/layers.md).
+_SYSTEMATIC_SHARE = 0.003
 
 
 class FrameEquations:
     """Normal equations of one frame; layers at any distance can be fitted to them."""
 
-    def __init__(self, solver: "LayerSolver", gram: Floats, moments: Moments) -> None:
-        self._solver, self._gram, self._moments = solver, gram, moments
+    def __init__(self, solver: "LayerSolver", share: Floats, gram: Floats, moments: Moments) -> None:
+        self._solver, self._share, self._gram, self._moments = solver, share, gram, moments
         self._of_layer = lru_cache(maxsize=64)(self._products)
 
     def fit(self, *ratios: float) -> LayerFit:
@@ -47,6 +50,19 @@ class FrameEquations:
         scale = self._solver.free_scale
         moments = replace(self._moments, columns=self._moments.columns * scale)
         return Spectrum(self._gram * np.outer(scale, scale)).fit(moments, scale, ())
+
+    def distance_covariance(self, fit: LayerFit, before: list[LayerFit], after: list[LayerFit], step: float) -> Floats:
+        """Covariance of the distances caused by systematic errors of the displacements, (n, n).
+
+        `before` and `after` are the fits with each distance a step shorter and longer; the unit is that of the step.
+        """
+        explained, *others = self._solver.explained([fit, *before, *after])
+        slopes = np.array([far - near for near, far in zip(others[: len(before)], others[len(before) :], strict=True)])
+        slopes /= 2 * step
+        weighted = slopes * self._share[:, None]
+        normal = np.einsum("ilk,jlk->ij", weighted, slopes)
+        influence = np.tensordot(np.linalg.pinv(normal, hermitian=True), weighted, axes=1)  # of displacements
+        return self._solver.systematic_covariance(explained, influence)
 
     def _products(self, ratio: float) -> tuple[Floats, Floats, Floats]:
         """Scaled basis of a layer, and its products with the normal matrix and the moments."""
@@ -90,7 +106,7 @@ class LayerSolver:
             [self._rows(some).T @ weighted[some].ravel() for some in self._chunks(np.flatnonzero(share))], axis=0
         )
         moments = Moments(columns, total, np.count_nonzero(share) * weighted.shape[1])
-        return FrameEquations(self, self._gram_of(share.tobytes()), moments)
+        return FrameEquations(self, share, self._gram_of(share.tobytes()), moments)
 
     def data(self, displacement: Displacement, weights: Floats | None) -> tuple[Floats, Floats, float]:
         """Share of each lenslet (L,), whitened displacements times share (L, K), and their sum of squares.
@@ -106,6 +122,24 @@ class LayerSolver:
         if not total > 0:
             raise ReconstructionError("the displacements are all zero: there is no layer to find")
         return share, weighted, total
+
+    def explained(self, fits: list[LayerFit]) -> Floats:
+        """Whitened displacements that fits explain, (fit, L, K)."""
+        columns = [
+            np.sum([self.basis(layer.ratio) @ layer.coefficients for layer in fit.layers], axis=0) for fit in fits
+        ]
+        lenslets = np.arange(len(self._errors.is_usable))
+        found = np.concatenate([self._rows(some) @ np.transpose(columns) for some in self._chunks(lenslets)])
+        return np.asarray(found.T.reshape(len(fits), len(lenslets), -1))
+
+    def systematic_covariance(self, explained: Floats, influence: Floats) -> Floats:
+        """Covariance of n numbers caused by systematic errors of the displacements.
+
+        `explained` (L, K): whitened displacements; `influence` (n, L, K): derivatives of the numbers by them.
+        """
+        per_px = np.linalg.solve(self._errors.colour.transpose(0, 2, 1), influence[..., None])[..., 0]
+        per_error = np.einsum("nlk,lj->nkj", per_px, np.matvec(self._errors.colour, explained))
+        return np.asarray(_SYSTEMATIC_SHARE**2 * np.einsum("nkj,mkj->nm", per_error, per_error))
 
     def _prepared_at(self, ratio: float) -> "FixedLayerSolver":
         """Prepare the fit of one layer at a fixed ratio of field to pupil position."""
