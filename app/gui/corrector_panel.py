@@ -39,6 +39,7 @@ class CorrectorPanel(QWidget):
         self.origin.setToolTip("Where distances are measured from: lenslets, in the collimated beam, or mask")
         keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
         self.plot = Plot("Residual (rad RMS)", "conjugate distance of the corrector (mm)", keys, widest="00.0")
+        self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
         self.plot.setToolTip(
             "RMS of the wavefronts over field and pupil after the best command of one corrector,\n"
             "over the distance that the corrector is conjugate to. Measurement noise is part of it."

@@ -57,6 +57,7 @@ class LayersPanel(QWidget):
         self.origin.currentIndexChanged.connect(self._show_distance)
         keys = (("single layer there", theme.ACCENT), ("found", theme.AMBER), ("any wavefront", theme.DIM))
         self.plot = Plot("Unexplained (%)", "distance (mm)", keys, widest="100")
+        self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
         self.plot.setToolTip(
             "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
             "No fit explains more than one without any assumption about layers."

@@ -16,7 +16,10 @@ _SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_PACKAGE
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile with Numba on the first call; a typed wrapper of the untyped decorator."""
-    options: dict[str, Any] = {"nogil": True, "fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
+    # A function that is called, not inlined, may be another process's copy of it, which rounds differently: results
+    # would depend on what was compiled and what came from the cache.
+    options: dict[str, Any] = {"nogil": True, "forceinline": True, "error_model": "numpy"}
+    options["fastmath"] = {"contract", "reassoc", "nsz"}
     try:
         dispatcher: Any = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no folder for the cache can be written

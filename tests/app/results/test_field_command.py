@@ -162,7 +162,8 @@ def test_bad_input_is_one_line(
 ) -> None:
     (tmp_path / "old.nc").touch()
     monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "field", recording / "results.nc", "--out", "f.nc", *arguments) == 2
+    out = () if "--out" in arguments else ("--out", "f.nc")
+    assert run(monkeypatch, "field", recording / "results.nc", *out, *arguments) == 2
     assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
     assert [path.name for path in tmp_path.iterdir()] == ["old.nc"]
 

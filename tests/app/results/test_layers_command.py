@@ -162,6 +162,7 @@ def test_bad_input_is_one_line(
     (tmp_path / "exists.nc").touch()
     monkeypatch.chdir(tmp_path)
     command, *options = words
-    assert run(monkeypatch, command, recording, "--out", "out.nc", *options) == 2
+    out = () if "--out" in options else ("--out", "out.nc")
+    assert run(monkeypatch, command, recording, *out, *options) == 2
     assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
     assert [path.name for path in tmp_path.iterdir()] == ["exists.nc"]

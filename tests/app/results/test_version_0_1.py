@@ -162,7 +162,7 @@ def test_recording_of_0_1_is_reported(
 ) -> None:
     assert run(monkeypatch, "report", RECORDING, "--out", tmp_path / "r.pdf") == 0
     assert f"the report of {FRAMES} frames is in" in capsys.readouterr().out
-    assert (tmp_path / "r.pdf").read_bytes().count(b"/Type /Page ") == 2
+    assert (tmp_path / "r.pdf").read_bytes().count(b"/Type /Page ") == 3
 
 
 def test_damage_in_a_recording_of_0_1_is_found(
