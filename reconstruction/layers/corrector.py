@@ -6,7 +6,7 @@ command minimises the mean variance over the field positions, each without pisto
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -34,7 +34,9 @@ class Corrector:
     count: int  # of modes, the piston included, or of actuators
 
     def __post_init__(self) -> None:
-        least, most = (4, 10_000) if self.influence == "actuators" else (2, 500)
+        if self.influence not in get_args(Influence):
+            raise ValueError(f"the shapes of a corrector are {', '.join(get_args(Influence))}, not {self.influence}")
+        least, most = (4, 1024) if self.influence == "actuators" else (2, 500)
         if not least <= self.count <= most:
             raise ValueError(f"the number of {self.influence} modes must be {least} ... {most}")
         if self.influence == "actuators" and math.isqrt(self.count) ** 2 != self.count:

@@ -13,10 +13,11 @@ import numpy as np
 from scipy import optimize
 
 from reconstruction.arrays import Floats
+from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_fit import LayerFit
 from reconstruction.layers.layer_solver import FrameEquations
 
-Verdict = Literal["one layer", "two layers", "not a single layer", "not one or two layers"]
+Verdict = Literal["one layer", "two layers", "not a single layer", "not one or two layers", "not the given layers"]
 
 # The search runs over t = ratio / (1 + ratio), even between layers near the lenslets (0) and near the source (1).
 _GRID, _GRID_OF_TWO = np.linspace(0.0, 0.96, 49), np.linspace(0.0, 0.95, 20)
@@ -33,13 +34,18 @@ _CHI_SQUARE = 1.5  # reduced, above which misfit is not noise
 class LayerSearch:
     """Layers found in one frame."""
 
-    fit: LayerFit
     ratios: Floats  # tried for a single layer, (n,)
     misfits: Floats  # of a single layer there, (n,)
     chi_squares: Floats  # reduced, of a single layer there, (n,)
     one: LayerFit  # best single layer
     two: LayerFit | None  # best pair, if it was searched
+    given: LayerFit | None  # at given distances
     any_wavefront: LayerFit
+
+    @property
+    def fit(self) -> LayerFit:
+        """The given layers, or those found: a pair that one layer replaces would share its phase arbitrarily."""
+        return self.given or (self.one if self.two is None or self._explains(self.one) else self.two)
 
     @property
     def unexplained(self) -> float:
@@ -48,12 +54,14 @@ class LayerSearch:
 
     @property
     def verdict(self) -> Verdict:
-        """Number of layers that explain the displacements."""
-        if self._explains(self.one):
+        """Number of layers that explain the displacements, unless the given ones do not."""
+        if self.given is not None and not self._explains(self.given):
+            return "not the given layers"
+        if len(self.fit.layers) == 1 and self._explains(self.fit):
             return "one layer"
-        if self.two is None:
+        if len(self.fit.layers) == 1:
             return "not a single layer"
-        return "two layers" if self._explains(self.two) else "not one or two layers"
+        return "two layers" if self._explains(self.fit) else "not one or two layers"
 
     def _explains(self, fit: LayerFit) -> bool:
         least, most = _UNEXPLAINED
@@ -67,8 +75,11 @@ def find_layers(
 ) -> LayerSearch:
     """Find the distance of one layer, or two, unless the ratios are given by `at`.
 
-    `check` is called before each fit; its exception ends the search.
+    `check` is called before each fit; its exception ends the search. Raises `ReconstructionError` for other than one or
+    two layers.
     """
+    if count not in {1, 2} or len(at) > 2 or len(set(at)) < len(at):
+        raise ReconstructionError("one layer can be found, or two, at different distances")
 
     def fit_at(*t: float) -> LayerFit:
         check()
@@ -81,16 +92,13 @@ def find_layers(
     if count == 2 and not at:
         start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: fit_at(*pair).log_evidence)
         two = _refined(equations, fit_at, tuple(map(float, start)))
-    if len(at) == 2:
-        two = equations.fit(*sorted(at))
-    fit = two or (equations.fit(*at) if at else one)
     return LayerSearch(
-        fit=fit,
         ratios=np.array([_ratio(t) for t in _GRID]),
         misfits=np.array([fit.misfit for fit in tried]),
         chi_squares=np.array([fit.chi_square for fit in tried]),
         one=one,
         two=two,
+        given=equations.fit(*sorted(at)) if at else None,
         any_wavefront=equations.any_wavefront(),
     )
 

@@ -69,8 +69,7 @@ def find_shown_layers(request: LayersRequest, check: Callable[[], None]) -> Foun
     except ReconstructionError as error:
         return FoundLayers(request, str(error))
     curve_m = distance_m(search.ratios, request.origin, calibration.bench)
-    fit = search.one if search.verdict == "one layer" else search.fit  # two would share its phase
-    return replace(_shown(request, calibration, fit), search=search, curve_m=curve_m)
+    return replace(_shown(request, calibration, search.fit), search=search, curve_m=curve_m)
 
 
 def _shown(request: LayersRequest, calibration: Calibration, fit: LayerFit) -> FoundLayers:

@@ -43,6 +43,8 @@ def compare_correctors(
     """
     positions_m = field_positions_m(field)
     wavefronts = np.array([phase_at(x_m, y_m) for x_m, y_m in positions_m])
+    if np.array_equal(wavefronts, np.broadcast_to(wavefronts[0], wavefronts.shape), equal_nan=True):
+        raise ValueError("the wavefront is the same at every field position: correctors at all distances are alike")
 
     def at(share: float) -> Correction:
         return best_correction(wavefronts, positions_m, sensor, field, float(share / (1 - share)), corrector)

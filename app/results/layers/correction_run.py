@@ -5,7 +5,7 @@ from pathlib import Path
 import xarray as xr
 
 from app.errors import InputError
-from app.files import atomic_write, check_outputs
+from app.files import atomic_write, check_outputs, check_suffix
 from app.progress import Progress, between
 from app.recording.folder import parts_of
 from app.results.dataset import write_results
@@ -33,6 +33,7 @@ def correct(  # noqa: PLR0913 - the options of the command
     progress: Progress,
 ) -> xr.Dataset:
     """Compare correctors at every distance, and write the best one's command, or that of the one at `at_m`."""
+    check_suffix(out, ".nc")
     check_outputs([out, plot, command], inputs=parts_of(source) if source.is_dir() else [source], overwrite=overwrite)
     if plot is not None:
         check_plot_path(plot)

@@ -28,15 +28,14 @@ def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
 
     From the lenslets, in the collimated beam, it is distance / f1; from the mask f1 / distance - 1.
     """
+    nearest_m, farthest_m = distance_range_m(origin, bench)
+    if not nearest_m <= distance_m <= farthest_m:
+        raise InputError(
+            f"a distance of {distance_m:g} m lies outside the bench: it must be {nearest_m:.3g} ... {farthest_m:.3g} m"
+            f" from the {origin}"
+        )
     focal_length_m = bench.field.collimator_focal_length_m
-    if origin == "lenslets" and 0 <= distance_m < np.inf:
-        return distance_m / focal_length_m
-    if origin == "mask" and 0 < distance_m <= focal_length_m:
-        return focal_length_m / distance_m - 1
-    most = f" and at most the collimator's focal length, {focal_length_m:g} m" if origin == "mask" else ""
-    raise InputError(
-        f"a distance of {distance_m:g} m lies outside the bench: it must be positive{most} from the {origin}"
-    )
+    return distance_m / focal_length_m if origin == "lenslets" else focal_length_m / distance_m - 1
 
 
 def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
@@ -78,7 +77,7 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets"
     distances_m, sigma_m = distances_and_sigma_m(layers, origin, bench)
     x_m, y_m, phase = layer_maps(layers, origin, Layer.phase)
     *_, sigma = layer_maps(layers, origin, Layer.sigma)
-    fits = {"one layer": found.one, "two layers": found.two, "any wavefront": found.any_wavefront}
+    fits = {"given": found.given, "one layer": found.one, "two layers": found.two, "any wavefront": found.any_wavefront}
     made = {name: fit for name, fit in fits.items() if fit is not None}
     tried_m = distance_m(found.ratios, origin, bench)
     order = np.argsort(tried_m)

@@ -50,6 +50,8 @@ def _of_result(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
         results = opened
         if "coefficients" not in results:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
+        if not {"displacement_sigma", "valid"} <= set(results):
+            raise InputError(f"{path}: is damaged: it lacks the errors of the displacements, or their validity")
         if "frame" in results.dims:
             if not 0 <= frame < results.sizes["frame"]:
                 raise _missing(path, frame, results.sizes["frame"])

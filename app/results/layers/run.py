@@ -5,7 +5,7 @@ from pathlib import Path
 import xarray as xr
 
 from app.errors import InputError
-from app.files import check_outputs
+from app.files import check_outputs, check_suffix
 from app.progress import Progress
 from app.recording.folder import parts_of
 from app.results.dataset import write_results
@@ -32,6 +32,7 @@ def find(  # noqa: PLR0913 - the options of the command
     progress: Progress,
 ) -> xr.Dataset:
     """Find the layers in a frame of a recording or a results file, and write them; `InputError` says what is wrong."""
+    check_suffix(out, ".nc")
     check_outputs([out, plot], inputs=parts_of(source) if source.is_dir() else [source], overwrite=overwrite)
     if plot is not None:
         check_plot_path(plot)
@@ -39,6 +40,8 @@ def find(  # noqa: PLR0913 - the options of the command
         raise InputError("give at most two distances")
     if len(set(distances_m)) < len(distances_m):
         raise InputError("two layers need two different distances")
+    if count == _MOST and len(distances_m) == 1:
+        raise InputError("two layers need two distances, or none")
     progress("reconstructing the frame", 0.0)
     with one_blas_thread():
         bench, equations = measured_frame(source, frame)

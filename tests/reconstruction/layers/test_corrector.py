@@ -107,3 +107,10 @@ def test_positions_without_lenslets_are_left_out() -> None:
 def test_no_lenslets_are_refused() -> None:
     with pytest.raises(ValueError, match="no lenslet"):
         correct(np.full_like(wavefronts(0.0), np.nan), 0.0, Corrector("legendre", 6))
+
+
+def test_unknown_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match="legendre, zernike, actuators, not splines"):
+        Corrector("splines", 45)  # type: ignore[arg-type] # as from Python
+    with pytest.raises(ValueError, match=r"actuators modes must be 4 \.\.\. 1024"):
+        Corrector("actuators", 10_000)

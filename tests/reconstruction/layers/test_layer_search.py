@@ -127,3 +127,25 @@ def test_one_field_position_has_no_distance() -> None:
 def test_no_displacement_has_no_layer() -> None:
     with pytest.raises(ReconstructionError, match="all zero"):
         equations(np.zeros_like(displacements_px(PHASE, 0.0)))
+
+
+def test_second_layer_is_not_invented() -> None:
+    found = find_layers(equations(noisy(displacements_px(PHASE, 0.975), 1)), 2)
+    assert found.two is not None
+    assert found.verdict == "one layer"
+    (layer,) = found.fit.layers
+    assert layer.ratio == pytest.approx(0.975, rel=0.02)
+
+
+def test_verdict_on_given_layers_is_theirs() -> None:
+    clean = displacements_px(PHASE, 0.8) + displacements_px(OTHER, 0.3)
+    measured = equations(clean)
+    assert find_layers(measured, at=(0.8,)).verdict == "not the given layers"
+    assert find_layers(measured, at=(0.8, 0.3)).verdict == "two layers"
+    assert find_layers(equations(displacements_px(PHASE, 0.8)), at=(0.8,)).verdict == "one layer"
+
+
+@pytest.mark.parametrize(("count", "at"), [(0, ()), (3, ()), (1, (0.1, 0.1)), (1, (0.1, 0.2, 0.3))])
+def test_impossible_numbers_of_layers_are_refused(count: int, at: tuple[float, ...]) -> None:
+    with pytest.raises(ReconstructionError, match="one layer can be found, or two, at different distances"):
+        find_layers(equations(displacements_px(PHASE, 0.8)), count, at=at)
