@@ -33,7 +33,7 @@ QUICK := tests/reconstruction tests/drivers tests/simulated_devices/detector tes
 check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, one to two minutes
 	$(PYTEST) -q -m 'not soak' $(QUICK)
 
-test: setup c-compiler ## every test but the soaks, about five minutes
+test: setup c-compiler ## every test but the soaks, about ten minutes
 	$(PYTEST) -m 'not soak'
 
 soak: setup c-compiler ## the tests that take 15 s or more each

@@ -155,6 +155,7 @@ def scheduler_and_worker() -> Iterator[tuple[str, subprocess.Popen[str]]]:
             scheduler.stderr.close()
 
 
+@pytest.mark.soak
 def test_second_run_completes_what_a_killed_scheduler_left(
     recording: Recording, alone: dict[str, bytes], tmp_path: Path
 ) -> None:

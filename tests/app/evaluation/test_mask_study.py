@@ -53,6 +53,7 @@ def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path) -
     assert mean_rms(predicted.views - simulated.views, everywhere) < 0.2 * error
 
 
+@pytest.mark.soak
 def test_mask_study_predicts_the_simulation(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

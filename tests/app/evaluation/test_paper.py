@@ -53,6 +53,7 @@ def test_table_1_orders_the_methods_like_the_paper(
     assert {name: row["seconds"] for name, row in again.items()} == first  # from the cache
 
 
+@pytest.mark.soak
 def test_seeds_are_averaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     one = table(monkeypatch, tmp_path / "1", "table1")["ours"]["affine_modal"]
     two = table(monkeypatch, tmp_path / "2", "table1", "--seeds", "2")["ours"]["affine_modal"]
@@ -62,6 +63,7 @@ def test_seeds_are_averaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert two["spread_rad"] == pytest.approx(abs(one["mean_rad"] - other["mean_rad"]) / np.sqrt(2))
 
 
+@pytest.mark.soak
 def test_table_2_orders_the_methods_like_the_paper(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "table2")["ours"]
     assert ours["stars_zonal_against_truth"]["mean_rad"] < 0.2
@@ -96,6 +98,7 @@ def test_bench_unable_to_run_the_experiment_is_rejected(
     assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.soak
 def test_sources_compares_all_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "sources")["ours"]
     assert len(ours) == 5 * 6

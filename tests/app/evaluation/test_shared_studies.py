@@ -39,7 +39,11 @@ def without_times(data: xr.Dataset) -> xr.Dataset:
     return data.sel(quantity=data["quantity"] != "CPU time (s)") if "quantity" in data.dims else data
 
 
-@pytest.mark.parametrize("study", [made_up("made"), PHOTONS, calibration_trials()], ids=lambda study: study.name)
+@pytest.mark.parametrize(
+    "study",
+    [made_up("made"), pytest.param(PHOTONS, marks=pytest.mark.soak), calibration_trials()],
+    ids=lambda study: study.name,
+)
 def test_shared_seeds_give_the_same_results(
     study: Study, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -145,7 +145,7 @@ def test_wave_has_256_levels() -> None:
         (["layers", "--distance", "1e9"], "must be 0 ... "),
         (["layers", "--layers", "2", "--distance", "0.1"], "two layers need two distances, or none"),
         (["layers", "--plot", "layers.xyz"], "picture"),
-        (["layers", "--out", "layers.txt"], "the file will not be what its name says"),
+        (["layers", "--out", "layers.csv"], "the file will not be what its name says"),
         (["corrector", "--out", "c.png"], "the file will not be what its name says"),
         (["layers", "--out", "exists.nc"], "exists already"),
         (["corrector", "--modes", "actuators", "--count", "20"], "square"),
