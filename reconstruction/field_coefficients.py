@@ -4,7 +4,7 @@ All modes are polynomials, so that a change of their basis is exact; the covaria
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, get_args
 
 import numpy as np
 from numpy.polynomial import legendre as series
@@ -119,8 +119,10 @@ def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = Non
     Raises
     ------
     ReconstructionError
-        If the fit has no such degree, or no lenslet in the pupil is known.
+        If there is no such basis, the fit has no such degree, or no lenslet in the pupil is known.
     """
+    if basis not in get_args(PupilBasis):
+        raise ReconstructionError(f"the modes of the pupil are {' or '.join(get_args(PupilBasis))}, not {basis}")
     highest = int(fit.modes.degree.max())
     order = highest if order is None else order
     if not 1 <= order <= highest:

@@ -10,7 +10,7 @@ from typing import Any
 
 from app.batch.job import Job
 from app.batch.sources import Source, find_sources
-from app.batch.store import ResultStore, is_store, only_writer
+from app.batch.store import ResultStore, check_free, is_store, only_writer
 from app.batch.work import Block, DoneBlock, first_result, reconstruct_block
 from app.errors import InputError, Interrupted, RunError
 from app.files import in_words
@@ -28,6 +28,16 @@ class Batch:
     computed: int = 0  # frames of this run; the others were there
     problem: str = ""  # of the first frame without a wavefront in this run
     failed: dict[Path, str] = field(default_factory=dict)  # recordings with the reason
+
+
+def check_store(folders: Sequence[Path], out: Path, job: Job) -> None:
+    """Raise `InputError` if `out` cannot be the store of this job; no worker is needed to tell."""
+    for folder in folders:
+        if out.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"{out}: lies in the recording {folder}: give the results another place")
+    check_free(out)
+    if is_store(out):
+        ResultStore(out).check(job)
 
 
 def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, progress: Progress) -> Batch:
@@ -55,9 +65,7 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
     Interrupted
         On Ctrl-C; the text says how many frames are in the store.
     """
-    for folder in folders:
-        if out.resolve().is_relative_to(folder.resolve()):
-            raise InputError(f"{out}: lies in the recording {folder}: give the results another place")
+    check_store(folders, out, job)
     sources, failed = find_sources(folders)
     batch = Batch(len(sources) + len(failed), failed=failed)
     if not sources:
@@ -89,9 +97,7 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
 def _opened(out: Path, job: Job, sources: Sequence[Source], evaluate: Evaluate, progress: Progress) -> ResultStore:
     """Open the store, or make it for results like those of the first recording that has any."""
     if is_store(out):
-        store = ResultStore(out)
-        store.check(job)
-        return store
+        return ResultStore(out)
     problem = ""
     for source in sources:
         progress("preparing", 0.0)

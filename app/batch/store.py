@@ -59,7 +59,7 @@ def _write(path: Path, contents: bytes) -> None:
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
     """Check the folder of a store, and keep other runs out; `InputError` if one writes into it already."""
-    _check_free(folder)
+    check_free(folder)
     make_folder(folder.parent)
     with folder.with_name(f".{folder.name}.lock").open("ab") as file:
         try:
@@ -83,7 +83,8 @@ def _attributes(folder: Path) -> dict[str, Any]:
     return attributes if isinstance(attributes, dict) and attributes.get("format") == FORMAT else {}
 
 
-def _check_free(folder: Path) -> None:
+def check_free(folder: Path) -> None:
+    """Raise `InputError` if a folder cannot hold a store."""
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file; the results need a folder")
@@ -165,7 +166,7 @@ class ResultStore:
         if kept != given:
             differing = [name for name in given if not isinstance(kept, dict) or kept.get(name) != given[name]]
             raise InputError(
-                f"{self._folder}: its results were made with another {' and '.join(differing)}: repeat those options,"
+                f"{self._folder}: its results differ from these in {' and '.join(differing)}: repeat those options,"
                 " or give another --out"
             )
 

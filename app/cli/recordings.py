@@ -101,7 +101,7 @@ def batch(
     Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
     """
     from app.batch.job import Job
-    from app.batch.run import run_batch
+    from app.batch.run import check_store, run_batch
     from app.batch.workers import workers as start
     from app.bench.config import load_bench, write_bench
     from app.cli.tables import print_batch, progress_bar
@@ -109,6 +109,7 @@ def batch(
     settings = tuple(setting or ())
     other = "" if bench is None else write_bench(load_bench(bench, settings))
     job = Job(bench=other, settings=() if other else settings, rounds=refine)
+    check_store(recordings, out, job)
     with start(workers, scheduler) as evaluate, progress_bar() as progress:
         typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         done = run_batch(recordings, out, job, evaluate, progress)

@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from app.errors import InputError
 from app.results.mode_coefficients import mode_names
 from app.results.view_quality import Variable, about
 from reconstruction.field_coefficients import FieldCoefficients
@@ -21,6 +22,8 @@ def field_dataset(
 
 def coefficient_maps(found: FieldCoefficients, field: Field, positions: int) -> xr.Dataset:
     """Return the coefficients, without the piston, at positions x positions evenly spread over the field."""
+    if positions < 1:
+        raise InputError(f"the positions across the field must be at least 1, not {positions}")
     x = np.linspace(-1, 1, positions) if positions > 1 else np.zeros(1)
     y = x[:, None]
     outside = ~field.contains(x, y)

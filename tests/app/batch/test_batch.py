@@ -238,7 +238,7 @@ def test_other_sizes_do_not_fit(recordings: list[Recording], small_toml: Path, t
 )
 def test_store_keeps_to_its_settings(recordings: list[Recording], tmp_path: Path, job: Job, named: str) -> None:
     batch(tmp_path / "r.zarr", recordings[1])
-    with pytest.raises(InputError, match=f"with another {named}: repeat those options, or give another --out"):
+    with pytest.raises(InputError, match=f"differ from these in {named}: repeat those options, or give another --out"):
         batch(tmp_path / "r.zarr", recordings[1], job=job)
 
 

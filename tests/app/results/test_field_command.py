@@ -66,6 +66,8 @@ def test_python_interface_gives_the_same(recording: Path, tmp_path: Path, monkey
     opened = svwfs.open_recording(recording)
     images = svwfs.simulate(bench)
     wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(opened.frames[0].values)
+    with pytest.raises(svwfs.InputError, match="at least 1, not 0"):
+        svwfs.field_coefficients(wavefront, positions=0)
     found = svwfs.field_coefficients(wavefront, order=3, positions=5)
     assert run(monkeypatch, "field", recording, "--out", tmp_path / "f.nc", "--order", "3", "--positions", "5") == 0
     with xr.open_dataset(tmp_path / "f.nc") as written:
