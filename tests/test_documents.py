@@ -121,7 +121,7 @@ def test_links_of_readme_and_changelog_exist(name: str) -> None:
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the documents name: benches, images, results, masks and a recording."""
+    """Files that the documents name: benches, images, results, masks and a recording."""
     folder = tmp_path_factory.mktemp("inputs")
     for name in ("bench.toml", "other.toml"):
         (folder / name).write_text(BENCH)

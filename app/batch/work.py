@@ -1,4 +1,4 @@
-"""What a worker does: one block of one recording, read, reconstructed and written."""
+"""Work on one block of one recording: it is read, reconstructed and written."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] #
 
 
 class Request(Protocol):
-    """What to compute from a measurement; equal requests have equal results."""
+    """Request to compute something from a measurement; equal requests have equal results."""
 
     @property
     def interval_s(self) -> float:

@@ -12,9 +12,11 @@ from support.command_line import run
 
 from app.bench.config import load_bench
 from app.errors import InputError
+from app.results.layers.correction import compare_correctors
 from app.results.layers.dataset import distance_m, ratio_at
 from app.results.layers.figure import layers_figure
 from app.results.layers.phase_files import wrapped, write_phase
+from reconstruction.layers.corrector import Corrector
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -170,3 +172,10 @@ def test_bad_input_is_one_line(
     assert run(monkeypatch, command, recording, *out, *options) == 2
     assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
     assert [path.name for path in tmp_path.iterdir()] == ["exists.nc"]
+
+
+def test_corrector_needs_a_wavefront_that_changes_over_the_field() -> None:
+    bench = load_bench("small_demo")
+    same = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) ** 2.0
+    with pytest.raises(ValueError, match="the same at every field position"):
+        compare_correctors(lambda _x, _y: same, bench.sensor, bench.field, Corrector("zernike", 10))
