@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,11 +178,11 @@ def opener(camera: FakeCamera) -> Callable[[Bench, Callable[[float], None]], Dev
     """Return a function that opens the devices around `camera`."""
 
     def open_devices(_: Bench, progress: Callable[[float], None]) -> Devices:
-        progress(1.0)
-        devices = Devices(camera, camera.light, camera.stage)
-        for device in (camera, camera.stage, camera.light):
-            devices._closing.callback(device.close)
-        return devices
+        with ExitStack() as stack:
+            for device in (camera, camera.stage, camera.light):
+                stack.callback(device.close)
+            progress(1.0)  # raises if the window was closed meanwhile
+            return Devices(camera, camera.light, camera.stage, stack.pop_all())
 
     return open_devices
 
