@@ -1,79 +1,17 @@
-"""Image files, and the one way to write any file: checked, atomic and durable."""
+"""The one way to write any file: checked, atomic and durable."""
 
-import logging
-import math
 import os
 import secrets
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import tifffile
-from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
-MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
-_MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
-_ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
 _SUFFIXES = {".csv", ".fits", ".json", ".nc", ".npy", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".toml"}
-
-
-def read_image(path: Path) -> NDArray[Any]:
-    """Read a grey image (row, column) from a TIFF or NPY file; `InputError` if it is not one."""
-    check_readable(path)
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file raises below
-    try:
-        image = _read_npy(path) if path.suffix.lower() == ".npy" else _read_tiff(path)
-    except Exception as error:
-        raise InputError(f"{path}: cannot be read as TIFF or NPY: {in_words(error)}") from error
-    if not isinstance(image, np.ndarray) or image.ndim != 2 or 0 in image.shape:
-        shape = " x ".join(str(length) for length in np.shape(image)) or "nothing"
-        raise InputError(f"{path}: holds {shape}; one grey image is needed (rows x columns)")
-    if image.dtype.kind not in "uif":
-        raise InputError(f"{path}: holds {image.dtype} values; a grey image is needed")
-    if image.dtype == np.float16:  # its sums overflow
-        image = image.astype(np.float32)
-    if np.max(np.abs(image), where=np.isfinite(image), initial=0) > MOST_COUNTS:
-        raise InputError(f"{path}: holds values beyond {MOST_COUNTS:g}; counts are needed")
-    return image
-
-
-def _read_npy(path: Path) -> NDArray[Any]:
-    with path.open("rb") as file:
-        if file.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
-            raise ValueError("it does not begin as an NPY file")
-    mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # fails if the file is shorter than its header says
-    return np.array(mapped)
-
-
-def _read_tiff(path: Path) -> NDArray[Any]:
-    """Read the only image of a file, besides previews, turned as its tag says."""
-    with tifffile.TiffFile(path) as file:
-        images = [series for series in file.series if not series.keyframe.is_reduced]
-        if len(images) != 1:
-            raise ValueError(f"it holds {len(images)} images; save one frame")
-        (series,) = images
-        if math.prod(series.shape) > _MOST_PIXELS:
-            raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
-        if series.keyframe.photometric == _WHITE_IS_ZERO:
-            raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
-        tag = series.keyframe.tags.get(_ORIENTATION)
-        image = series.asarray()
-        return image if tag is None or image.ndim != 2 else _upright(image, int(tag.value))
-
-
-def _upright(image: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Turn or mirror an image (row, column) as stored with an orientation of TIFF, 1 ... 8."""
-    image = image.T if orientation in {5, 6, 7, 8} else image
-    image = image[::-1] if orientation in {3, 4, 7, 8} else image
-    image = image[:, ::-1] if orientation in {2, 3, 6, 7} else image
-    return np.ascontiguousarray(image)
 
 
 def check_readable(path: Path) -> None:
@@ -203,9 +141,3 @@ def sync(path: Path) -> None:
         os.fsync(file)
     finally:
         os.close(file)
-
-
-def write_image(path: Path, image: NDArray[Any]) -> None:
-    """Write an image (row, column) as TIFF."""
-    with atomic_write(path) as temporary:
-        tifffile.imwrite(temporary, image)

@@ -19,7 +19,7 @@ from support.patience import HANG_S, wait_until
 import svwfs
 from app.bench.config import Bench
 from app.evaluation.simulated_frames import SimulatedFrames
-from app.files import read_image
+from app.images import read_image
 from drivers.dcam.settings import DcamSettings
 from drivers.interface import LightSource
 from drivers.serial_lights.settings import DC4100Settings

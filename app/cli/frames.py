@@ -10,11 +10,12 @@ import typer
 from app.cli.command import FOLDER
 from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, bench_file, load
 from app.files import check_outputs, check_suffix
+from app.images import FORMATS
 from app.progress import counted
 
 
 def calibrate(
-    reference: Annotated[Path, typer.Argument(help="Frame without the sample: TIFF or NPY.")],
+    reference: Annotated[Path, typer.Argument(help=f"Frame without the sample: {FORMATS}.")],
     *,
     bench: BenchOption,
     out: Annotated[Path | None, typer.Option(help="Bench TOML file to write, with the lattice.")] = None,
@@ -88,7 +89,7 @@ def simulate(
 
 
 def reconstruct(
-    frame: Annotated[Path, typer.Argument(help="Frame with the sample: TIFF or NPY.")],
+    frame: Annotated[Path, typer.Argument(help=f"Frame with the sample: {FORMATS}.")],
     *,
     reference: Annotated[Path, typer.Option(help="Frame without the sample.")],
     bench: BenchOption,
@@ -139,7 +140,7 @@ def reconstruct(
 
 
 def deconvolve(
-    image: Annotated[Path, typer.Argument(help="Image of the sample: grey, TIFF or NPY.")],
+    image: Annotated[Path, typer.Argument(help=f"Image of the sample, grey: {FORMATS}.")],
     *,
     source: Annotated[
         Path,

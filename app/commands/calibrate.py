@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from app.bench.bench_files import bench_file, read_bench_text
 from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError
-from app.files import atomic_write, read_image
+from app.files import atomic_write
+from app.images import read_image
 from app.measurement.bench_reconstructor import full_scale_of
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError

@@ -11,7 +11,8 @@ import tifffile
 from app.bench.bench_files import read_bench_text
 from app.bench.config import Bench
 from app.errors import InputError, Interrupted
-from app.files import atomic_write, check_outputs, check_suffix, in_words, read_image
+from app.files import atomic_write, check_outputs, check_suffix, in_words
+from app.images import read_image
 from app.progress import Progress, between
 from app.recording.folder import parts_of
 from app.results.field_wavefront import mean_wavefront, read_bench_of

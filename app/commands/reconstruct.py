@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import Bench, CameraSettings
 from app.errors import InputError
-from app.files import read_image
+from app.images import read_image
 from app.measurement.bench_reconstructor import BenchReconstructor, full_scale_of
 from app.progress import Progress
 from reconstruction.errors import ReconstructionError

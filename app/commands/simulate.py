@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import Bench
-from app.files import write_image
+from app.images import write_image
 from app.results.dataset import truth_dataset, write_results
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera

@@ -9,13 +9,12 @@ from PyQt6.QtCore import QEvent, QMimeData, QObject
 from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 
 from app.errors import InputError
+from app.images import SUFFIXES
 from app.measurement.frame_files import read_frame
 from app.recording.folder import read_run
 
 if TYPE_CHECKING:
     from app.gui.main_window import MainWindow
-
-_IMAGES = {".tif", ".tiff", ".npy"}
 
 
 class FileDrop(QObject):
@@ -47,11 +46,11 @@ class FileDrop(QObject):
                 self._window.recording_bar.play(path)
             elif path.suffix == ".toml":
                 self._window.benches.open(str(path))
-            elif path.suffix.lower() in _IMAGES:
+            elif path.suffix.lower() in SUFFIXES:
                 self._show_frame(path)
             else:
                 self._window.messages.warn(
-                    f"{path.name}: drop a recording's folder, a bench (.toml) or a frame (.tif, .npy)"
+                    f"{path.name}: drop a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
                 )
         except InputError as error:
             self._window.messages.warn(str(error))

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from app.errors import InputError
-from app.files import read_image
+from app.images import read_image
 from drivers.interface import Camera, Frame
 
 
 def read_frame(path: Path, camera: Camera) -> Frame:
-    """Read a TIFF or NPY image as a frame with the exposure and gain of a camera.
+    """Read an image file as a frame with the exposure and gain of a camera.
 
     Raises
     ------

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from app.bench.config import Bench
-from app.files import write_image
+from app.images import write_image
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess

@@ -1,4 +1,4 @@
-"""Image files and atomic writes."""
+"""Checked and atomic writes."""
 
 from __future__ import annotations
 
@@ -8,81 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
 
 from app.errors import InputError, RunError
-from app.files import RECORDING_PARTS, atomic_write, check_outputs, check_suffix, read_image, write_image
+from app.files import RECORDING_PARTS, atomic_write, check_outputs, check_suffix
+from app.images import write_image
 
 IMAGE = np.arange(12, dtype=np.uint16).reshape(3, 4)
-
-
-def test_written_images_are_read_back(tmp_path: Path) -> None:
-    write_image(tmp_path / "image.tif", IMAGE)
-    np.save(tmp_path / "image.npy", IMAGE)
-    np.testing.assert_array_equal(read_image(tmp_path / "image.tif"), IMAGE)
-    np.testing.assert_array_equal(read_image(tmp_path / "image.npy"), IMAGE)
-
-
-def test_unusable_image_error_names_file(tmp_path: Path) -> None:
-    tifffile.imwrite(tmp_path / "colour.tif", np.zeros((8, 8, 3), np.uint8), photometric="rgb")
-    tifffile.imwrite(tmp_path / "stack.tif", np.zeros((5, 8, 8), np.uint16), photometric="minisblack")
-    np.save(tmp_path / "empty.npy", np.zeros((0, 4)))
-    np.save(tmp_path / "complex.npy", np.zeros((4, 4), complex))
-    np.save(tmp_path / "objects.npy", np.array([{}, None]), allow_pickle=True)
-    (tmp_path / "text.tif").write_text("no image")
-    (tmp_path / "nothing.tif").touch()
-    whole = tmp_path / "whole.tif"
-    write_image(whole, np.zeros((200, 200), np.uint16))
-    (tmp_path / "cut.tif").write_bytes(whole.read_bytes()[:5000])
-    names = ["colour.tif", "stack.tif", "empty.npy", "complex.npy", "objects.npy", "text.tif", "nothing.tif", "cut.tif"]
-    for name in [*names, "missing.tif", "."]:
-        with pytest.raises(InputError) as fault:
-            read_image(tmp_path / name)
-        assert str(tmp_path / name) in str(fault.value)
-        assert "\n" not in str(fault.value)
-
-
-@pytest.mark.parametrize(
-    ("orientation", "first", "second", "below"),  # where TIFF 6.0 has stored pixels (0, 0), (0, 1) and (1, 0)
-    [
-        *((1, (0, 0), (0, 1), (1, 0)), (2, (0, 3), (0, 2), (1, 3)), (3, (2, 3), (2, 2), (1, 3))),
-        *((4, (2, 0), (2, 1), (1, 0)), (5, (0, 0), (1, 0), (0, 1)), (6, (0, 2), (1, 2), (0, 1))),
-        *((7, (3, 2), (2, 2), (3, 1)), (8, (3, 0), (2, 0), (3, 1))),
-    ],
-)
-def test_image_is_turned_as_its_tag_says(
-    tmp_path: Path, orientation: int, first: tuple[int, int], second: tuple[int, int], below: tuple[int, int]
-) -> None:
-    tifffile.imwrite(tmp_path / "turned.tif", IMAGE, extratags=[(274, 3, 1, orientation, True)])
-    image = read_image(tmp_path / "turned.tif")
-    assert image.shape == ((3, 4) if orientation < 5 else (4, 3))
-    assert [image[at] for at in (first, second, below)] == [IMAGE[0, 0], IMAGE[0, 1], IMAGE[1, 0]]
-
-
-def test_only_image_of_a_file_is_read(tmp_path: Path) -> None:
-    """Pages of other sizes or types are other images, a reduced one is a preview."""
-    with tifffile.TiffWriter(tmp_path / "preview.tif") as file:
-        file.write(IMAGE)
-        file.write(IMAGE[::2, ::2], subfiletype=1)
-    np.testing.assert_array_equal(read_image(tmp_path / "preview.tif"), IMAGE)
-    with tifffile.TiffWriter(tmp_path / "two.tif") as file:
-        file.write(IMAGE)
-        file.write(IMAGE[::2, ::2])
-    with pytest.raises(InputError, match="holds 2 images; save one frame"):
-        read_image(tmp_path / "two.tif")
-
-
-def test_negative_is_refused(tmp_path: Path) -> None:
-    tifffile.imwrite(tmp_path / "negative.tif", IMAGE, photometric="miniswhite")
-    with pytest.raises(InputError, match="a negative, in which 0 is white"):
-        read_image(tmp_path / "negative.tif")
-
-
-def test_link_that_leads_nowhere_is_named(tmp_path: Path) -> None:
-    for name in ("itself.tif", "dangling.tif"):
-        (tmp_path / name).symlink_to(tmp_path / name.replace("dangling", "nowhere"))
-        with pytest.raises(InputError, match=f"{name}: is a symbolic link that leads to no file"):
-            read_image(tmp_path / name)
 
 
 def test_failed_write_keeps_old_file(tmp_path: Path) -> None:
@@ -206,18 +137,3 @@ def test_failed_sync_keeps_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         new.write_text("new")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_image_files_that_lie_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "text.npy").write_text("no array")
-    header = np.lib.format.MAGIC_PREFIX + b"\x01\x00v\x00"
-    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999, 999999), }"
-    (tmp_path / "bomb.npy").write_bytes(header + text.ljust(117) + b"\n" + bytes(100))
-    huge = np.zeros((2**15, 2**14), np.uint8)
-    tifffile.imwrite(tmp_path / "bomb.tif", huge, compression="deflate")
-    os.mkfifo(tmp_path / "pipe.npy")
-    sentences = {"text.npy": "does not begin as an NPY file", "bomb.npy": "cannot be read", "bomb.tif": "are too many"}
-    for name, sentence in (sentences | {"pipe.npy": "not a file", "a" * 300: "File name too long"}).items():
-        with pytest.raises(InputError, match=sentence) as fault:
-            read_image(tmp_path / name)
-        assert "\n" not in str(fault.value)

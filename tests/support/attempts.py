@@ -21,7 +21,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from app.bench.config import load_bench, write_bench
-from app.files import read_image
+from app.images import read_image
 
 Prepare = Callable[[Path], object]
 

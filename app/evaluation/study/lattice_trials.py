@@ -19,7 +19,7 @@ from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrames
 from app.evaluation.study.camera_noise import camera
 from app.evaluation.study_kinds import TrialStudy, trial
-from app.files import read_image
+from app.images import read_image
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 from support.command_line import run
 
-from app.files import write_image
+from app.images import write_image
 from app.recording.folder import FORMAT
 
 INPUTS = ("frame.tif", "reference.tif", "dark.tif", "bench.toml", "estimator.png", "run/run.json", "run/frames.jsonl")

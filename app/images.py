@@ -1,0 +1,147 @@
+"""Image files: grey frames of any camera program in, TIFF out."""
+
+import logging
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from app.errors import InputError
+from app.files import atomic_write, check_readable, in_words
+
+FORMATS = "TIFF, NPY, FITS, PNG, BMP or PGM"
+SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".fits", ".fit", ".fts", ".png", ".bmp", ".pgm"})
+MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
+_MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
+_ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
+_JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
+_FITS_BLOCK, _FITS_CARD = 2880, 80  # bytes
+_FITS_SCALING = ("BSCALE", "1"), ("BZERO", "0")
+_FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "64": ">i8", "-32": ">f4", "-64": ">f8"}  # of BITPIX
+
+
+def read_image(path: Path) -> NDArray[Any]:
+    """Read a grey image (row, column) from a file; `InputError` if it holds none.
+
+    The first bytes tell the format. Three equal channels are one grey image.
+    """
+    check_readable(path)
+    try:
+        image = _read(path)
+    except Exception as error:
+        raise InputError(f"{path}: cannot be read as {FORMATS}: {in_words(error)}") from error
+    if np.ndim(image) == 3 and image.shape[2] in {3, 4}:
+        if np.any(image[..., :2] != image[..., 1:3]):
+            raise InputError(f"{path}: is a colour image; save one of its channels as a grey image")
+        image = image[..., 0]
+    if not isinstance(image, np.ndarray) or image.ndim != 2 or 0 in image.shape:
+        shape = " x ".join(str(length) for length in np.shape(image)) or "nothing"
+        raise InputError(f"{path}: holds {shape}; one grey image is needed (rows x columns)")
+    if image.dtype.kind not in "uif":
+        raise InputError(f"{path}: holds {image.dtype} values; a grey image is needed")
+    if image.dtype == np.float16:  # its sums overflow
+        image = image.astype(np.float32)
+    if np.max(np.abs(image), where=np.isfinite(image), initial=0) > MOST_COUNTS:
+        raise InputError(f"{path}: holds values beyond {MOST_COUNTS:g}; counts are needed")
+    return image
+
+
+def _read(path: Path) -> NDArray[Any]:
+    with path.open("rb") as file:
+        start = file.read(len(_FITS))
+    if start.startswith(np.lib.format.MAGIC_PREFIX):
+        # Fails if the file is shorter than its header says.
+        return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+    if start == _FITS:
+        return _read_fits(path)
+    if start.startswith(_PICTURES):
+        return _read_picture(path)
+    if start.startswith(_JPEG):
+        raise ValueError("JPEG changes the light of every pixel; save the frame in another format")
+    return _read_tiff(path)
+
+
+def _read_tiff(path: Path) -> NDArray[Any]:
+    """Read the only image of a file, besides previews, turned as its tag says."""
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file raises below
+    with tifffile.TiffFile(path) as file:
+        images = [series for series in file.series if not series.keyframe.is_reduced]
+        (series,) = _only(images)
+        if math.prod(series.shape) > _MOST_PIXELS:
+            raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
+        if series.keyframe.photometric == _WHITE_IS_ZERO:
+            raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
+        tag = series.keyframe.tags.get(_ORIENTATION)
+        image = series.asarray()
+        return image if tag is None or image.ndim != 2 else _upright(image, int(tag.value))
+
+
+def _upright(image: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Turn or mirror an image (row, column) as stored with an orientation of TIFF, 1 ... 8."""
+    image = image.T if orientation in {5, 6, 7, 8} else image
+    image = image[::-1] if orientation in {3, 4, 7, 8} else image
+    image = image[:, ::-1] if orientation in {2, 3, 6, 7} else image
+    return np.ascontiguousarray(image)
+
+
+def _read_picture(path: Path) -> NDArray[Any]:
+    """Read a PNG, BMP or PGM with the bits that it has."""
+    import cv2  # noqa: PLC0415 - most commands read none
+
+    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError("it is damaged or too large")
+    return np.asarray(image)
+
+
+def _read_fits(path: Path) -> NDArray[Any]:
+    """Read the only image of a file, its first row first (FITS 4.0, sections 3 - 5)."""
+    stored, at, images = np.memmap(path, np.uint8, "r"), 0, []
+    while at < len(stored) and (at == 0 or stored[at : at + 8].tobytes() == b"XTENSION"):
+        header, at = _fits_header(stored, at)
+        if header.get("ZIMAGE") == "T":
+            raise ValueError("its image is compressed; unpack it, for example with funpack")
+        shape = [int(header[f"NAXIS{axis}"]) for axis in range(int(header["NAXIS"]), 0, -1)]
+        kind = np.dtype(_FITS_TYPES[header["BITPIX"]])
+        pixels = math.prod(shape) if shape else 0
+        length = (pixels + int(header.get("PCOUNT", 0))) * int(header.get("GCOUNT", 1)) * kind.itemsize
+        if not 0 <= length <= len(stored) - at:
+            raise ValueError("it ends before its last pixel")
+        if pixels and header.get("XTENSION", "IMAGE") == "IMAGE":
+            images.append((header, np.frombuffer(stored, kind, pixels, at).reshape(shape)))
+        at += -(-length // _FITS_BLOCK) * _FITS_BLOCK
+    ((header, values),) = _only(images)
+    values = np.reshape(values, [length for length in values.shape if length > 1]) if values.ndim > 2 else values
+    scale, zero = (float(header.get(name, default).replace("D", "E")) for name, default in _FITS_SCALING)
+    if (scale, zero) == (1.0, 0.0):
+        return values.astype(values.dtype.newbyteorder("="))
+    if values.dtype.kind == "i" and (scale, zero) == (1.0, -float(np.iinfo(values.dtype).min)):
+        return (values.astype(values.dtype.newbyteorder("=")) ^ np.iinfo(values.dtype).min).view(f"u{values.itemsize}")
+    return values * scale + zero
+
+
+def _fits_header(stored: NDArray[np.uint8], at: int) -> tuple[dict[str, str], int]:
+    """Read the header that begins at a byte: values without comments and quotes, and the byte after it."""
+    header: dict[str, str] = {}
+    for start in range(at, len(stored) - _FITS_CARD + 1, _FITS_CARD):
+        card = stored[start : start + _FITS_CARD].tobytes().decode("latin-1")
+        if card.rstrip() == "END":
+            return header, at + -(-(start + _FITS_CARD - at) // _FITS_BLOCK) * _FITS_BLOCK
+        if card[8:10] == "= ":
+            header[card[:8].rstrip()] = card[10:].split("/")[0].strip(" '")
+    raise ValueError("its header has no end")
+
+
+def _only(images: list[Any]) -> list[Any]:
+    if len(images) != 1:
+        raise ValueError(f"it holds {len(images)} images; save one frame")
+    return images
+
+
+def write_image(path: Path, image: NDArray[Any]) -> None:
+    """Write an image (row, column) as TIFF."""
+    with atomic_write(path) as temporary:
+        tifffile.imwrite(temporary, image)

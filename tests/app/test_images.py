@@ -1,0 +1,205 @@
+"""Image files: what is read from each format, and what is refused."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from app.errors import InputError
+from app.images import read_image, write_image
+
+IMAGE = np.arange(12, dtype=np.uint16).reshape(3, 4)
+
+
+def test_written_images_are_read_back(tmp_path: Path) -> None:
+    write_image(tmp_path / "image.tif", IMAGE)
+    np.save(tmp_path / "image.npy", IMAGE)
+    np.testing.assert_array_equal(read_image(tmp_path / "image.tif"), IMAGE)
+    np.testing.assert_array_equal(read_image(tmp_path / "image.npy"), IMAGE)
+
+
+def test_unusable_image_error_names_file(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "colour.tif", np.eye(8, dtype=np.uint8)[..., None] * [3, 4, 5], photometric="rgb")
+    tifffile.imwrite(tmp_path / "stack.tif", np.zeros((5, 8, 8), np.uint16), photometric="minisblack")
+    np.save(tmp_path / "empty.npy", np.zeros((0, 4)))
+    np.save(tmp_path / "complex.npy", np.zeros((4, 4), complex))
+    np.save(tmp_path / "objects.npy", np.array([{}, None]), allow_pickle=True)
+    (tmp_path / "text.tif").write_text("no image")
+    (tmp_path / "nothing.tif").touch()
+    whole = tmp_path / "whole.tif"
+    write_image(whole, np.zeros((200, 200), np.uint16))
+    (tmp_path / "cut.tif").write_bytes(whole.read_bytes()[:5000])
+    names = ["colour.tif", "stack.tif", "empty.npy", "complex.npy", "objects.npy", "text.tif", "nothing.tif", "cut.tif"]
+    for name in [*names, "missing.tif", "."]:
+        with pytest.raises(InputError) as fault:
+            read_image(tmp_path / name)
+        assert str(tmp_path / name) in str(fault.value)
+        assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("orientation", "first", "second", "below"),  # where TIFF 6.0 has stored pixels (0, 0), (0, 1) and (1, 0)
+    [
+        *((1, (0, 0), (0, 1), (1, 0)), (2, (0, 3), (0, 2), (1, 3)), (3, (2, 3), (2, 2), (1, 3))),
+        *((4, (2, 0), (2, 1), (1, 0)), (5, (0, 0), (1, 0), (0, 1)), (6, (0, 2), (1, 2), (0, 1))),
+        *((7, (3, 2), (2, 2), (3, 1)), (8, (3, 0), (2, 0), (3, 1))),
+    ],
+)
+def test_image_is_turned_as_its_tag_says(
+    tmp_path: Path, orientation: int, first: tuple[int, int], second: tuple[int, int], below: tuple[int, int]
+) -> None:
+    tifffile.imwrite(tmp_path / "turned.tif", IMAGE, extratags=[(274, 3, 1, orientation, True)])
+    image = read_image(tmp_path / "turned.tif")
+    assert image.shape == ((3, 4) if orientation < 5 else (4, 3))
+    assert [image[at] for at in (first, second, below)] == [IMAGE[0, 0], IMAGE[0, 1], IMAGE[1, 0]]
+
+
+def test_only_image_of_a_file_is_read(tmp_path: Path) -> None:
+    """Pages of other sizes or types are other images, a reduced one is a preview."""
+    with tifffile.TiffWriter(tmp_path / "preview.tif") as file:
+        file.write(IMAGE)
+        file.write(IMAGE[::2, ::2], subfiletype=1)
+    np.testing.assert_array_equal(read_image(tmp_path / "preview.tif"), IMAGE)
+    with tifffile.TiffWriter(tmp_path / "two.tif") as file:
+        file.write(IMAGE)
+        file.write(IMAGE[::2, ::2])
+    with pytest.raises(InputError, match="holds 2 images; save one frame"):
+        read_image(tmp_path / "two.tif")
+
+
+def test_negative_is_refused(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "negative.tif", IMAGE, photometric="miniswhite")
+    with pytest.raises(InputError, match="a negative, in which 0 is white"):
+        read_image(tmp_path / "negative.tif")
+
+
+def test_link_that_leads_nowhere_is_named(tmp_path: Path) -> None:
+    for name in ("itself.tif", "dangling.tif"):
+        (tmp_path / name).symlink_to(tmp_path / name.replace("dangling", "nowhere"))
+        with pytest.raises(InputError, match=f"{name}: is a symbolic link that leads to no file"):
+            read_image(tmp_path / name)
+
+
+def test_image_files_that_lie_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.npy").write_text("no array")
+    header = np.lib.format.MAGIC_PREFIX + b"\x01\x00v\x00"
+    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999, 999999), }"
+    (tmp_path / "bomb.npy").write_bytes(header + text.ljust(117) + b"\n" + bytes(100))
+    huge = np.zeros((2**15, 2**14), np.uint8)
+    tifffile.imwrite(tmp_path / "bomb.tif", huge, compression="deflate")
+    os.mkfifo(tmp_path / "pipe.npy")
+    sentences = {
+        "text.npy": "cannot be read as TIFF, NPY, FITS",
+        "bomb.npy": "cannot be read",
+        "bomb.tif": "are too many",
+    }
+    for name, sentence in (sentences | {"pipe.npy": "not a file", "a" * 300: "File name too long"}).items():
+        with pytest.raises(InputError, match=sentence) as fault:
+            read_image(tmp_path / name)
+        assert "\n" not in str(fault.value)
+
+
+def fits(*units: tuple[dict[str, object], bytes]) -> bytes:
+    """Header and data units of a FITS file, padded to blocks of 2880 bytes."""
+    file = b""
+    for header, data in units:
+        cards = [f"{name:8}= {value!s:>20} / a comment's words" for name, value in header.items()]
+        text = "".join(f"{card:80}" for card in [*cards, "COMMENT = 5 / no value", "END"])
+        file += text.encode().ljust(-(-len(text) // 2880) * 2880) + data.ljust(-(-len(data) // 2880) * 2880, b"\0")
+    return file
+
+
+def primary(bitpix: int = 16, **more: object) -> dict[str, object]:
+    return {"SIMPLE": "T", "BITPIX": bitpix, "NAXIS": 2, "NAXIS1": 4, "NAXIS2": 3, **more}
+
+
+EMPTY = {"SIMPLE": "T", "BITPIX": 8, "NAXIS": 0, "EXTEND": "T"}, b""
+TABLE = {"XTENSION": "'BINTABLE'", "BITPIX": 8, "NAXIS": 2, "NAXIS1": 7, "NAXIS2": 2, "PCOUNT": 3, "GCOUNT": 1}
+EXTENSION = {"XTENSION": "'IMAGE   '", "BITPIX": 32, "NAXIS": 2, "NAXIS1": 4, "NAXIS2": 3, "PCOUNT": 0, "GCOUNT": 1}
+SHORTS, LONGS = IMAGE.astype(">i2").tobytes(), IMAGE.astype(">i4").tobytes()
+TOP = 2**15
+FITS: dict[str, tuple[bytes, np.ndarray]] = {
+    "short": (fits((primary(), SHORTS)), IMAGE.astype(np.int16)),
+    "float": (fits((primary(-32), (IMAGE - 0.5).astype(">f4").tobytes())), (IMAGE - 0.5).astype(np.float32)),
+    "unsigned": (fits((primary(BZERO=TOP), (IMAGE - TOP).astype(">i2").tobytes())), IMAGE),
+    "scaled": (fits((primary(BSCALE="2.5D0", BZERO=-100.0), SHORTS)), IMAGE * 2.5 - 100),
+    "plane of a cube": (fits((primary(NAXIS=3, NAXIS3=1), SHORTS)), IMAGE.astype(np.int16)),
+    "extension": (fits(EMPTY, (TABLE, bytes(17)), (EXTENSION, LONGS)), IMAGE.astype(np.int32)),
+    "records behind it": (fits((primary(), SHORTS)) + bytes(2880), IMAGE.astype(np.int16)),
+}
+
+
+@pytest.mark.parametrize("case", FITS)
+def test_fits_images_are_read(tmp_path: Path, case: str) -> None:
+    content, expected = FITS[case]
+    (tmp_path / "frame.fit").write_bytes(content)
+    image = read_image(tmp_path / "frame.fit")
+    np.testing.assert_array_equal(image, expected)
+    assert image.dtype == expected.dtype
+    assert image.dtype.isnative
+
+
+BAD_FITS = {
+    "it holds 2 images; save one frame": fits((primary(), SHORTS), (EXTENSION, LONGS)),
+    "it holds 0 images": fits(EMPTY),
+    "2 x 2 x 6; one grey image": fits((primary(NAXIS=3, NAXIS1=6, NAXIS2=2, NAXIS3=2), 2 * SHORTS)),
+    "compressed; unpack it, for example with funpack": fits(EMPTY, ({**TABLE, "ZIMAGE": "T"}, bytes(17))),
+    "ends before its last pixel": fits((primary(NAXIS2=300_000), SHORTS)),
+    "its header has no end": fits((primary(), b""))[:500],
+}
+
+
+@pytest.mark.parametrize("sentence", BAD_FITS)
+def test_unusable_fits_is_refused(tmp_path: Path, sentence: str) -> None:
+    (tmp_path / "frame.fits").write_bytes(BAD_FITS[sentence])
+    with pytest.raises(InputError, match=sentence):
+        read_image(tmp_path / "frame.fits")
+
+
+@pytest.mark.parametrize("name", ["grey.png", "GREY.BMP", "grey.pgm", "grey_by_name.tif"])
+def test_pictures_of_8_bits_are_read(tmp_path: Path, name: str) -> None:
+    """The content tells the format, not the name."""
+    kind = {"GREY.BMP": "BMP", "grey.pgm": "PPM"}.get(name, "PNG")
+    Image.fromarray(IMAGE.astype(np.uint8)).save(tmp_path / name, format=kind)
+    image = read_image(tmp_path / name)
+    np.testing.assert_array_equal(image, IMAGE)
+    assert image.dtype == np.uint8
+
+
+def test_png_of_16_bits_keeps_them(tmp_path: Path) -> None:
+    Image.fromarray(IMAGE * 5003).save(tmp_path / "deep.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "deep.png"), IMAGE * 5003)
+
+
+def test_grey_image_saved_in_colours_is_grey(tmp_path: Path) -> None:
+    grey = IMAGE.astype(np.uint8)
+    opaque = np.full((3, 4), 255, np.uint8)
+    Image.fromarray(np.stack([grey] * 3, axis=-1)).save(tmp_path / "rgb.png")
+    Image.fromarray(np.stack([*[grey] * 3, opaque], axis=-1)).save(tmp_path / "rgba.png")
+    tifffile.imwrite(tmp_path / "rgb.tif", np.stack([grey] * 3, axis=-1), photometric="rgb")
+    for name in ("rgb.png", "rgba.png", "rgb.tif"):
+        np.testing.assert_array_equal(read_image(tmp_path / name), grey)
+
+
+def test_colour_and_jpeg_are_refused(tmp_path: Path) -> None:
+    pixels = np.zeros((8, 8, 3), np.uint8)
+    pixels[4, 4] = 90, 90, 91
+    Image.fromarray(pixels).save(tmp_path / "colour.png")
+    Image.fromarray(pixels).save(tmp_path / "frame.jpg")
+    with pytest.raises(InputError, match="is a colour image; save one of its channels as a grey image"):
+        read_image(tmp_path / "colour.png")
+    with pytest.raises(InputError, match="JPEG changes the light of every pixel"):
+        read_image(tmp_path / "frame.jpg")
+
+
+def test_damaged_picture_is_refused(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.png"
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 90), np.uint8)).save(whole)
+    (tmp_path / "cut.png").write_bytes(whole.read_bytes()[:5000])
+    with pytest.raises(InputError, match=r"cut\.png: cannot be read as .*: it is damaged or too large"):
+        read_image(tmp_path / "cut.png")
