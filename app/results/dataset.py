@@ -85,20 +85,19 @@ def results_in_pieces(
 
     Frames without a wavefront are left out; the coordinate `recording_index` has the index in the recording.
     """
-    with_wavefront = ((frame, more) for frame, more in frames if frame.wavefront is not None)
-    while piece := list(islice(with_wavefront, _PIECE)):
-        datasets = [
-            results.assign(more) if more else results  # it copies every variable
-            for frame, more in piece
-            if frame.wavefront is not None
-            for results in [results_of(frame.wavefront, frame.quality)]
-        ]
-        lines = [frame.line for frame, _ in piece]
+    made = (  # a wavefront holds megabytes of its solution: none is kept
+        (results.assign(more) if more else results, frame.line, frame.bias_age_s)  # assign copies every variable
+        for frame, more in frames
+        if frame.wavefront is not None
+        for results in [results_of(frame.wavefront, frame.quality)]
+    )
+    while piece := list(islice(made, _PIECE)):
+        datasets, lines, ages_s = zip(*piece, strict=True)
         stacked = stack_frames(
             datasets,
             [line.camera_index for line in lines],
             [line.camera_time_s for line in lines],
-            [math.nan if frame.bias_age_s is None else frame.bias_age_s for frame, _ in piece],
+            [math.nan if age_s is None else age_s for age_s in ages_s],
         )
         index = about("1", "the frame's index in the recording")
         yield stacked.assign_coords(recording_index=(_FRAME, [line.index for line in lines], index))

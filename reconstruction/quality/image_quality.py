@@ -121,7 +121,10 @@ def _transmission(phase: Floats) -> Transmission:
     fine = _to_samples(rows) @ extrapolate(phase) @ _to_samples(columns).T
     transmits = np.repeat(np.repeat(np.isfinite(phase), _SAMPLES, axis=-2), _SAMPLES, axis=-1)
     angle = np.where(transmits, np.remainder(fine, 2 * np.pi), 0).astype(np.float32)
-    return np.asarray(np.where(transmits, np.exp(1j * angle), 0), np.complex64)
+    field = np.zeros(angle.shape, np.complex64)  # cosine and sine: several times as fast as a complex exponential
+    np.cos(angle, out=field.real, where=transmits)
+    np.sin(angle, out=field.imag, where=transmits)
+    return field
 
 
 @lru_cache(maxsize=8)
