@@ -8,6 +8,8 @@ from typing import Generic, Protocol, Self, TypeVar
 
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
+_SHARE = 0.2  # of a core: the measurement needs the rest
+
 
 class Request(Protocol):
     """Request to compute something from a measurement; equal requests have equal results."""
@@ -36,16 +38,18 @@ class AnalysisThread(Generic[R, A]):
         self._request: R | None = None
         self._future: Future[A] | None = None
         self._requested_s = -math.inf
+        self._taken_s = 0.0  # by the last analysis
 
     def submit(self, request: R) -> None:
         """Analyse a request unless the thread is busy or the request is unchanged.
 
-        A new measurement alone waits until the interval is over; any other change is analysed immediately.
+        A new measurement alone waits until the interval is over, and long enough that analyses take only a share of a
+        core; any other change is analysed immediately.
         """
         if self._future is not None or request == self._request:
             return
         is_newer = self._request is not None and self._request.follows(request)
-        if is_newer and time.monotonic() < self._requested_s + request.interval_s:
+        if is_newer and time.monotonic() < self._requested_s + max(request.interval_s, self._taken_s / _SHARE):
             return
         self._request, self._requested_s = request, time.monotonic()
         self._future = self._executor.submit(self._run, request)
@@ -63,5 +67,9 @@ class AnalysisThread(Generic[R, A]):
 
     def _run(self, request: R) -> A:
         """Analyse on one core: waiting BLAS threads take five times as long beside a measurement."""
-        with self._libraries.limit(limits=1, user_api="blas"):
-            return self._analyse(request)
+        begun_s = time.monotonic()
+        try:
+            with self._libraries.limit(limits=1, user_api="blas"):
+                return self._analyse(request)
+        finally:
+            self._taken_s = time.monotonic() - begun_s

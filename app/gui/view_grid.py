@@ -64,6 +64,8 @@ class ViewGrid(QWidget):
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
         self._number_width = 0  # px
         self._laid_out_for: tuple[int, ...] = ()
+        self._bar_key: tuple[str, QSize] | None = None  # colours and size of the pixmap
+        self._bar_pixmap = QPixmap()
         self.is_stale = False  # whether the maps are grey, since dark or reference no longer fit
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
@@ -228,7 +230,7 @@ class ViewGrid(QWidget):
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
         painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
-        painter.drawImage(bar, _image(self._scale(maps).bar[::-1, None]))
+        painter.drawPixmap(bar.topLeft(), self._colour_bar(self._scale(maps), bar.size()))
         painter.setOpacity(1.0)
         painter.setPen(theme.TEXT)
         title = QRect(bar.left(), bar.top() - line - 4, self.width(), line)
@@ -239,6 +241,15 @@ class ViewGrid(QWidget):
             painter.drawLine(bar.right() + 1, y, bar.right() + 4, y)
             place = QRect(bar.right() + _BAR_TICK, text_y, self._number_width, line)
             painter.drawText(place, Qt.AlignmentFlag.AlignVCenter, text)
+
+    def _colour_bar(self, scale: ColourScale, size: QSize) -> QPixmap:
+        """Return the bar without its numbers; scaling an image in every frame took longer than all maps."""
+        key = (scale.colours, size)
+        if key != self._bar_key:
+            at = np.linspace(len(scale.bar) - 1, 0, size.height()).round().astype(np.intp)
+            self._bar_key = key
+            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(scale.bar[at, None], size.width(), axis=1)))
+        return self._bar_pixmap
 
     def _bar(self, maps: Maps) -> QRect:
         """Return the place of the colour bar, below its title."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 from support.gui_bench import BENCH
 from support.patience import HANG_S
@@ -66,3 +67,35 @@ def test_error_of_analysis_is_raised_and_thread_continues(thread: AnalysisThread
         wait(thread)
     thread.submit(request(Quantity.PSF))
     assert wait(thread).maps is not None
+
+
+@dataclass(frozen=True)
+class Numbered:
+    """A request that a newer one replaces at once."""
+
+    number: int
+    interval_s: float = 0.0
+
+    def follows(self, other: Numbered) -> bool:
+        return isinstance(other, Numbered)
+
+
+def test_slow_analysis_leaves_the_measurement_most_of_a_core() -> None:
+    begun_s: list[float] = []
+
+    def analyse_slowly(_: Numbered) -> float:
+        begun_s.append(time.monotonic())
+        time.sleep(0.05)
+        return time.monotonic()
+
+    thread = AnalysisThread(analyse_slowly)
+    try:
+        number = 0
+        while len(begun_s) < 3:
+            number += 1
+            thread.submit(Numbered(number))
+            thread.take()
+            time.sleep(0.002)
+        assert np.diff(begun_s).min() >= 5 * 0.05
+    finally:
+        thread.close()
