@@ -368,7 +368,8 @@ def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCa
     press(qtbot, window, Qt.Key.Key_L)
     qtbot.waitUntil(lambda: not camera.light.shines)
     qtbot.waitUntil(lambda: camera.stage.is_sample_in)  # the reference has ended
-    press(qtbot, window, Qt.Key.Key_Escape)  # the dark
+    qtbot.waitUntil(lambda: "taking the dark" in window.messages.progress.toolTip())
+    press(qtbot, window, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     assert camera.is_running
     assert not camera.light.shines
