@@ -360,7 +360,8 @@ def find_layers(
     -------
     xarray.Dataset
         `distance_m(layer)` and `layer_phase(layer, y, x)` with their errors, `chi_square(distance)` and `misfit` of a
-        single layer, `model_misfit(model)`; the attribute `verdict` says how many layers explain the wavefront.
+        single layer, `model_misfit(model)`; the attribute `verdict` says how many layers explain the wavefront, and `doubt`
+        why that may be wrong.
 
     Raises
     ------

@@ -15,6 +15,7 @@ _OriginOption = Annotated[
 _SourceArgument = Annotated[
     Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")
 ]
+_PlotOption = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
 _FrameOption = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
 
 
@@ -28,7 +29,7 @@ def layers(
     ] = None,
     origin: _OriginOption = "lenslets",
     frame: _FrameOption = 0,
-    plot: Annotated[Path | None, typer.Option(help="Picture of curve and maps: PNG, PDF or SVG.")] = None,
+    plot: _PlotOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Find at which distance the aberration originates.
@@ -43,20 +44,20 @@ def layers(
     Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
     """
     from app.cli.tables import progress_bar
-    from app.results.layers.run import find, summary
+    from app.results.layers.run import Plan, find, summary
 
+    plan = Plan(
+        source=source,
+        frame=frame,
+        count=count,
+        distances_m=tuple(distance or ()),
+        origin=origin,
+        out=out,
+        plot=plot,
+        overwrite=overwrite,
+    )
     with progress_bar() as progress:
-        found = find(
-            source,
-            count=count,
-            distances_m=tuple(distance or ()),
-            origin=origin,
-            frame=frame,
-            out=out,
-            plot=plot,
-            overwrite=overwrite,
-            progress=progress,
-        )
+        found = find(plan, progress)
     typer.echo("\n".join(summary(found)))
 
 
@@ -78,7 +79,7 @@ def corrector(
     ] = None,
     pixels: Annotated[int, typer.Option(min=2, max=8192, help="Pixels of the map's longer side.")] = 512,
     frames: FramesOption = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture of the residuals: PNG, PDF or SVG.")] = None,
+    plot: _PlotOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Tell what one corrector could do, over its distance.
@@ -93,27 +94,27 @@ def corrector(
     """
     from app.cli.tables import progress_bar
     from app.results.layers.correction import in_words
-    from app.results.layers.correction_run import correct
+    from app.results.layers.correction_run import Plan, correct
     from reconstruction.layers.corrector import Corrector
 
     try:
         shapes = Corrector(influence, count)
     except ValueError as error:
         raise InputError(f"--count: {error}") from error
+    plan = Plan(
+        source=source,
+        frames=frames,
+        corrector=shapes,
+        distance_m=distance,
+        origin=origin,
+        out=out,
+        plot=plot,
+        command=command,
+        pixels=pixels,
+        overwrite=overwrite,
+    )
     with progress_bar() as progress:
-        found = correct(
-            source,
-            corrector=shapes,
-            at_m=distance,
-            origin=origin,
-            frames=frames,
-            out=out,
-            plot=plot,
-            command=command,
-            pixels=pixels,
-            overwrite=overwrite,
-            progress=progress,
-        )
+        found = correct(plan, progress)
     typer.echo(in_words(found))
 
 
@@ -138,7 +139,7 @@ def field(
     mode: Annotated[
         list[int] | None, typer.Option(metavar="N", help="Mode in the picture, repeatable; the strongest if omitted.")
     ] = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture of the maps: PNG, PDF or SVG.")] = None,
+    plot: _PlotOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Map the coefficients of a wavefront over the field, with errors.

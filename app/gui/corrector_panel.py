@@ -10,6 +10,7 @@ from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
 from app.results.layers.answers import CorrectorRequest, FoundCorrectors
 from app.results.layers.correction import in_words
+from app.results.layers.dataset import shown_to_m
 from reconstruction.layers.corrector import Corrector
 
 _CORRECTORS = (
@@ -19,8 +20,6 @@ _CORRECTORS = (
 )
 _DEFAULT = 2
 _INTERVAL_S = 5.0
-_LEAST_SHOWN_MM = 300.0
-_FARTHEST = 2.0  # of the best distance, shown
 
 
 class CorrectorPanel(QWidget):
@@ -54,7 +53,7 @@ class CorrectorPanel(QWidget):
         """Return what to compute; None while hidden or without a wavefront."""
         if not self.isVisible() or measurement is None or measurement.wavefront is None:
             return None
-        return CorrectorRequest(measurement, self.corrector.currentData(), self.origin.currentData(), _INTERVAL_S)
+        return CorrectorRequest(measurement, self.origin.currentData(), _INTERVAL_S, self.corrector.currentData())
 
     def show_correctors(self, made: FoundCorrectors) -> None:
         """Show residuals, or why there are none."""
@@ -64,7 +63,7 @@ class CorrectorPanel(QWidget):
             return
         distance_mm, residual_rad = found["distance"].values * 1e3, found["residual"].values
         at_mm, without_rad = float(found["corrector_distance_m"]) * 1e3, float(found["uncorrected"])
-        farthest_mm = min(max(_LEAST_SHOWN_MM, _FARTHEST * at_mm), float(distance_mm[-1]))
+        farthest_mm = 1e3 * shown_to_m(found["corrector_distance_m"].values, found["distance"].values)
         top = 1.1 * max(without_rad, 1e-6)
         self._curve.setData(distance_mm, residual_rad)
         self._limit.setData([0.0, farthest_mm], [without_rad, without_rad])

@@ -17,7 +17,7 @@ from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
 from app.results.layers.answers import FoundLayers, LayersRequest
-from app.results.layers.dataset import Origin, distance_m, distance_range_m, ratio_at
+from app.results.layers.dataset import Origin, distance_m, distance_range_m, ratio_at, shown_to_m
 from app.results.shown_wavefront import Unit
 from drivers.interface import Range
 from reconstruction.layers.layer_search import LayerSearch
@@ -25,8 +25,6 @@ from reconstruction.layers.layer_search import LayerSearch
 ORIGINS: tuple[tuple[str, Origin], ...] = (("from the lenslets", "lenslets"), ("from the mask", "mask"))
 _MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
 _INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
-_LEAST_SHOWN_MM = 300.0
-_FARTHEST = 2.0  # of the farthest layer's distance, shown
 _FINE_M = 1e-4  # errors below it have two decimals in mm
 
 
@@ -85,7 +83,7 @@ class LayersPanel(QWidget):
             self._bench = measurement.calibration.bench
             self._show_distance()
         origin, count = self.origin.currentData(), self.mode.currentData()
-        return LayersRequest(measurement, count, None if count else self._ratio, origin, _INTERVALS_S[count])
+        return LayersRequest(measurement, origin, _INTERVALS_S[count], count, None if count else self._ratio)
 
     def show_layers(self, found: FoundLayers) -> None:
         """Show layers, or why there are none."""
@@ -114,8 +112,7 @@ class LayersPanel(QWidget):
         distance_mm, percent = found.curve_m[order] * 1e3, 100 * search.misfits[order]
         self._curve.setData(distance_mm, percent)
         least = 100 * search.any_wavefront.misfit
-        farthest_mm = max(_LEAST_SHOWN_MM, _FARTHEST * 1e3 * float(found.distances_m.max()))
-        farthest_mm = min(farthest_mm, float(distance_mm[-1]))
+        farthest_mm = 1e3 * shown_to_m(found.distances_m, found.curve_m)
         self._limit.setData([0.0, farthest_mm], [least, least])
         self.plot.set_ranges((0, farthest_mm), (0, 1.1 * max(float(percent[distance_mm <= farthest_mm].max()), least)))
 
@@ -127,7 +124,7 @@ class LayersPanel(QWidget):
 
     def _show_maps(self, found: FoundLayers) -> None:
         values = found.maps * self._per_rad
-        limit = self._scale.follow(float(np.nanmax(np.abs(values), initial=1e-6)))
+        limit = self._scale.follow(found.limit_rad * self._per_rad)
         reach_mm = (found.half_width_m[0] * 1e3, found.half_width_m[1] * 1e3)
         unit = str(self._unit)
 
@@ -170,9 +167,10 @@ def _in_words(found: FoundLayers) -> str:
         return f"Layer at {places}, as given: {share}"
     verdict = found.search.verdict
     share += f" (any wavefront: {number(100 * found.search.any_wavefront.misfit, 2)} %)"
+    doubt = f"; but {found.search.doubt}" if found.search.doubt else ""
     if verdict.startswith("not"):
-        return f"{verdict.capitalize()}: the best at {places} leave{'s' * (len(found.ratios) == 1)} {share}"
-    return f"{verdict.capitalize()} at {places}: {share}"
+        return f"{verdict.capitalize()}: the best at {places} leave{'s' * (len(found.ratios) == 1)} {share}{doubt}"
+    return f"{verdict.capitalize()} at {places}: {share}{doubt}"
 
 
 def _place(at_m: float, sigma_m: float) -> str:

@@ -12,6 +12,7 @@ from app.progress import Progress
 from app.recording.reader import Recording, selected
 from app.recording.reprocess import reprocess
 from app.results.dataset import open_results
+from app.results.single_frame import require_plausible
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.corrected_image import PhaseAt
 from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
@@ -67,7 +68,10 @@ def _of_results(source: Path, frames: str | None, progress: Progress) -> Iterato
         chosen = selected(frames, stacked.sizes["frame"], source)
         for done, index in enumerate(chosen, 1):
             frame = stacked.isel(frame=index)
-            yield frame["coefficients"].values if "coefficients" in frame else None, frame["wavefront"].values
+            coefficients = frame["coefficients"].values if "coefficients" in frame else None
+            if coefficients is not None:
+                require_plausible(source, coefficients)
+            yield coefficients, frame["wavefront"].values
             progress("reading wavefronts", done / len(chosen))
 
 

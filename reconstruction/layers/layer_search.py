@@ -28,6 +28,7 @@ _STEP = 2e-3  # of t, for the curvature
 # be that of the registration. Single screens leave 0.004, and 0.017 in noise; two taken for one, or ten, 0.03 to 0.4.
 _UNEXPLAINED = (0.01, 0.06)
 _CHI_SQUARE = 1.5  # reduced, above which misfit is not noise
+_DOUBTFUL = 2.0  # reduced, of any wavefront
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +63,17 @@ class LayerSearch:
         if len(self.fit.layers) == 1:
             return "not a single layer"
         return "two layers" if self._explains(self.fit) else "not one or two layers"
+
+    @property
+    def doubt(self) -> str:
+        """Why distances and error bars may be wrong; empty if noise explains what any wavefront leaves."""
+        chi_square = self.any_wavefront.chi_square
+        if chi_square < _DOUBTFUL:
+            return ""
+        return (
+            f"no wavefront at all explains the displacements within their errors (reduced chi-square {chi_square:.2g}),"
+            " so that distances may be wrong by more than their error bars"
+        )
 
     def _explains(self, fit: LayerFit) -> bool:
         least, most = _UNEXPLAINED

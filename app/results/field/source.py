@@ -4,11 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from app.bench.config import Bench, parse_bench
+from app.bench.config import Bench
 from app.errors import InputError
-from app.recording.reader import Recording
-from app.recording.reprocess import reprocess
-from app.results.dataset import open_results
+from app.results.single_frame import recorded_frame, stored_frame
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import ModalFit
 from reconstruction.modes.field_modes import LegendreModes, ZernikeModes
@@ -25,29 +23,19 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
 
 
 def _of_recording(folder: Path, frame: int) -> tuple[Bench, ModalFit]:
-    recording = Recording(folder)
-    _require_frame(folder, frame, len(recording))
-    (made,) = reprocess(recording, [frame])
-    if made.wavefront is None or made.calibration is None:
-        raise InputError(f"{folder}: frame {frame} has no wavefront: {made.problem}")
+    calibration, wavefront = recorded_frame(folder, frame)
     try:
-        return made.calibration.bench, ModalFit.of(made.wavefront)
+        return calibration.bench, ModalFit.of(wavefront)
     except ReconstructionError as error:
         raise InputError(f"{folder}: {error}") from error
 
 
 def _of_results(path: Path, frame: int) -> tuple[Bench, ModalFit]:
-    with open_results(path) as opened:
-        if "coefficients" not in opened or "coefficients_sigma" not in opened:
-            raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
-        results = opened if "frame" in opened.dims else opened.expand_dims("frame")
-        _require_frame(path, frame, results.sizes["frame"])
-        bench = parse_bench(str(results.attrs.get("bench", "")), f"{path}: bench", is_recorded=True)
-        one = results.isel(frame=frame)
-        rad, sigma = (
-            one[name].transpose("pupil_mode", "field_mode").values for name in ("coefficients", "coefficients_sigma")
-        )
-        views = one["wavefront"].transpose("view_row", "view_column", ...).values
+    bench, results = stored_frame(path, frame, "coefficients_sigma", "wavefront")
+    rad, sigma = (
+        results[name].transpose("pupil_mode", "field_mode").values for name in ("coefficients", "coefficients_sigma")
+    )
+    views = results["wavefront"].transpose("view_row", "view_column", ...).values
     if bench.registration.method != "gauss_newton":
         raise InputError(f"{path}: its wavefront is known at its views alone: reconstruct with method gauss_newton")
     modes = pupil_modes(bench.sensor, bench.reconstruction.basis, len(rad))
@@ -55,8 +43,3 @@ def _of_results(path: Path, frame: int) -> tuple[Bench, ModalFit]:
     uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
     known = np.isfinite(views).any(axis=(0, 1))
     return bench, ModalFit(bench.sensor, modes, field_modes, rad, uncorrelated, known)
-
-
-def _require_frame(source: Path, frame: int, count: int) -> None:
-    if not 0 <= frame < count:
-        raise InputError(f"{source}: has {count} frames, counted from 0: there is no frame {frame}")

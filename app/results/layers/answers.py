@@ -12,7 +12,7 @@ import xarray as xr
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from app.results.layers.correction import compare_correctors, correction_dataset
-from app.results.layers.dataset import Origin, distance_m, distances_and_sigma_m, layer_maps
+from app.results.layers.dataset import Origin, centred, distance_m, distances_and_sigma_m, layer_maps
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.corrector import Corrector
@@ -26,18 +26,24 @@ _none = partial(np.zeros, 0)
 
 
 @dataclass(frozen=True, slots=True)
-class LayersRequest:
-    """A measurement and which layers to find in it."""
+class _Request:
+    """A measurement and what to answer about it."""
 
     measurement: Measurement
-    count: int  # of layers to search for; 0 for one that is known
-    ratio: float | None  # of field to pupil position at the known layer
     origin: Origin  # of distances
     interval_s: float
 
     def follows(self, other: Self) -> bool:
         """Return whether only the measurement differs."""
         return replace(self, measurement=other.measurement) == other
+
+
+@dataclass(frozen=True, slots=True)
+class LayersRequest(_Request):
+    """Asks which layers are in a measurement."""
+
+    count: int  # of layers to search for; 0 for one that is known
+    ratio: float | None  # of field to pupil position at the known layer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +56,8 @@ class FoundLayers:
     distances_m: Floats = field(default_factory=_none)  # (layer,)
     sigma_m: Floats = field(default_factory=_none)  # (layer,); NaN for a known distance
     half_width_m: tuple[float, float] = (0.0, 0.0)  # of the maps, x and y
-    maps: Floats = field(default_factory=_none)  # phase, rad, (layer, y, x); NaN where no ray meets the layer
+    maps: Floats = field(default_factory=_none)  # phase, rad, (layer, y, x), see `centred`; NaN where no ray meets it
+    limit_rad: float = 0.0  # that nearly all values lie within
     misfit: float = math.nan  # unexplained share of the displacements
     search: LayerSearch | None = None
     curve_m: Floats = field(default_factory=_none)  # distances tried
@@ -75,13 +82,15 @@ def find_shown_layers(request: LayersRequest, check: Callable[[], None]) -> Foun
 def _shown(request: LayersRequest, calibration: Calibration, fit: LayerFit) -> FoundLayers:
     distances_m, sigma_m = distances_and_sigma_m(fit.layers, request.origin, calibration.bench)
     x_m, y_m, maps = layer_maps(fit.layers, request.origin, Layer.phase, _MAP_POINTS)
+    phases, limits_rad = zip(*map(centred, maps), strict=True)
     return FoundLayers(
         request,
         ratios=tuple(layer.ratio for layer in fit.layers),
         distances_m=distances_m,
         sigma_m=sigma_m,
         half_width_m=(float(x_m[-1]), float(y_m[-1])),
-        maps=maps - np.nanmean(maps, axis=(1, 2), keepdims=True),
+        maps=np.array(phases),
+        limit_rad=max(limits_rad),
         misfit=fit.misfit,
     )
 
@@ -93,17 +102,10 @@ def _reconstructor(calibration: Calibration) -> Reconstructor:
 
 
 @dataclass(frozen=True, slots=True)
-class CorrectorRequest:
-    """A measurement and a corrector."""
+class CorrectorRequest(_Request):
+    """Asks what a corrector would leave of a measurement."""
 
-    measurement: Measurement
     corrector: Corrector
-    origin: Origin  # of distances
-    interval_s: float
-
-    def follows(self, other: Self) -> bool:
-        """Return whether only the measurement differs."""
-        return replace(self, measurement=other.measurement) == other
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from app.bench.config import Bench
-from app.results.layers.dataset import Origin, distance_m
+from app.results.layers.dataset import MAP_POINTS, Origin, distance_m
 from app.results.view_quality import about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
@@ -16,14 +16,13 @@ from reconstruction.wavefront import rms
 
 _SHARES = np.linspace(0.0, 0.95, 39)  # ratio / (1 + ratio) of the correctors compared
 _REFINED = 0.02  # about the best of them
-_POINTS = 129  # of the phase along its longer axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrectorComparison:
     """Correctors at every distance, the chosen one, and the wavefronts that they correct."""
 
-    curve: tuple[Correction, ...]
+    curve: tuple[Correction, ...]  # over the distance, the chosen one among them
     chosen: Correction
     positions_m: Floats  # in the field, (position, xy)
     uncorrected_rad: float  # RMS over field and pupil
@@ -49,14 +48,17 @@ def compare_correctors(
     def at(share: float) -> Correction:
         return best_correction(wavefronts, positions_m, sensor, field, float(share / (1 - share)), corrector)
 
-    curve = tuple(at(share) for share in _SHARES)
+    curve = [at(share) for share in _SHARES]
     if ratio is None:
         best = _SHARES[int(np.argmin([made.mean_residual_rad for made in curve]))]
-        near = np.clip(best + np.linspace(-_REFINED, _REFINED, 21), 0, _SHARES[-1])
-        chosen = min(map(at, near), key=lambda made: made.mean_residual_rad)
+        curve += [at(share) for share in best + np.linspace(-_REFINED, _REFINED, 21) if 0 < share < _SHARES[-1]]
+        chosen = min(curve, key=lambda made: made.mean_residual_rad)
     else:
         chosen = best_correction(wavefronts, positions_m, sensor, field, ratio, corrector)
-    return CorrectorComparison(curve, chosen, positions_m, float(np.sqrt(np.nanmean(rms(wavefronts) ** 2))))
+        curve.append(chosen)
+    different = {made.ratio: made for made in sorted(curve, key=lambda made: made.ratio)}
+    uncorrected_rad = float(np.sqrt(np.nanmean(rms(wavefronts) ** 2)))
+    return CorrectorComparison(tuple(different.values()), chosen, positions_m, uncorrected_rad)
 
 
 def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
@@ -69,7 +71,7 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin 
         for values in ([each.mean_residual_rad for each in curve], [np.nanmean(each.strehl) for each in curve])
     )
     from_where = f"distance of the corrector from the {origin}"
-    x_m, y_m, phase = made.phase_map(_POINTS)
+    x_m, y_m, phase = made.phase_map(MAP_POINTS)
     return xr.Dataset(
         {
             "uncorrected": ((), found.uncorrected_rad, about("rad", "RMS over field and pupil without a corrector")),

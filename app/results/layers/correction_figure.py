@@ -3,6 +3,8 @@
 import xarray as xr
 from matplotlib.figure import Figure
 
+from app.results.layers.dataset import shown_to_m
+
 
 def correction_figure(found: xr.Dataset) -> Figure:
     """Return the figure: residual over the distance, and over the field."""
@@ -11,8 +13,10 @@ def correction_figure(found: xr.Dataset) -> Figure:
     left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
     at_mm, residual = float(found["corrector_distance_m"]) * 1e3, float(found["corrector_residual"])
     left.plot([at_mm], [residual], "o", color="#d1495b", label=f"{at_mm:.0f} mm: {residual:.2g} rad")
+    uncorrected = float(found["uncorrected"])
+    left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=f"uncorrected: {uncorrected:.2g} rad")
     left.set(
-        xlim=(0, max(300, 2 * at_mm)),
+        xlim=(0, 1e3 * shown_to_m(found["corrector_distance_m"].values, found["distance"].values)),
         ylim=(0, None),
         xlabel=f"distance of the corrector from the {found.attrs['distances_from']} (mm)",
         ylabel="residual over the field (rad RMS)",

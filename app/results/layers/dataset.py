@@ -15,7 +15,8 @@ from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch
 
 Origin = Literal["lenslets", "mask"]
 
-_POINTS = 129  # of a phase map along its longer axis
+MAP_POINTS = 129  # of a phase map along its longer axis
+_FARTHEST, _LEAST_SHOWN_M = 2.0, 0.3  # end of a distance axis, over the farthest distance found, and at least
 _AMBIGUOUS = {
     1: "none: one layer has its tilt and all other terms",
     2: "tilt: the maps have none, because the tilts of two layers cannot be told apart; quadratic terms are uncertain,"
@@ -50,8 +51,16 @@ def distance_range_m(origin: Origin, bench: Bench) -> tuple[float, float]:
     return float(ends.min()), float(ends.max())
 
 
+def shown_to_m(found_m: Floats, tried_m: Floats) -> float:
+    """End of a distance axis that shows what was found among the distances tried, m."""
+    return float(min(max(_LEAST_SHOWN_M, _FARTHEST * np.max(found_m)), np.max(tried_m)))
+
+
 def layer_maps(
-    layers: tuple[Layer, ...], origin: Origin, values: Callable[[Layer, Floats, Floats], Floats], points: int = _POINTS
+    layers: tuple[Layer, ...],
+    origin: Origin,
+    values: Callable[[Layer, Floats, Floats], Floats],
+    points: int = MAP_POINTS,
 ) -> tuple[Floats, Floats, Floats]:
     """Positions x and y on the layers, m, and values there, (layer, y, x): `Layer.phase` or `Layer.sigma`.
 
@@ -62,6 +71,15 @@ def layer_maps(
     x_m, y_m = (np.linspace(-most, most, points) for most in reach_m)
     maps = [values(layer, x_m / scale, y_m[:, None] / scale) for layer, scale in zip(layers, scales, strict=True)]
     return x_m, y_m, np.array(maps)
+
+
+def centred(phase: Floats) -> tuple[Floats, float]:
+    """Phase (y, x) about the middle of its range, and half the range: on a layer, a constant means nothing.
+
+    One percent of the values lie beyond either end, so that a corner does not make the map pale.
+    """
+    low, high = np.nanpercentile(phase, (1, 99))
+    return phase - (low + high) / 2, float(high - low) / 2
 
 
 def distances_and_sigma_m(layers: tuple[Layer, ...], origin: Origin, bench: Bench) -> tuple[Floats, Floats]:
@@ -102,6 +120,7 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets"
         attrs={
             "title": "Layers of the sample",
             "verdict": found.verdict,
+            "doubt": found.doubt,
             "distances_from": origin,
             "ambiguous": _AMBIGUOUS[len(layers)],
         },

@@ -8,10 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from app.files import atomic_write
-
-_FARTHEST = 2.0  # of the farthest layer's distance, shown
-_LEAST_SHOWN_M = 0.3
-_WIDTHS = 2.5  # RMS of the phase from the middle of the colour scale to its ends
+from app.results.layers.dataset import centred, shown_to_m
 
 
 def plot_layers(found: xr.Dataset, path: Path) -> None:
@@ -29,8 +26,9 @@ def layers_figure(found: xr.Dataset) -> Figure:
     for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
         of_layer = found.isel(layer=layer)
         where = f"{float(of_layer['distance_m']) * 1e3:.1f} mm from the {found.attrs['distances_from']}"
-        limit = _WIDTHS * float(of_layer["layer_phase"].std()) or 1.0
-        _draw_map(phase, of_layer["layer_phase"], f"phase (rad), {where}", "RdBu_r", (-limit, limit))
+        values, limit = centred(of_layer["layer_phase"].values)
+        centred_phase = of_layer["layer_phase"].copy(data=values)
+        _draw_map(phase, centred_phase, f"phase (rad), {where}", "RdBu_r", (-limit, limit))
         sigmas = of_layer["layer_phase_sigma"]
         _draw_map(sigma, sigmas, "standard deviation (rad)", "viridis", (0, float(np.nanpercentile(sigmas, 98))))
     return figure
@@ -46,13 +44,12 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
         axes.axvline(at_m * 1e3, color="#d1495b", linewidth=1.2, label=f"layer: {text}")
         if np.isfinite(sigma_m):
             axes.axvspan((at_m - sigma_m) * 1e3, (at_m + sigma_m) * 1e3, color="#d1495b", alpha=0.2, linewidth=0)
-    farthest_m = max(_LEAST_SHOWN_M, _FARTHEST * float(found["distance_m"].max()))
     axes.set(
-        xlim=(0, min(farthest_m, float(found["distance"].max())) * 1e3),
+        xlim=(0, 1e3 * shown_to_m(found["distance_m"].values, found["distance"].values)),
         ylim=(0, None),
         xlabel=f"distance from the {found.attrs['distances_from']} (mm)",
         ylabel="unexplained share",
-        title=f"Verdict: {found.attrs['verdict']}",
+        title=f"Verdict: {found.attrs['verdict']}{', in doubt: no wavefront fits' if found.attrs['doubt'] else ''}",
     )
     axes.legend(fontsize=8)
 

@@ -5,11 +5,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from app.bench.config import Bench, parse_bench
+from app.bench.config import Bench
 from app.errors import InputError
-from app.recording.reader import Recording
-from app.recording.reprocess import reprocess
-from app.results.dataset import open_results
+from app.results.single_frame import recorded_frame, stored_frame
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
@@ -31,33 +29,17 @@ def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
 
 
 def _of_recording(folder: Path, frame: int) -> tuple[Bench, FrameEquations]:
-    recording = Recording(folder)
-    if not 0 <= frame < len(recording):
-        raise _missing(folder, frame, len(recording))
-    (made,) = reprocess(recording, [frame])
-    if made.wavefront is None or made.calibration is None:
-        raise InputError(f"{folder}: frame {frame} has no wavefront: {made.problem}")
-    return made.calibration.bench, made.calibration.reconstructor().layers(made.wavefront.displacement)
-
-
-def _missing(source: Path, frame: int, count: int) -> InputError:
-    return InputError(f"{source}: there is no frame {frame}; frames are counted from 0, their number is {count}")
+    calibration, wavefront = recorded_frame(folder, frame)
+    return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
 
 
 def _of_result(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
     """Equations of the mean slopes of the modal wavefront, which no longer have the registration's bias."""
-    with open_results(path) as opened:
-        results = opened
-        if "coefficients" not in results:
-            raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
-        if not {"displacement_sigma", "valid"} <= set(results):
-            raise InputError(f"{path}: is damaged: it lacks the errors of the displacements, or their validity")
-        if "frame" in results.dims:
-            if not 0 <= frame < results.sizes["frame"]:
-                raise _missing(path, frame, results.sizes["frame"])
-            results = results.isel(frame=frame)
-        bench = parse_bench(str(results.attrs.get("bench", "")), f"{path}: bench", is_recorded=True)
-        return bench, _equations(results.load(), bench)
+    bench, results = stored_frame(path, frame, "displacement_sigma", "valid")
+    sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
+    if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
+        raise InputError(f"{path}: is damaged: the error of a displacement must be above 0 px and finite")
+    return bench, _equations(results, bench)
 
 
 def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:

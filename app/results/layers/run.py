@@ -1,5 +1,6 @@
 """`svwfs layers`: distances and phase maps of the sample's layers, from one frame."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import xarray as xr
@@ -19,39 +20,46 @@ from reconstruction.runtime.threads import one_blas_thread
 _MOST = 2
 
 
-def find(  # noqa: PLR0913 - the options of the command
-    source: Path,
-    *,
-    count: int,
-    distances_m: tuple[float, ...],
-    origin: Origin,
-    frame: int,
-    out: Path,
-    plot: Path | None,
-    overwrite: bool,
-    progress: Progress,
-) -> xr.Dataset:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """Source, layers and outputs of a search."""
+
+    source: Path  # file of results, or folder of a recording
+    frame: int
+    count: int  # of layers to look for
+    distances_m: tuple[float, ...]  # known ones; then none is looked for
+    origin: Origin  # of distances
+    out: Path
+    plot: Path | None
+    overwrite: bool
+
+    def __post_init__(self) -> None:
+        if len(self.distances_m) > _MOST:
+            raise InputError("give at most two distances")
+        if len(set(self.distances_m)) < len(self.distances_m):
+            raise InputError("two layers need two different distances")
+        if self.count == _MOST and len(self.distances_m) == 1:
+            raise InputError("two layers need two distances, or none")
+
+
+def find(plan: Plan, progress: Progress) -> xr.Dataset:
     """Find the layers in a frame of a recording or a results file, and write them; `InputError` says what is wrong."""
-    check_suffix(out, ".nc")
-    check_outputs([out, plot], inputs=parts_of(source) if source.is_dir() else [source], overwrite=overwrite)
-    if plot is not None:
-        check_plot_path(plot)
-    if len(distances_m) > _MOST:
-        raise InputError("give at most two distances")
-    if len(set(distances_m)) < len(distances_m):
-        raise InputError("two layers need two different distances")
-    if count == _MOST and len(distances_m) == 1:
-        raise InputError("two layers need two distances, or none")
+    source = plan.source
+    check_suffix(plan.out, ".nc")
+    inputs = parts_of(source) if source.is_dir() else [source]
+    check_outputs([plan.out, plan.plot], inputs=inputs, overwrite=plan.overwrite)
+    if plan.plot is not None:
+        check_plot_path(plan.plot)
     progress("reconstructing the frame", 0.0)
     with one_blas_thread():
-        bench, equations = measured_frame(source, frame)
-        ratios = tuple(ratio_at(distance_m, origin, bench) for distance_m in distances_m)
+        bench, equations = measured_frame(source, plan.frame)
+        ratios = tuple(ratio_at(distance_m, plan.origin, bench) for distance_m in plan.distances_m)
         progress("finding the layers", 0.3)
-        found = layers_dataset(find_layers(equations, count, at=ratios), bench, origin)
+        found = layers_dataset(find_layers(equations, plan.count, at=ratios), bench, plan.origin)
     progress("writing", 0.9)
-    write_results(out, found, bench=bench, inputs={"source": source.name, "frame": str(frame)})
-    if plot is not None:
-        plot_layers(found, plot)
+    write_results(plan.out, found, bench=bench, inputs={"source": source.name, "frame": str(plan.frame)})
+    if plan.plot is not None:
+        plot_layers(found, plan.plot)
     progress("writing", 1.0)
     return found
 
@@ -69,5 +77,5 @@ def summary(found: xr.Dataset) -> list[str]:
         lines.append(
             f"{name}: {100 * misfit:.2g} % of the displacements unexplained, reduced chi-square {chi_square:.2f}"
         )
-    lines.append(f"verdict: {found.attrs['verdict']}")
+    lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
     return lines

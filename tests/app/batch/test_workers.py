@@ -215,6 +215,24 @@ def test_command_reports_failures_at_the_end(
     assert said.err.endswith("svwfs: 1 of 2 recordings failed\n")
 
 
+def test_wrong_store_is_refused_before_workers_start(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def start(*_: object) -> None:
+        pytest.fail("workers were started")
+
+    monkeypatch.setattr(workers_module, "workers", start)
+    (tmp_path / "letter.txt").touch()
+    batch(tmp_path / "r.zarr", recording)
+    for out, sentence, options in (
+        (recording.folder / "r.zarr", "lies in the recording", ()),
+        (tmp_path / "letter.txt", "is a file; the results need a folder", ()),
+        (tmp_path / "r.zarr", "its results differ from these in rounds", ("--refine", "1")),
+    ):
+        assert run(monkeypatch, "batch", recording.folder, "--out", out, "--workers", "1", *options) == 2
+        assert sentence in capsys.readouterr().err
+
+
 def test_missing_scheduler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers_module, "_CONNECT_S", 0.5)
     with (

@@ -206,7 +206,7 @@ def test_tally_counts_frames_by_outcome() -> None:
     tally = Tally()
     made = make_measurement(np.zeros((300, 430), np.uint16), np.zeros((3, 3, 9, 13)))
     tally.take(replace(made, wavefront=None, problem="too dark", counts=FrameTotals(1, 0, 0)))
-    assert tally.first_wavefront_s is None
+    assert (tally.first_wavefront_s, tally.problem) == (None, "too dark")
     before = tally.counts
     tally.take(replace(made, wavefront=None, problem=SKIPPED, counts=FrameTotals(2, 0, 1)))
     tally.take(replace(made, counts=FrameTotals(3, 1, 5)))
@@ -400,6 +400,18 @@ def test_camera_failure_ends_the_bare_run(camera: FakeCamera) -> None:
                 camera.fault = Disconnected("the camera is gone")
             time.sleep(0.02)
     watched.acquisition.close()
+
+
+def test_saturated_frames_end_the_run_soon(
+    small_toml: Path, qapp: QApplication, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert qapp is QApplication.instance()
+    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
+    bench = load_bench(small_toml, ("camera.em_gain=1000",))
+    began_s = time.monotonic()
+    with pytest.raises(RunError, match=r"no wavefront in the first \d+ frames: .*saturated.*shorten the exposure"):
+        benchmark_acquisition(LivePlan(bench=bench, seconds=60, record_in=None), no_report)
+    assert time.monotonic() - began_s < 30
 
 
 def test_folder_with_a_recording_is_rejected(camera: FakeCamera, tmp_path: Path) -> None:

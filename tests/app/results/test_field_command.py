@@ -147,7 +147,7 @@ def test_exports_hold_every_frame(recording: Path, tmp_path: Path, monkeypatch: 
         (["--order", "40"], "order 40 of the pupil modes must be 1 ... 6"),
         (["--field-order", "9"], "field order 9 exceeds that of the"),
         (["--field-order", "1", "--basis", "legendre"], "leave it out with --basis legendre"),
-        (["--frame", "7"], "has 2 frames"),
+        (["--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 2"),
         (["--mode", "1"], "--mode 1: the zernike modes of this result are 2 ... 28"),
         (["--plot", "p.xyz"], "picture"),
         (["--out", "old.nc"], "exists already"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -13,9 +14,11 @@ from support.command_line import run
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.results.layers.correction import compare_correctors
-from app.results.layers.dataset import distance_m, ratio_at
+from app.results.layers.correction_figure import correction_figure
+from app.results.layers.dataset import centred, distance_m, ratio_at
 from app.results.layers.figure import layers_figure
 from app.results.layers.phase_files import wrapped, write_phase
+from app.results.layers.run import summary
 from reconstruction.layers.corrector import Corrector
 from simulated_devices.sample import make_sample
 
@@ -39,7 +42,9 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
     with xr.open_dataset(out, engine="h5netcdf") as found:
         assert found["distance_m"].values == pytest.approx([DISTANCE_M], rel=0.02)
         assert 1e-4 < found["distance_sigma_m"].item() < 0.01
-        assert found.attrs["verdict"] == "one layer"
+        assert (found.attrs["verdict"], found.attrs["doubt"]) == ("one layer", "")
+        assert summary(found)[-1] == "verdict: one layer"
+        assert summary(found.assign_attrs(doubt="nothing fits"))[-1] == "verdict: one layer; but nothing fits"
         best_m = found["distance"][int(found["misfit"].argmin("distance"))]
         assert abs(best_m - DISTANCE_M) < 0.02
         assert found["chi_square"].dims == ("distance",)
@@ -84,6 +89,15 @@ def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monk
     assert run(monkeypatch, "corrector", recording, "--modes", "legendre", *files) == 0
     assert plot.stat().st_size > 10_000
     with xr.open_dataset(out, engine="h5netcdf") as found:
+        chosen = found["residual"].sel(distance=found["corrector_distance_m"].item())
+        assert chosen.item() == found["corrector_residual"].item() == found["residual"].min().item()
+        assert len(np.unique(found["distance"])) == found["distance"].size
+        curve, *lines = correction_figure(found).axes[0].lines
+        assert {tuple(np.unique(line.get_ydata())) for line in lines} == {
+            (found["corrector_residual"].item(),),
+            (found["uncorrected"].item(),),
+        }
+        assert np.isin(lines[0].get_xydata(), curve.get_xydata()).all()
         assert found["corrector_distance_m"].item() == pytest.approx(0.195, rel=0.05)
         assert found["corrector_residual"].item() < 0.05 * found["residual"].values[0]
         assert found["distance"].values[0] == 0
@@ -114,6 +128,15 @@ def test_residual_at_the_pupil_is_the_change_over_the_field(
     expected = np.sqrt(np.mean((true - true.mean(axis=0)) ** 2))
     with xr.open_dataset(out, engine="h5netcdf") as found:
         assert found["corrector_residual"].item() == pytest.approx(expected, rel=0.1)
+
+
+def test_maps_use_their_colours_although_a_corner_is_far_off() -> None:
+    phase = np.append(np.linspace(2, 6, 999), np.nan).reshape(20, 50)
+    phase[0, 0] = -40
+    shown, limit = centred(phase)
+    assert limit == pytest.approx(1.96, abs=0.01)  # from 1 to 99 % of 2 ... 6
+    assert shown[0, 1:].tolist() == pytest.approx((phase[0, 1:] - 4).tolist(), abs=0.01)
+    assert np.isnan(shown[-1, -1])
 
 
 def test_command_files_hold_the_phase(tmp_path: Path) -> None:
@@ -172,6 +195,43 @@ def test_bad_input_is_one_line(
     assert run(monkeypatch, command, recording, *out, *options) == 2
     assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
     assert [path.name for path in tmp_path.iterdir()] == ["exists.nc"]
+
+
+def scaled(name: str, factor: float) -> Callable[[xr.Dataset], xr.Dataset]:
+    return lambda found: found.assign({name: found[name] * factor})
+
+
+@pytest.mark.parametrize(
+    ("command", "change", "sentence"),
+    [
+        ("layers", lambda found: found.drop_vars("displacement_sigma"), "is damaged: it lacks displacement_sigma"),
+        ("layers", lambda found: found.drop_vars("valid"), "is damaged: it lacks valid"),
+        ("layers", lambda found: found.drop_vars("coefficients"), "reconstruct with reconstruction.method=modal"),
+        ("layers", scaled("displacement_sigma", 0), "the error of a displacement must be above 0 px"),
+        ("layers", scaled("displacement_sigma", np.nan), "must be above 0 px and finite"),
+        *(
+            (command, scaled("coefficients", 1e300), "which no wavefront has")
+            for command in ("layers", "corrector", "field")
+        ),
+        ("field", scaled("coefficients", np.nan), "a coefficient of nan rad"),
+    ],
+)
+def test_damaged_results_are_refused(
+    recording: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    command: str,
+    change: Callable[[xr.Dataset], xr.Dataset],
+    sentence: str,
+) -> None:
+    with xr.open_dataset(recording / "results.nc", engine="h5netcdf") as results:
+        change(results).to_netcdf(tmp_path / "damaged.nc", engine="h5netcdf")
+    assert run(monkeypatch, command, tmp_path / "damaged.nc", "--out", tmp_path / "out.nc") == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert sentence in line
+    assert not (tmp_path / "out.nc").exists()
 
 
 def test_corrector_needs_a_wavefront_that_changes_over_the_field() -> None:

@@ -112,6 +112,16 @@ def test_many_layers_are_neither_one_nor_two() -> None:
     assert find_layers(equations(noisy(np.asarray(total), 1)), 2).verdict == "not one or two layers"
 
 
+@pytest.mark.parametrize(("noise", "is_doubtful"), [(1.0, False), (3.0, True)])
+def test_displacements_beyond_their_errors_are_told(noise: float, is_doubtful: bool) -> None:
+    """Of noise three times as strong as expected, nine times the chi-square remains whatever the wavefront."""
+    clean = displacements_px(20 * PHASE, 0.975)
+    found = find_layers(equations(clean + noise * (noisy(clean, 2) - clean)))
+    assert found.any_wavefront.chi_square == pytest.approx(noise**2, rel=0.1)
+    assert found.verdict == "one layer"
+    assert ("no wavefront at all explains the displacements" in found.doubt) == is_doubtful
+
+
 def test_given_distances_are_kept() -> None:
     found = find_layers(equations(displacements_px(PHASE, 0.975)), at=(0.5,))
     assert found.fit.layers[0].ratio == 0.5

@@ -19,6 +19,7 @@ from app.progress import Progress
 from app.timing import Timings
 
 _GIVE_UP_S = 600.0  # for rendering the bench and compiling
+_HOPELESS_FRAMES = 20  # without a wavefront; the camera starts when all steps are done
 _DONE = object()
 
 
@@ -108,10 +109,11 @@ class Course:
 
     def _until_first_wavefront(self) -> Generator[None, None, float]:
         while (first_s := self._tally.first_wavefront_s) is None:
-            if time.perf_counter() > self._made_s + _GIVE_UP_S:
-                newest = self.acquisition.newest
-                raise RunError(f"no wavefront within {_GIVE_UP_S:g} s: {newest.problem if newest else 'no frame came'}")
             self._check()
+            if (failed := self._tally.counts.failed) >= _HOPELESS_FRAMES:
+                raise RunError(f"no wavefront in the first {failed} frames: {self._tally.problem}")
+            if time.perf_counter() > self._made_s + _GIVE_UP_S:
+                raise RunError(f"no wavefront within {_GIVE_UP_S:g} s: {self._tally.problem or 'no frame came'}")
             activity = self.acquisition.activity
             self._progress(activity.text or "waiting for the first wavefront", 0.0)
             yield
