@@ -92,6 +92,20 @@ def qtbot(qapp: QApplication, request: pytest.FixtureRequest) -> QtBot:  # noqa:
 
 
 @pytest.fixture
+def restored_theme(qapp: QApplication) -> Iterator[None]:
+    """Restore colours, palette and style sheet after the test."""
+    from app.gui.theme import _LIGHT  # noqa: PLC0415 - only where a window is wanted
+
+    colours = [(colour, colour.name()) for colour, _ in _LIGHT]
+    palette, style = qapp.palette(), qapp.styleSheet()
+    yield
+    for colour, name in colours:
+        colour.setNamedColor(name)
+    qapp.setPalette(palette)
+    qapp.setStyleSheet(style)
+
+
+@pytest.fixture
 def make_window(qapp: QApplication) -> Iterator[MakeWindow]:
     """Make windows; see `window_tools.windows`."""
     from support.window_tools import windows  # noqa: PLC0415 - only where a window is wanted

@@ -27,6 +27,7 @@ from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis
 from reconstruction.wavefront import Wavefront
 
 _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
+_GAP = 4  # px between controls
 _PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest stands for automatic
 _LAMPS: dict[Validity, QColor] = {"missing": theme.DIM, "doubtful": theme.AMBER, "good": theme.GREEN}
 _STATES: dict[Validity, str] = {"missing": "Missing", "doubtful": "Stale", "good": "Good"}
@@ -69,7 +70,7 @@ class ControlsPanel(QFrame):
         self.setProperty("role", "strip")
         self._layout = QHBoxLayout(self)
         self._layout.setContentsMargins(8, 6, 8, 8)
-        self._layout.setSpacing(6)  # all controls fit into a window 900 px wide
+        self._layout.setSpacing(5)  # all controls fit into a window 900 px wide
         self._make_camera()
         self._make_bench()
         self._make_calibration(frames)
@@ -95,9 +96,9 @@ class ControlsPanel(QFrame):
             "Readout speed: faster is noisier; a change restarts the camera",
             lambda speed: self.readout_speed_requested.emit(int(speed)),
         )
-        self.readout_speed.setMinimumWidth(40)
-        gain = row(label("Gain", "dim"), (self.em_gain, 1), (self.amplifier, 1), self.readout_speed)
-        self._add_section("Camera", _pair(self.start, self.sensor_region), ("Exposure", self.exposure), gain)
+        readout = row((self.start, 1), (self.sensor_region, 1), self.readout_speed, spacing=_GAP)
+        gain = row(label("Gain", "dim"), (self.em_gain, 1), (self.amplifier, 1), spacing=_GAP)
+        self._add_section("Camera", readout, ("Exposure", self.exposure), gain)
 
     def _make_bench(self) -> None:
         self.light = toggle("Light off", "Switch the light (L)", self.light_requested)
@@ -129,7 +130,7 @@ class ControlsPanel(QFrame):
             lambda: self._request_average(self.calibration_requested),
         )
         averages, searches = _pair(self.dark, self.reference), _pair(self.lattice, self.auto_exposure)
-        self._add_section("Calibration", averages, ("Frames", row((self.frames, 1), (self.calibrate, 1))), searches)
+        self._add_section("Calibration", averages, ("Frames", _pair(self.frames, self.calibrate)), searches)
 
     def _make_reconstruction(self) -> None:
         self.registration = self._setting(
@@ -184,7 +185,7 @@ class ControlsPanel(QFrame):
             self._layout.addWidget(rule)
         grid = QGridLayout()
         grid.setVerticalSpacing(5)
-        grid.setHorizontalSpacing(6)
+        grid.setHorizontalSpacing(_GAP)
         grid.setColumnStretch(1, 1)
         grid.addWidget(label(title, "title"), 0, 0, 1, 2)
         for index, line in enumerate(lines, 1):
@@ -274,14 +275,13 @@ def _uses_warp(registration: RegistrationSettings) -> bool:
 
 
 def _pair(left: QWidget, right: QWidget) -> QHBoxLayout:
-    return row((left, 1), (right, 1))
+    return row((left, 1), (right, 1), spacing=_GAP)
 
 
 def _choice(tool_tip: str, chosen: Slot) -> Choice:
     choice = Choice()
     choice.textActivated.connect(chosen)
     choice.setToolTip(tool_tip)
-    choice.setMinimumWidth(64)
     choice.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     return choice
 

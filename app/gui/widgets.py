@@ -15,6 +15,7 @@ from PyQt6.QtWidgets import (
     QPushButton,
     QSizePolicy,
     QStyle,
+    QStyleOptionComboBox,
     QVBoxLayout,
     QWidget,
 )
@@ -24,6 +25,7 @@ from app.gui import theme
 Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
+_COMBO, _CURSOR = QStyle.ComplexControl.CC_ComboBox, 2  # px that Qt leaves beside a chosen text
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 
 
@@ -85,6 +87,17 @@ class Choice(QComboBox):
     def __init__(self) -> None:
         super().__init__()
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.currentTextChanged.connect(self.updateGeometry)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return the size in which the chosen text is not cut."""
+        size, option, style = super().minimumSizeHint(), QStyleOptionComboBox(), self.style()
+        self.initStyleOption(option)
+        if isinstance(style, QStyle):
+            part = style.subControlRect(_COMBO, option, QStyle.SubControl.SC_ComboBoxEditField, self)
+            around = option.rect.width() - part.width() + _CURSOR
+            size.setWidth(self.fontMetrics().horizontalAdvance(self.currentText()) + around)
+        return size
 
     def event(self, event: QEvent | None) -> bool:
         """Keep Space from the shortcuts."""

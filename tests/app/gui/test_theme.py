@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
@@ -41,17 +39,6 @@ def desktop(qapp: QApplication, monkeypatch: pytest.MonkeyPatch) -> Desktop:
     return made
 
 
-@pytest.fixture
-def restored(qapp: QApplication) -> Iterator[None]:
-    colours = [(colour, colour.name()) for colour, _ in theme._LIGHT]
-    palette, style = qapp.palette(), qapp.styleSheet()
-    yield
-    for colour, name in colours:
-        colour.setNamedColor(name)
-    qapp.setPalette(palette)
-    qapp.setStyleSheet(style)
-
-
 def luminance(colour: QColor) -> float:
     """Relative luminance of WCAG 2.1."""
     channels = [value or 0.0 for value in colour.getRgbF()[:3]]
@@ -59,7 +46,7 @@ def luminance(colour: QColor) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-@pytest.mark.usefixtures("restored")
+@pytest.mark.usefixtures("restored_theme")
 @pytest.mark.parametrize("scheme", [Qt.ColorScheme.Dark, Qt.ColorScheme.Light, Qt.ColorScheme.Unknown])
 def test_theme_follows_the_desktop_and_is_legible(qapp: QApplication, desktop: Desktop, scheme: Qt.ColorScheme) -> None:
     desktop.scheme = scheme
@@ -79,7 +66,7 @@ def share(window: QWidget, colour: str) -> int:
     return int((picture(window) == np.array([wanted.red(), wanted.green(), wanted.blue()])).all(axis=2).sum())
 
 
-@pytest.mark.usefixtures("restored")
+@pytest.mark.usefixtures("restored_theme")
 def test_open_window_follows_the_desktop(
     qapp: QApplication, desktop: Desktop, live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:

@@ -9,14 +9,26 @@ from itertools import combinations
 import pytest
 from PyQt6.QtCore import QPoint, QRect, Qt
 from PyQt6.QtGui import QFont
-from PyQt6.QtWidgets import QApplication, QLabel, QScrollArea, QWidget
+from PyQt6.QtWidgets import (
+    QApplication,
+    QComboBox,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QScrollArea,
+    QStyle,
+    QStyleOptionButton,
+    QStyleOptionComboBox,
+    QWidget,
+)
 from pytestqt.qtbot import QtBot
-from support.gui_bench import make_measurement
-from support.window_tools import MakeWindow, dim_frame, press, views
+from support.gui_bench import FakeCamera, make_measurement
+from support.window_tools import MakeWindow, dim_frame, press, views, wait_for_wavefront
 
 from app.gui.main_window import MainWindow
 from app.gui.number_field import NumberField
 from app.gui.status_line import FittingRow, StatusLine
+from app.gui.theme import apply_theme
 from app.measurement.live_refinement import RefinementState
 from app.measurement.measurement import FrameTotals
 
@@ -77,6 +89,56 @@ def test_long_texts_fit_at_every_size(make_window: MakeWindow, size: tuple[int, 
     for part in window.status_line.row._parts:
         if part.name not in window.status_line.row.hidden_names:
             assert part.value.width() >= part.value.fontMetrics().horizontalAdvance(part.value.text()), part.name
+
+
+def room(control: QWidget) -> int:
+    """Width that a control has for its text, px."""
+    style = control.style()
+    assert style is not None
+    if isinstance(control, QComboBox):
+        choice = QStyleOptionComboBox()
+        control.initStyleOption(choice)
+        field = QStyle.SubControl.SC_ComboBoxEditField
+        return style.subControlRect(QStyle.ComplexControl.CC_ComboBox, choice, field, control).width()
+    if isinstance(control, QPushButton):
+        pressed = QStyleOptionButton()
+        control.initStyleOption(pressed)
+        icon = 0 if control.icon().isNull() else control.iconSize().width() + 4  # px that Qt leaves between
+        return style.subElementRect(QStyle.SubElement.SE_PushButtonContents, pressed, control).width() - icon
+    return control.contentsRect().width()
+
+
+def cut_texts(window: MainWindow) -> list[str]:
+    """Texts of the controls that are wider than their room, in the smallest window."""
+    window.resize(1, 1)
+    for _ in range(3):  # one layout triggers others
+        QApplication.processEvents()
+    controls = window.controls.findChildren((QLabel, QPushButton, QComboBox, QLineEdit))
+    texts = [(one.currentText() if isinstance(one, QComboBox) else one.text(), one) for one in controls]
+    assert len(texts) > 25
+    return [text for text, one in texts if room(one) < one.fontMetrics().horizontalAdvance(text)]
+
+
+@pytest.mark.usefixtures("restored_theme")
+@pytest.mark.parametrize("font", ["usual", "large"])
+def test_no_text_in_the_controls_is_cut(
+    make_window: MakeWindow, qtbot: QtBot, qapp: QApplication, request: pytest.FixtureRequest, font: str
+) -> None:
+    if font == "large":
+        request.getfixturevalue("large_font")
+    apply_theme(qapp)
+    window = make_window(FakeCamera())
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    assert cut_texts(window) == []
+    assert (window.width() == 900) == (font == "usual")
+    status = window.controller.status
+    assert status is not None
+    registration = replace(status.bench.registration, method="correlation_fft", warp="translation")
+    window._timer.stop()  # the next is no state of the instrument
+    longest = replace(status, bench=replace(status.bench, registration=registration), amplifier="normal", mask="stars")
+    window.controls.show_status(longest, is_settled=True)
+    assert cut_texts(window) == []
 
 
 @pytest.mark.usefixtures("large_font")
