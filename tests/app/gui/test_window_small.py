@@ -108,13 +108,18 @@ def room(control: QWidget) -> int:
     return control.contentsRect().width()
 
 
+def text_of(control: QWidget) -> str:
+    if isinstance(control, QComboBox):
+        return control.currentText()
+    return control.text() if isinstance(control, QLabel | QPushButton | QLineEdit) else ""
+
+
 def cut_texts(window: MainWindow) -> list[str]:
     """Texts of the controls that are wider than their room, in the smallest window."""
     window.resize(1, 1)
     for _ in range(3):  # one layout triggers others
         QApplication.processEvents()
-    controls = window.controls.findChildren((QLabel, QPushButton, QComboBox, QLineEdit))
-    texts = [(one.currentText() if isinstance(one, QComboBox) else one.text(), one) for one in controls]
+    texts = [(text_of(one), one) for one in window.controls.findChildren(QWidget) if text_of(one)]
     assert len(texts) > 25
     return [text for text, one in texts if room(one) < one.fontMetrics().horizontalAdvance(text)]
 
