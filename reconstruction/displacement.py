@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 from typing import Protocol, Self
 
 import numpy as np
@@ -89,9 +90,14 @@ class Displacement:
     @property
     def mean(self) -> Floats:
         """Mean displacement over the field, px, (lenslet_row, lenslet_column, xy)."""
-        nodes, weights = np.polynomial.legendre.leggauss(6)
-        values = self.modes.values(nodes, nodes[:, None])
-        return np.tensordot(np.einsum("qyx,y,x->q", values, weights, weights) / 4, self.coefficients, axes=([0], [2]))
+        return np.tensordot(_means(self.modes), self.coefficients, axes=([0], [2]))
+
+
+@lru_cache(maxsize=8)
+def _means(modes: FieldModes) -> Floats:
+    """Mean of each field mode over the field, (field_mode,)."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    return np.asarray(np.einsum("qyx,y,x->q", modes.values(nodes, nodes[:, None]), weights, weights) / 4)
 
 
 # Large and seldom needed as a whole: computed on first access, if only its source is given.

@@ -34,7 +34,8 @@ class StatusLine(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._recent: deque[Measurement] = deque()
+        self._newest: Measurement | None = None
+        self._recent: deque[tuple[float, int, float]] = deque()  # time, frames acquired, delay: measurements are large
         self.shown = 0
         self.timing_row = TimingRow()
         self.row = line = FittingRow()
@@ -59,13 +60,14 @@ class StatusLine(QWidget):
     def count(self, measurement: Measurement) -> None:
         """Count a shown measurement."""
         self.shown += 1
-        self._recent.append(measurement)
-        oldest_s = measurement.frame.host_time_s - _WINDOW_S
-        while self._recent[0].frame.host_time_s < oldest_s and len(self._recent) > 2:
+        self._newest, time_s = measurement, measurement.frame.host_time_s
+        self._recent.append((time_s, measurement.counts.acquired, measurement.latency_s))
+        while self._recent[0][0] < time_s - _WINDOW_S and len(self._recent) > 2:
             self._recent.popleft()
 
     def restart(self) -> None:
         """Forget the frames of the previous acquisition."""
+        self._newest = None
         self._recent.clear()
         self.shown = 0
 
@@ -78,18 +80,18 @@ class StatusLine(QWidget):
             self.simulated.setVisible(status.bench.is_simulated)
             self.devices.setText("running" if status.is_running else "stopped")
             self.devices.setToolTip(f"{status.camera_name}\n{status.light_name}")
-        if not self._recent:
+        last = self._newest
+        if last is None:
             return
-        first, last = self._recent[0], self._recent[-1]
         self.acquired.setText(str(last.counts.acquired))
         self.reconstructed.setText(str(last.counts.reconstructed))
         self.lost.setText(str(last.counts.lost))
         self.shown_count.setText(str(self.shown))
-        seconds = last.frame.host_time_s - first.frame.host_time_s
+        (first_s, first_count, _), (last_s, last_count, _) = self._recent[0], self._recent[-1]
         is_running = status is not None and status.is_running
-        frames = last.counts.acquired - first.counts.acquired
-        self.rate.setText(f"{frames / seconds:.1f}" if is_running and seconds > 0 else "\N{EN DASH}")
-        self.delay.setText(_duration(median(one.latency_s for one in self._recent)))
+        has_rate = is_running and last_s > first_s
+        self.rate.setText(f"{(last_count - first_count) / (last_s - first_s):.1f}" if has_rate else "\N{EN DASH}")
+        self.delay.setText(_duration(median(delay_s for _, _, delay_s in self._recent)))
         self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
         self._show_correction(last.refinement)
