@@ -121,7 +121,11 @@ class Reconstructor:
 
     def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
         """Measure the wavefront of a frame: `register`, then `solve`."""
-        return self.solve(self.register(frame), bias=bias)
+        displacement = self.register(frame)
+        try:
+            return self.solve(displacement, bias=bias)
+        except ReconstructionError as error:
+            raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
     def register(self, frame: Counts, *, start: Displacement | None = None) -> Displacement:
         """Measure the displacement of each subimage from the reference.

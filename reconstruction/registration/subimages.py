@@ -52,6 +52,11 @@ class ReferenceSubimages:
         self.blur_px = sensor.blur_px
         self.pitch_px = lattice.pitch_px
         self.reach_px = (lattice.pitch_px - self.blur_px) / 2  # light beyond it reaches the next cell
+        if not self.half_width_px < self.reach_px:
+            raise ReconstructionError(
+                f"the image of the field, {2 * self.half_width_px:.1f} px wide, leaves no room to move in cells of"
+                f" {lattice.pitch_px:.1f} px, of which blur takes {self.blur_px:.1f} px: lower field.half_width_m"
+            )
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
         cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
         self.turn = np.array([[cosine, sine], [-sine, cosine]])  # row vectors: lattice frame @ turn = camera

@@ -161,7 +161,7 @@ class ModalSolver:
         if self._is_smooth:  # extrapolate by one lenslet only
             known = self._modes.inside & ndimage.binary_dilation(known, structure=np.ones((3, 3), np.bool_))
         values = self._modes.values[1:, known]
-        values -= values.mean(axis=1, keepdims=True)
+        values -= values.mean(axis=1, keepdims=True) if known.any() else 0.0
         if not self._is_smooth:
             self._require_distinct(values, scaled / singular)
         return Equations(singular, vectors, scaled.astype(np.float32), known, values)
@@ -171,15 +171,16 @@ class ModalSolver:
 
         `values` (pupil_mode - 1, lenslet); `scaled` (coefficient, n), coefficients per unit of noise.
         """
-        wavefronts = np.tensordot(values, scaled.reshape(len(values), -1, scaled.shape[1]), axes=(0, 0))
-        flat = wavefronts.reshape(-1, scaled.shape[1])
-        variance = np.linalg.eigvalsh(flat.T @ flat)
-        is_unseen = scaled.shape[1] < self._unknowns
-        if is_unseen or variance[-1] > _AMPLIFICATION * np.median(variance):
-            raise ReconstructionError(
-                f"{values.shape[1]} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
-                " lower pupil_modes, or leave it out"
-            )
+        if values.shape[1] and scaled.shape[1] == self._unknowns:
+            wavefronts = np.tensordot(values, scaled.reshape(len(values), -1, scaled.shape[1]), axes=(0, 0))
+            flat = wavefronts.reshape(-1, scaled.shape[1])
+            variance = np.linalg.eigvalsh(flat.T @ flat)
+            if variance[-1] <= _AMPLIFICATION * np.median(variance):
+                return
+        raise ReconstructionError(
+            f"{values.shape[1]} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
+            " lower pupil_modes, or leave it out"
+        )
 
 
 def _decompose(rows: list[Floats]) -> tuple[Floats, Floats]:

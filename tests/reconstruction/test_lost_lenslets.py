@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.optics import SmallBench
+from support.optics import FIELD, SmallBench
 
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
@@ -211,3 +211,21 @@ def test_frame_of_another_mask_is_not_called_dark(small_bench: SmallBench, tilte
     noise = np.random.default_rng(0).uniform(0, tilted.max(), tilted.shape).astype(np.float32)
     with pytest.raises(ReconstructionError, match="another mask"):
         small_bench.reconstructor()(noise)
+
+
+def test_frame_with_too_few_matching_lenslets_is_at_fault(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
+    frame = np.random.default_rng(0).uniform(0, tilted.max(), tilted.shape).astype(np.float32)
+    for column in range(2, 7):
+        cell = _cell(small_bench, 3, column)
+        frame[cell] = tilted[cell]
+    reason = "5 valid lenslets cannot tell 10 pupil modes apart: .*; 58 subimages look different"
+    with pytest.raises(ReconstructionError, match=reason) as fault:
+        small_bench.reconstructor(pupil_modes=10)(frame)
+    assert fault.value.image == "frame"
+
+
+def test_field_that_fills_the_cells_is_refused(small_bench: SmallBench) -> None:
+    """Its image is 2 x 0.95 mm x 46.7 / 200 = 27.7 px wide; 31.25 px less a blur of 2.7 px are 28.6 px."""
+    small_bench.reconstructor(field=replace(FIELD, half_width_m=0.95e-3))
+    with pytest.raises(ReconstructionError, match=r"29\.2 px wide, leaves no room .*: lower field\.half_width_m"):
+        small_bench.reconstructor(field=replace(FIELD, half_width_m=1e-3))

@@ -285,6 +285,9 @@ def test_too_few_lenslets_are_refused_only_without_prior() -> None:
     displacement = measured(np.ones((ROWS, COLUMNS, 1, 2)), covariance, few)
     with pytest.raises(ReconstructionError, match="3 valid lenslets cannot tell 15 pupil modes apart"):
         solver_of(covariance, parameters=np.eye(2))(displacement)
+    none = measured(np.ones((ROWS, COLUMNS, 1, 2)), covariance, np.zeros_like(ALL))
+    with pytest.raises(ReconstructionError, match="0 valid lenslets cannot tell 15 pupil modes apart"):
+        solver_of(covariance, parameters=np.eye(2))(none)
     bridged = solver_of(covariance, is_smooth=True, parameters=np.eye(2))(displacement).wavefront(np.ones(1))
     assert np.isfinite(bridged[few]).all()
 
