@@ -3,35 +3,61 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from app.acquisition.devices import scene_of
 from app.bench.config import load_bench
-from reconstruction.layers.layer_search import LayerSearch, find_layers
+from reconstruction.arrays import Floats
+from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_solver import FrameEquations
+from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.rendering import Renderer
 from simulated_devices.sample import make_sample
 
 
-def search(distances_m: tuple[float, ...], rms_rad: float, count: int) -> LayerSearch:
-    """Layers found in a noise-free frame through screens of that strength."""
-    bench = load_bench("small_demo")
+def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tuple[FrameEquations, list[PhaseScreen]]:
+    """Displacements of a noise-free frame through screens of such settings, and the screens."""
+    bench = load_bench(preset)
     renderer, focal_length_m = Renderer(scene_of(bench)), bench.field.collimator_focal_length_m
-    phases = []
+    phases, screens = [], []
     for seed, at_m in enumerate(distances_m, 3):
-        screen = replace(bench.simulation.screen, distance_m=at_m, rms_rad=rms_rad, correlation_length_m=1e-3)
+        screen = replace(bench.simulation.screen, distance_m=at_m, **settings)
         sample = make_sample(replace(bench.simulation, seed=seed, screen=screen), bench.sensor, bench.field)
         place = RayMap.near_pupil(distance_m=at_m, collimator_focal_length_m=focal_length_m)
         phases.append(renderer.model.screen_phase(sample.screen, place))
+        screens.append(sample.screen)
     points = renderer.points("square")
     reference = renderer.reference("square")
     frame = renderer.model.irradiance(points, lambda x_m, y_m: np.sum([phase(x_m, y_m) for phase in phases], axis=0))
     reconstructor = bench.reconstructor(
         reference, lattice=bench.design_lattice(*reference.shape), dark=np.zeros_like(reference)
     )
-    return find_layers(reconstructor.layers(reconstructor.register(frame)), count)
+    return reconstructor.layers(reconstructor.register(frame)), screens
+
+
+def slopes(phase_rad: Floats) -> Floats:
+    """Slopes (y, x, xy) about their mean: two layers share tip and tilt in any way."""
+    along_y, along_x = np.gradient(phase_rad)
+    found = np.stack([along_x, along_y], axis=-1)
+    return np.asarray(found - found.mean(axis=(0, 1)))
 
 
 def test_ten_layers_are_not_a_single_layer() -> None:
-    assert search(tuple(np.linspace(0.03, 0.3, 10)), 0.7, 1).verdict == "not a single layer"
+    displacements, _ = rendered("small_demo", tuple(np.linspace(0.03, 0.3, 10)), rms_rad=0.7, correlation_length_m=1e-3)
+    assert find_layers(displacements).verdict == "not a single layer"
+
+
+@pytest.mark.soak
+def test_two_layers_at_known_distances_are_told_apart() -> None:
+    distances_m = (0.1, 0.2)
+    displacements, screens = rendered("paper_simulation", distances_m, rms_rad=3.0)
+    found = find_layers(displacements, 2, at=tuple(at_m / 0.2 for at_m in distances_m)).fit.layers
+    for layer, screen in zip(found, screens, strict=True):
+        x_m, y_m = (np.linspace(-0.85 * half_m, 0.85 * half_m, 61) for half_m in layer.half_width_m)
+        true = slopes(screen.at(x_m, y_m[:, None]))
+        error = slopes(layer.phase(x_m, y_m[:, None])) - true
+        assert np.linalg.norm(error) < 0.08 * np.linalg.norm(true)
