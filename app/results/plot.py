@@ -19,6 +19,7 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 _FORMATS = (".png", ".pdf", ".svg")  # Matplotlib writes others, some by programs that may be missing
 _CURVES_HEIGHT = 2.6  # inches
+_SMALLEST = 10.0, 4.2  # width of the figure and height of its maps, inches; titles need them
 
 
 def check_plot_path(path: Path) -> None:
@@ -36,8 +37,8 @@ def plot_views(wavefront: Wavefront, path: Path) -> None:
 def views_figure(wavefront: Wavefront) -> Figure:
     """Return the figure of `plot_views`."""
     views, field, sensor = wavefront.views, wavefront.field, wavefront.sensor
-    height = 2.5 * field.view_rows + 0.4
-    figure = Figure(figsize=(4.4 * field.view_columns + 2.8, height + _CURVES_HEIGHT), layout="constrained")
+    width, height = np.maximum(_SMALLEST, (4.4 * field.view_columns + 2.8, 2.5 * field.view_rows + 0.4))
+    figure = Figure(figsize=(width, height + _CURVES_HEIGHT), layout="constrained")
     (maps,), (curves,) = figure.subfigures(2, 1, squeeze=False, height_ratios=[height, _CURVES_HEIGHT])
     ((left, right),) = maps.subfigures(1, 2, squeeze=False)
     limit = float(np.nanmax(np.abs(views), initial=0)) or 1.0

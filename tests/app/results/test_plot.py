@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -42,16 +43,24 @@ def test_single_view_is_drawn_with_its_numbers() -> None:
     wavefront = bowl()
     single = replace(wavefront, field=replace(FIELD, view_rows=1, view_columns=1), views=wavefront.views[:1, :1])
     figure = views_figure(single)
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     (drawn, _), (title, *_) = maps_and_titles(figure)
     np.testing.assert_array_equal(drawn, wavefront.views[0, 0])
     assert title == f"(+0.00, +0.00) mm\nRMS {rms(drawn):.3f}  PV {np.nanmax(drawn) - np.nanmin(drawn):.2f} rad"
+    texts = [
+        text for axis in figure.axes for text in (axis.title, axis.xaxis.label, axis.yaxis.label) if text.get_text()
+    ]
+    boxes = [text.get_window_extent() for text in texts]
+    assert len(boxes) == 9
+    whole = figure.bbox
+    assert all(whole.x0 <= box.x0 and box.x1 <= whole.x1 and whole.y0 <= box.y0 and box.y1 <= whole.y1 for box in boxes)
+    assert not [pair for pair in itertools.combinations(boxes, 2) if pair[0].overlaps(pair[1])]
 
 
 def test_unknown_views_are_drawn_without_numbers() -> None:
     wavefront = bowl()
     figure = views_figure(replace(wavefront, views=wavefront.views * np.nan))
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     maps, titles = maps_and_titles(figure)
     assert len(maps) == 18
     assert all(np.isnan(each).all() for each in maps)
