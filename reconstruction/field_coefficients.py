@@ -133,7 +133,7 @@ def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = Non
     radius_m = min(sensor.pupil_half_width_m)
     inside = np.ones(fit.known.shape, np.bool_)
     if basis == "zernike":
-        inside = np.hypot(sensor.pupil_x_m, sensor.pupil_y_m[:, None]) <= radius_m
+        inside = np.hypot(*np.moveaxis(sensor.lenslet_centers_m, -1, 0)) <= radius_m
     known_share = float(np.mean(fit.known[inside]))
     if not known_share:
         raise ReconstructionError(

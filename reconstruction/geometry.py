@@ -7,13 +7,19 @@ camera. Every vector has (x, y) as its last axis; every image is [row, column] w
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Mask
+
+Arrangement: TypeAlias = Literal["square", "hexagonal"]
+"""Of the lenslets: in a hexagonal one, rows lie sqrt(3)/2 pitches apart and odd rows half a pitch to the right."""
+
+_ROW_SPACING = {"square": 1.0, "hexagonal": math.sqrt(3) / 2}  # in pitches
+_ROW_OFFSET = {"square": 0.0, "hexagonal": 0.25}  # of a row from the lattice's middle, odd rows to +x, in pitches
 
 
 def require(conditions: Mapping[str, bool]) -> None:
@@ -33,6 +39,7 @@ class Sensor:
     lenslet_focal_length_m: float  # at the wavelength; the camera lies in the focal plane
     wavelength_m: float  # of the light, in vacuum
     pixel_pitch_m: float  # of the camera; binned pixels are larger
+    arrangement: Arrangement = field(default="square", metadata={"section": "lattice"})  # where bench files have it
 
     def __post_init__(self) -> None:
         require(
@@ -71,19 +78,36 @@ class Sensor:
         return self.wavelength_m * self.lenslet_focal_length_m / self.lenslet_pitch_m / self.pixel_pitch_m
 
     @property
+    def row_spacing_m(self) -> float:
+        """Distance between two lenslet rows."""
+        return self.lenslet_pitch_m * _ROW_SPACING[self.arrangement]
+
+    @property
+    def aperture_width_m(self) -> float:
+        """Side of the square around the aperture of a lenslet: a square, or a hexagon with corners at +-y."""
+        return self.lenslet_pitch_m / _ROW_SPACING[self.arrangement]
+
+    @property
     def pupil_half_width_m(self) -> tuple[float, float]:
         """Half the width of the lattice along x and y, where the normalised pupil position is 1."""
-        return self.lenslet_columns * self.lenslet_pitch_m / 2, self.lenslet_rows * self.lenslet_pitch_m / 2
+        columns = self.lenslet_columns + 2 * _ROW_OFFSET[self.arrangement]
+        return columns * self.lenslet_pitch_m / 2, self.lenslet_rows * self.row_spacing_m / 2
+
+    @property
+    def lenslet_centers_m(self) -> Floats:
+        """Pupil positions of the lenslet centres, (lenslet_row, lenslet_column, xy)."""
+        return lenslet_centers(self.arrangement, self.lenslet_rows, self.lenslet_columns) * self.lenslet_pitch_m
 
     @property
     def pupil_x_m(self) -> Floats:
-        """Pupil position of the centres of the lenslet columns, (lenslet_column,)."""
+        """Pupil position of the centres of the lenslet columns, (lenslet_column,); only in a square lattice."""
+        require({"lenslet columns have one x position only in a square lattice": self.arrangement == "square"})
         return centered_steps(self.lenslet_columns) * self.lenslet_pitch_m
 
     @property
     def pupil_y_m(self) -> Floats:
         """Pupil position of the centres of the lenslet rows, (lenslet_row,)."""
-        return centered_steps(self.lenslet_rows) * self.lenslet_pitch_m
+        return centered_steps(self.lenslet_rows) * self.row_spacing_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +118,7 @@ class Lattice:
     center_y_px: float
     pitch_px: float  # between two lenslets, as measured
     rotation_rad: float = 0.0
+    arrangement: Arrangement = "square"  # of the lenslets
 
     def __post_init__(self) -> None:
         require(
@@ -117,15 +142,65 @@ class Lattice:
         turn_back = np.array([[cosine, -sine], [sine, cosine]])
         return np.asarray((position_px - [self.center_x_px, self.center_y_px]) @ turn_back)
 
+    @property
+    def row_spacing(self) -> float:
+        """Distance between two lenslet rows, in pitches: the height of a cell, which is one pitch wide."""
+        return _ROW_SPACING[self.arrangement]
+
+    @property
+    def cell_corners(self) -> Floats:
+        """Corners of a cell about its lenslet, in pitches along the lattice, in order around it, (4, xy)."""
+        return np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * [1.0, self.row_spacing]
+
+    def cell_positions(self, index: NDArray[np.intp]) -> Floats:
+        """Positions of cells in pitches, counted in columns and rows (..., xy) from a lenslet at the centre."""
+        row = index[..., 1]
+        beside = _row_offset(self.arrangement, row) - _row_offset(self.arrangement, np.array(0))
+        return np.stack([index[..., 0] + beside, row * self.row_spacing], axis=-1)
+
     def lenslet_centers_px(self, lenslet_rows: int, lenslet_columns: int) -> Floats:
         """Camera positions of the lenslet centres, (lenslet_row, lenslet_column, xy)."""
-        y, x = np.meshgrid(centered_steps(lenslet_rows), centered_steps(lenslet_columns), indexing="ij")
-        return self.to_camera_px(np.stack([x, y], axis=-1) * self.pitch_px)
+        return self.to_camera_px(lenslet_centers(self.arrangement, lenslet_rows, lenslet_columns) * self.pitch_px)
+
+    def cells_at(
+        self, position_px: Floats, lenslet_rows: int, lenslet_columns: int
+    ) -> tuple[NDArray[np.intp], Floats, Mask]:
+        """Cells of camera positions (..., xy), also beyond the lattice.
+
+        Returns
+        -------
+        tuple
+            Column and row, (..., xy); the position from the lenslet's centre along the lattice, px, (..., xy); True in
+            a cell of the lattice, (...).
+        """
+        counts, size = np.array([lenslet_columns, lenslet_rows]), np.array([1.0, self.row_spacing])
+        in_cells = self.from_camera_px(position_px) / self.pitch_px / size + counts / 2
+        in_cells[..., 0] -= _row_offset(self.arrangement, np.floor(in_cells[..., 1]))
+        cell = np.floor(in_cells)
+        inside = np.all((cell >= 0) & (cell < counts), axis=-1)
+        return cell.astype(np.intp), (in_cells - cell - 0.5) * size * self.pitch_px, inside
+
+
+def lenslet_centers(arrangement: Arrangement, lenslet_rows: int, lenslet_columns: int) -> Floats:
+    """Lenslet centres in pitches from the lattice's middle, (lenslet_row, lenslet_column, xy)."""
+    y, x = np.meshgrid(centered_steps(lenslet_rows), centered_steps(lenslet_columns), indexing="ij")
+    x += _row_offset(arrangement, np.arange(lenslet_rows))[:, None]
+    return np.stack([x, y * _ROW_SPACING[arrangement]], axis=-1)
+
+
+def _row_offset(arrangement: Arrangement, row: NDArray[Any]) -> Floats:
+    """Distance of lenslet rows (...) from the middle of the lattice along x, in pitches."""
+    return np.asarray((2 * (row % 2) - 1) * _ROW_OFFSET[arrangement])
 
 
 def nominal_lattice(sensor: Sensor, rows: int, columns: int) -> Lattice:
     """The designed lattice, centred on a frame of rows x columns pixels."""
-    return Lattice(center_x_px=(columns - 1) / 2, center_y_px=(rows - 1) / 2, pitch_px=sensor.lenslet_pitch_px)
+    return Lattice(
+        center_x_px=(columns - 1) / 2,
+        center_y_px=(rows - 1) / 2,
+        pitch_px=sensor.lenslet_pitch_px,
+        arrangement=sensor.arrangement,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -165,7 +165,8 @@ class Reconstructor:
             per_px = self.sensor.slope_per_px
             slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
             weights *= self._certainty
-            solution = ZonalSolution(slopes, displacement.valid, self.sensor.lenslet_pitch_m, weights, covariance)
+            pitch_m, arrangement = self.sensor.lenslet_pitch_m, self.sensor.arrangement
+            solution = ZonalSolution(slopes, displacement.valid, pitch_m, weights, covariance, arrangement)
         else:
             solution = self._modal(displacement, weights=weights)
         return Wavefront.of(self.sensor, self.field, displacement, solution)
@@ -229,7 +230,8 @@ class Reconstructor:
         if is_wanted and isinstance(self._register, GaussNewton) and lenslet_model is not None:
             try:
                 model = lenslet_model(self.subimages)
-                return response_sensitivity(linear_response(self._register, self.subimages, self._at_rest.modes, model))
+                response = linear_response(self._register, self.subimages, self._at_rest.modes, model)
+                return response_sensitivity(self.sensor, response)
             except ReconstructionError as error:
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
         return geometric_sensitivity(self.sensor, _parameters(self._register, self._at_rest))

@@ -86,7 +86,8 @@ def _enlargement(simulation: Simulation, sensor: Sensor, field: Field, rays: Ray
 
     Raises `ValueError` if the generated screen, with the margins of its smoothing, is too large to compute.
     """
-    border_m = simulation.border_lenslets * sensor.lenslet_pitch_m
+    rings = simulation.border_lenslets + (0 if sensor.arrangement == "square" else 1)  # hexagons overlap their cells
+    border_m = rings * sensor.lenslet_pitch_m
     pupil_m = tuple(half + border_m for half in sensor.pupil_half_width_m)
     footprint_m = rays.footprint_half_width_m((pupil_m[0], pupil_m[1]), field.half_width_m)
     drift_m = np.abs(shift_m(simulation, simulation.drifting_states))

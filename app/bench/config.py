@@ -90,6 +90,8 @@ class Bench:
                 f"lattice.pitch_px = {self.lattice.pitch_px:g} is far from"
                 f" sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
             )
+        if self.lattice is not None and self.lattice.arrangement != self.sensor.arrangement:
+            raise ValueError(f'lattice.arrangement = "{self.sensor.arrangement}" is missing')
 
     @property
     def is_simulated(self) -> bool:
@@ -200,6 +202,7 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
+    _arrange(tree)
     try:
         return _converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
@@ -208,7 +211,7 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
             key=lambda fault: not fault.startswith(_UNKNOWN)
         )  # before the key that a misspelt one leaves missing
         sentence, _, path = faults[0].rpartition(" @ $")
-        section = path.lstrip(".")
+        section = path.lstrip(".").replace("sensor.arrangement", "lattice.arrangement")
         line = None if overrides else line_of_setting(text, section, sentence)  # an override may be at fault
         raise BenchError(f"{name}: {section}{': ' if path else ''}{sentence}", line) from error
 
@@ -221,7 +224,19 @@ def with_known(settings: Settings, values: Mapping[str, object]) -> Settings:
 
 def write_bench(bench: Bench) -> str:
     """Return the bench as TOML text; `parse_bench` restores it exactly."""
-    return tomli_w.dumps(_without_none(dataclasses.asdict(bench)))
+    tree = dataclasses.asdict(bench)
+    if (arrangement := tree["sensor"].pop("arrangement")) != "square":
+        tree["lattice"] = (tree["lattice"] or {}) | {"arrangement": arrangement}
+    return tomli_w.dumps(_without_none(tree))
+
+
+def _arrange(tree: dict[str, Any]) -> None:
+    """Copy `lattice.arrangement` to the sensor, which has it even if the place of the lattice is not known."""
+    sensor, lattice = (tree.get(name) for name in ("sensor", "lattice"))
+    if isinstance(sensor, dict) and isinstance(lattice, dict) and "arrangement" in lattice:
+        sensor["arrangement"] = lattice["arrangement"]
+        if len(lattice) == 1:
+            del tree["lattice"]
 
 
 def _without_none(tree: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from reconstruction.geometry import Lattice
+from reconstruction.geometry import Lattice, lenslet_centers
 from reconstruction.registration.source_brightness import mean_subimage, point_brightness
 from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.lenslet_image import LensletImage
@@ -45,10 +45,11 @@ def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
 def measured_source(bench: Bench, reference: ReferenceSubimages) -> SourcePoints:
     """Brightness of a grid of object points, found in the mean subimage of a reference."""
     # The same lenslets on as many pixels as one window has.
-    middle_px = (reference.width - 1 + reference.pitch_px) / 2
+    arrangement, middle_px = bench.sensor.arrangement, (reference.width - 1) / 2
+    x_px, y_px = middle_px - lenslet_centers(arrangement, 2, 2)[0, 0] * reference.pitch_px
     one_lenslet = ForwardModel(
         replace(bench.sensor, lenslet_rows=2, lenslet_columns=2),
-        Lattice(center_x_px=middle_px, center_y_px=middle_px, pitch_px=reference.pitch_px),
+        Lattice(center_x_px=x_px, center_y_px=y_px, pitch_px=reference.pitch_px, arrangement=arrangement),
         bench.field,
         rows=reference.width,
         columns=reference.width,
@@ -97,10 +98,7 @@ class BenchModel:
 def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:
     """Value (lenslet_row, lenslet_column) of the lenslet of each pixel, (row, column); 0 outside the lattice."""
     row, column = np.mgrid[:rows, :columns]
-    position_px = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64))
-    counts = np.array(values.shape[::-1])
-    cell = np.floor(position_px / lattice.pitch_px + counts / 2).astype(np.intp)  # (row, column, xy)
-    inside = np.all((cell >= 0) & (cell < counts), axis=-1)
+    cell, _, inside = lattice.cells_at(np.stack([column, row], axis=-1).astype(np.float64), *values.shape)
     cell = np.where(inside[..., None], cell, 0)
     return np.where(inside, values[cell[..., 1], cell[..., 0]], 0.0).astype(np.float32)
 

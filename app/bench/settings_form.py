@@ -189,6 +189,8 @@ def _sections(
     limits = _limits(cls, values or {})
     simple, nested = [], []
     for field in dataclasses.fields(cls):
+        if field.metadata:  # belongs to another section
+            continue
         value = (values or {}).get(field.name, _default(field))
         if dataclasses.is_dataclass(hints[field.name]):
             nested.append((f"{path}.{field.name}", hints[field.name], (values or {}).get(field.name)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import tomli_w
 from numpy.typing import NDArray
 
 from app.bench.bench_files import bench_file, read_bench_text
@@ -53,7 +54,9 @@ def calibrate(
 def _rounded(lattice: Lattice) -> Lattice:
     """Drop insignificant digits."""
     values = dataclasses.asdict(lattice)
-    return Lattice(**{name: round(value, 9 if name.endswith("_rad") else 6) + 0.0 for name, value in values.items()})
+    numbers = {name: value for name, value in values.items() if name != "arrangement"}
+    rounded = {name: round(value, 9 if name.endswith("_rad") else 6) + 0.0 for name, value in numbers.items()}
+    return dataclasses.replace(lattice, **rounded)
 
 
 def summary(calibrated: CalibratedBench) -> list[str]:
@@ -94,7 +97,7 @@ def differences(calibrated: CalibratedBench) -> list[str]:
     return sentences
 
 
-def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | list[str]]:
+def as_numbers(calibrated: CalibratedBench) -> dict[str, float | int | str | list[str]]:
     """Return the result for JSON, with the names of the bench's TOML keys."""
     seen = calibrated.survey
     return {
@@ -135,5 +138,4 @@ def bench_text(text: str, bench: Bench) -> str:
 def _lattice_section(bench: Bench) -> str:
     lattice = bench.lattice
     values = {} if lattice is None else dataclasses.asdict(lattice)
-    lines = [f"{name} = {value!r}" for name, value in values.items()]
-    return "\n".join(["[lattice] # found by svwfs calibrate", *lines]) + "\n\n"
+    return f"[lattice] # found by svwfs calibrate\n{tomli_w.dumps(values)}\n"

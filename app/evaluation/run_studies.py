@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.bench.config import Bench
-from app.errors import Interrupted
+from app.errors import InputError, Interrupted
 from app.evaluation.cases import CaseResult, collect
 from app.evaluation.study_files import write_newest
 from app.evaluation.study_kinds import Study, StudyResult
@@ -34,9 +34,13 @@ def run_studies(
 
     Raises
     ------
+    InputError
+        If the lattice is hexagonal.
     Interrupted
         On Ctrl-C; its text says how many studies are finished.
     """
+    if bench.sensor.arrangement != "square":
+        raise InputError("studies and tables are made for square lattices: leave out lattice.arrangement")
     make_folder(out)
     results: list[StudyResult] = []
     try:

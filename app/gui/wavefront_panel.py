@@ -190,10 +190,11 @@ class WavefrontPanel(QWidget):
         self._follow(limit, max(presentation.limit(shown), presentation.finest * per_rad))
         self._maps = (self.quantity, shown)
         sensor = self.shown.sensor
-        reach = (float(sensor.pupil_x_m[-1]) * 1e3, float(sensor.pupil_y_m[-1]) * 1e3)
+        half_m, lenslets = sensor.pupil_half_width_m, (sensor.lenslet_columns, sensor.lenslet_rows)
+        x_mm, y_mm = (half * (1 - 1 / count) * 1e3 for half, count in zip(half_m, lenslets, strict=True))
         scale, text = presentation.scale(limit.value, unit), partial(describe, presentation, unit)
         if reach_mrad is None:
-            self.grid.show_maps(Maps(shown, scale, text, reach=reach, reach_unit="mm"))
+            self.grid.show_maps(Maps(shown, scale, text, reach=(x_mm, y_mm), reach_unit="mm"))
         else:
             both = (reach_mrad, reach_mrad)
             self.grid.show_maps(Maps(shown, scale, text, is_smooth=True, reach=both, reach_unit="mrad"))

@@ -12,7 +12,7 @@ import numpy as np
 from app.bench.config import Bench, with_known
 from drivers.interface import BadValue, Camera, DeviceError, Disconnected, Region
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Lattice, Sensor, centered_steps
+from reconstruction.geometry import Lattice, Sensor, lenslet_centers
 
 _AROUND = 0.5  # margin around the lattice, in pitches
 
@@ -124,9 +124,8 @@ def lenslets_outside(lattice: Lattice, sensor: Sensor, area: SensorArea) -> int:
 
 def _cell_corners_px(lattice: Lattice, sensor: Sensor) -> Floats:
     """Corners of all cells on the camera, (lenslet_row, lenslet_column, corner, xy)."""
-    y, x = np.meshgrid(centered_steps(sensor.lenslet_rows), centered_steps(sensor.lenslet_columns), indexing="ij")
-    corner = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
-    return lattice.to_camera_px((np.stack([x, y], axis=-1)[..., None, :] + corner) * lattice.pitch_px)
+    centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns)
+    return lattice.to_camera_px((centers[..., None, :] + lattice.cell_corners) * lattice.pitch_px)
 
 
 def _side_in_steps(start_px: int, length_px: int, whole_px: int, step_px: int) -> tuple[int, int]:

@@ -211,9 +211,11 @@ def _wavefront_variables(views: Floats, sensor: Sensor) -> dict[str, Variable]:
 
 
 def _coordinates(sensor: Sensor, field: Field) -> dict[str, Variable]:
+    is_square = sensor.arrangement == "square"
+    pupil_x_m = sensor.pupil_x_m if is_square else sensor.lenslet_centers_m[..., 0]
     return {
         "view_x": (("view_column",), field.view_x_m, about("m", "field position along the lattice's rows")),
         "view_y": (("view_row",), field.view_y_m, about("m", "field position along the lattice's columns")),
-        "pupil_x": (("lenslet_column",), sensor.pupil_x_m, about("m", "lenslet centre")),
+        "pupil_x": (_LENSLET[1:] if is_square else _LENSLET, pupil_x_m, about("m", "lenslet centre")),
         "pupil_y": (("lenslet_row",), sensor.pupil_y_m, about("m", "lenslet centre")),
     }

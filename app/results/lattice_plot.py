@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from app.files import atomic_write
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Lattice, centered_steps
+from reconstruction.geometry import Lattice, lenslet_centers
 from reconstruction.lattice.cells import cell_index
 from reconstruction.lattice.search import Survey
 
 _SHOWN_PERCENT = (0.5, 99.8)  # percentiles at the ends of the grey scale
-_OUTLINE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 _LIT, _DARK, _BESIDE, _CUT = "#35d0ba", "#ff5a5f", "#ffd166", "#9aa5b1"
 _CENTER = "#d1495b"
 
@@ -51,20 +50,20 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
     lattice, lit = found.lattice, found.illuminated
     darkest, brightest = np.percentile(reference, _SHOWN_PERCENT)
     axes.imshow(reference, cmap="gray", vmin=darkest, vmax=brightest)
-    own = np.stack(np.meshgrid(*(centered_steps(count) for count in lit.shape[::-1])), axis=-1)
+    own = lenslet_centers(lattice.arrangement, *lit.shape)
     beside, cut = _others(lattice, lit.shape, reference.shape)
     width = np.clip(lattice.pitch_px / 25, 0.4, 1.3)
-    for index, colour, style, name in (
+    for position, colour, style, name in (
         (cut, _CUT, ":", "cut by the frame's edge"),
         (beside, _BESIDE, "--", "whole, beside the sensor's lenslets"),
         (own[lit], _LIT, "-", "lit"),
         (own[~lit], _DARK, "-", "dark"),
     ):
-        corners = lattice.to_camera_px((index[:, None] + 0.94 * _OUTLINE) * lattice.pitch_px)
+        corners = lattice.to_camera_px((position[:, None] + 0.94 * lattice.cell_corners) * lattice.pitch_px)
         face = to_rgba(colour, 0.22) if colour == _DARK else "none"
         cells = PolyCollection(list(corners), facecolors=face, edgecolors=colour, linestyles=style, linewidths=width)
-        cells.set_label(f"{len(index)} {name}")
-        if len(index):
+        cells.set_label(f"{len(position)} {name}")
+        if len(position):
             axes.add_collection(cells)
     center = lattice.center_x_px, lattice.center_y_px
     axes.plot(*center, "+", color="white", markersize=14, markeredgewidth=3)
@@ -74,8 +73,8 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
 
 
 def _draw_typical(axes: Axes, found: Survey) -> None:
-    half_px = found.lattice.pitch_px / 2
-    axes.imshow(found.typical, cmap="gray", extent=(-half_px, half_px, half_px, -half_px))
+    (left_px, top_px), _, (right_px, bottom_px), _ = found.lattice.cell_corners * found.lattice.pitch_px
+    axes.imshow(found.typical, cmap="gray", extent=(left_px, right_px, bottom_px, top_px))
     axes.axhline(0, color=_CENTER, linewidth=0.8)
     axes.axvline(0, color=_CENTER, linewidth=0.8)
     axes.set_title(f"the typical lenslet; the others are alike to {100 * found.likeness:.0f} %", fontsize=10)
@@ -84,7 +83,9 @@ def _draw_typical(axes: Axes, found: Survey) -> None:
 
 def _draw_displacement(axes: Axes, found: Survey) -> None:
     rows, columns = found.illuminated.shape
-    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    x, y = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows))
+    if found.lattice.arrangement == "hexagonal":
+        x[1::2] += 0.5
     shift = found.displacement_px
     largest_px = float(np.nanmax(np.hypot(*np.moveaxis(shift, -1, 0)), initial=0)) or 1.0
     arrow_px = _round_number(largest_px)
@@ -97,21 +98,21 @@ def _draw_displacement(axes: Axes, found: Survey) -> None:
         color="#1d7874",
         pivot="tail",
     )
-    axes.plot(*np.nonzero(~found.illuminated)[::-1], "x", color=_DARK, markersize=5)
+    axes.plot(x[~found.illuminated], y[~found.illuminated], "x", color=_DARK, markersize=5)
     axes.quiverkey(arrows, 0.93, -0.17, arrow_px, f"{arrow_px:g} px", labelpos="W", fontproperties={"size": 9})
-    axes.set(xlim=(-1, columns), ylim=(rows, -1), aspect="equal", xlabel="lenslet column", ylabel="lenslet row")
+    axes.set(xlim=(-1, columns), ylim=(rows, -1), aspect=found.lattice.row_spacing)
+    axes.set(xlabel="lenslet column", ylabel="lenslet row")
     axes.set_title("each lenslet's light beside the lattice", fontsize=10)
 
 
 def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> tuple[Floats, Floats]:
     """Cells outside the `own` rows and columns, in pitches: whole ones, and those cut by the edge of the frame."""
-    half = np.mod(np.array(own[::-1]) - 1, 2) / 2  # the middle of an even number of lenslets lies between two
-    center_x_px, center_y_px = lattice.to_camera_px(half * lattice.pitch_px)
-    on_a_lenslet = replace(lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px))
-    frame = shape[0], shape[1]
-    whole, cut = (half + cell_index(on_a_lenslet, frame, partial=partial) for partial in (False, True))
-    is_own = np.all(np.abs(whole) < np.array(own[::-1]) / 2, axis=1)
-    return whole[~is_own], cut
+    first = lenslet_centers(lattice.arrangement, own[0], own[1])[0, 0]
+    center_x_px, center_y_px = lattice.to_camera_px(first * lattice.pitch_px)
+    on_the_first = replace(lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px))
+    whole, cut = (cell_index(on_the_first, (shape[0], shape[1]), partial=partial) for partial in (False, True))
+    is_own = np.all((whole >= 0) & (whole < own[::-1]), axis=1)
+    return first + lattice.cell_positions(whole[~is_own]), first + lattice.cell_positions(cut)
 
 
 def _round_number(value: float) -> float:

@@ -132,8 +132,13 @@ class WavefrontDisplay:
         if options.stored is not None:
             shown = replace(shown, views=without_piston(shown.views - options.stored.at(field)))
         if options.without_tilt or options.without_defocus:
-            removed = {"tilt": options.without_tilt, "defocus": options.without_defocus}
-            shown = replace(shown, views=without_low_orders(shown.views, **removed))
+            views = without_low_orders(
+                shown.views,
+                tilt=options.without_tilt,
+                defocus=options.without_defocus,
+                arrangement=wavefront.sensor.arrangement,
+            )
+            shown = replace(shown, views=views)
         return shown
 
     def store(self, wavefront: Wavefront, name: str) -> StoredWavefront:

@@ -10,6 +10,7 @@ from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Sensor, centered_steps
 from reconstruction.quality.extrapolation import extrapolate
 from reconstruction.quality.image_quality import psf_reach_rad
+from reconstruction.quality.row_alignment import aligned
 
 _SAMPLES = 6  # of the pupil along each side of a lenslet
 _FEWEST_SAMPLES = 64  # across the pupil
@@ -77,9 +78,9 @@ class PsfOptics:
         (2 reach + 1, 2 reach + 1)
             In the image's rows and columns; sum 1.
         """
-        pitch_m = self._sensor.lenslet_pitch_m
-        y_m, x_m = (centered_steps(count + 2) * pitch_m for count in phase.shape)
-        spline = RectBivariateSpline(y_m, x_m, extrapolate(phase))
+        y_m, x_m = (centered_steps(count + 2) for count in phase.shape)
+        y_m, x_m = y_m * self._sensor.row_spacing_m, x_m * self._sensor.lenslet_pitch_m
+        spline = RectBivariateSpline(y_m, x_m, extrapolate(aligned(phase, self._sensor.arrangement)))
         fine = spline.ev(self._u_m[1], self._u_m[0]) * self._scale
         field = (self._amplitude * np.exp(1j * np.remainder(fine, 2 * math.pi))).astype(np.complex64)
         light = np.abs(self._to_row @ field @ self._to_column.T).astype(np.float64) ** 2

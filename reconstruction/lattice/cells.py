@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -20,38 +21,53 @@ _DAMPING = 1e-3  # prefers the images' own light to a background where both fit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """The N cells of a lattice that lie entirely on a frame, a whole number of pitches from the centre each."""
+    """The N cells of a lattice that lie entirely on a frame, whole columns and rows from the centre each."""
 
-    index: NDArray[np.intp]  # position in pitches, (N, xy)
+    index: NDArray[np.intp]  # column and row, (N, xy)
     light: Image  # S x S samples over each cell, (N, S, S)
+    lattice: Lattice
+
+    @property
+    def position(self) -> Floats:
+        """Middles of the cells in pitches, (N, xy)."""
+        return self.lattice.cell_positions(self.index)
 
     @property
     def steps(self) -> Floats:
-        """Sample positions in a cell, in pitches from its middle, (S,)."""
+        """Sample positions in a cell, in its widths or heights from its middle, (S,)."""
         samples = self.light.shape[-1]
         return np.asarray(centered_steps(samples) / samples)
 
     def harmonics(self) -> NDArray[np.complex128]:
-        """First Fourier harmonic of each cell's light along x and y, (N, xy).
+        """First Fourier harmonic of each cell's light along x and y, (N, xy); see `offset`.
 
-        Its phase over 2 pi is the offset of the light from the cell's middle, in pitches.
+        In a hexagonal lattice that along x is slanted, because columns are.
         """
-        wave = np.exp(2j * np.pi * self.steps)
-        return np.stack([self.light.sum(axis=1) @ wave, self.light.sum(axis=2) @ wave], axis=-1)
+        wave, slanted = np.exp(2j * np.pi * self.steps), np.exp(2j * np.pi * self._slant * self.steps)
+        return np.stack([(self.light @ wave) @ slanted, self.light.sum(axis=2) @ wave], axis=-1)
+
+    def offset(self, cycles: Floats) -> Floats:
+        """Offset of light from the middle of its cell, in pitches, from the phases (..., xy) of the harmonics."""
+        along_x, along_y = cycles[..., 0], cycles[..., 1]
+        return np.stack([along_x - self._slant * along_y, along_y * self.lattice.row_spacing], axis=-1)
+
+    @property
+    def _slant(self) -> float:
+        """Distance by which each row lies to the right of the one before, in pitches."""
+        return 0.0 if self.lattice.arrangement == "square" else 0.5
 
 
 def cell_index(lattice: Lattice, shape: tuple[int, int], *, partial: bool = False) -> NDArray[np.intp]:
-    """Cells, in whole pitches from the centre, that lie entirely on a frame of that shape (row, column): (N, xy).
+    """Cells, columns and rows from the centre, that lie entirely on a frame of that shape (row, column): (N, xy).
 
     With `partial`, those that lie on it only in part.
     """
     last = np.array(shape[::-1]) - 1
     outline_px = np.array([[0, 0], [last[0], 0], [0, last[1]], last], np.float64)
-    reach = np.abs(lattice.from_camera_px(outline_px)).max(axis=0) / lattice.pitch_px
+    reach = np.abs(lattice.from_camera_px(outline_px)).max(axis=0) / lattice.pitch_px / [1.0, lattice.row_spacing]
     x, y = (np.arange(-math.ceil(most), math.ceil(most) + 1) for most in reach)
     index = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    corner = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
-    corner_px = lattice.to_camera_px((index[:, None] + corner) * lattice.pitch_px)
+    corner_px = lattice.to_camera_px((lattice.cell_positions(index)[:, None] + lattice.cell_corners) * lattice.pitch_px)
     inside = np.all((corner_px > -0.5 - _BEYOND_PX) & (corner_px < last + 0.5 + _BEYOND_PX), axis=2)
     begin, end = -0.5 + _BEYOND_PX, last + 0.5 - _BEYOND_PX
     touching = np.all((corner_px.max(axis=1) > begin) & (corner_px.min(axis=1) < end), axis=1)
@@ -63,22 +79,25 @@ def cut(coefficients: Image, lattice: Lattice) -> Cells:
     index = cell_index(lattice, coefficients.shape)
     samples = max(_FEWEST_SAMPLES, 2 * math.ceil(lattice.pitch_px / 2))
     if not len(index):
-        return Cells(index, np.zeros((0, samples, samples), np.float32))
+        return Cells(index, np.zeros((0, samples, samples), np.float32), lattice)
     first, last = index.min(axis=0), index.max(axis=0)
     columns, rows = last - first + 1
+    beside = 0 if lattice.arrangement == "square" else samples // 2  # samples by which odd rows lie to the right
     cosine, sine = math.cos(lattice.rotation_rad), math.sin(lattice.rotation_rad)
-    turn = np.array([[cosine, sine], [-sine, cosine]]) * lattice.pitch_px  # pitches to px, (row, column)
+    turn = np.array([[cosine, sine], [-sine, cosine]]) * [lattice.row_spacing, 1.0] * lattice.pitch_px  # cells to px
     start = first[::-1] - 0.5 + 0.5 / samples
     sampled = ndimage.affine_transform(
         coefficients,
         turn / samples,
         turn @ start + [lattice.center_y_px, lattice.center_x_px],
-        (rows * samples, columns * samples),
+        (rows * samples, columns * samples + beside),
         mode="mirror",
         prefilter=False,
     )
-    x, y = (index - first).T
-    return Cells(index, sampled.reshape(rows, samples, columns, samples)[y, :, x])
+    column, row = (index - first).T
+    start = column * samples + index[:, 1] % 2 * beside
+    windows = sliding_window_view(sampled.reshape(rows, samples, -1), samples, axis=2)
+    return Cells(index, windows[row, :, start], lattice)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +131,7 @@ def match_cells(cells: Cells, *, lit_fraction: float, brightest: int) -> CellMat
     model = np.stack([typical, *(slope.ravel() for slope in slopes), np.ones_like(typical)], axis=-1)
     scale, along_y, along_x, _ = np.linalg.pinv(model) @ flat.T
     scale = np.where(np.abs(scale) > np.finfo(np.float32).tiny, scale, np.inf)
-    displacement = -np.stack([along_x, along_y], axis=-1) / scale[:, None]
+    displacement = -np.stack([along_x, along_y * cells.lattice.row_spacing], axis=-1) / scale[:, None]
     return CellMatch(np.asarray(typical.reshape(shape), np.float64), brightness, is_lit, likeness, displacement)
 
 
@@ -149,14 +168,14 @@ def without_background(cells: Cells, brightness: Floats) -> Cells:
     Where images almost touch, part of the darkest light in a cell is their own; it grows with their brightness and
     stays.
     """
-    size = max(float(np.abs(cells.index).max()), 1.0)
-    x, y = cells.index.T / size
+    size = max(float(np.abs(cells.position).max()), 1.0)
+    x, y = cells.position.T / size
     brightness = _image_brightness(cells, brightness)
     terms = np.concatenate([brightness[:, None], _quadratic(x, y)], axis=1)
     damping = np.diag(np.sqrt(_DAMPING * len(terms)) * np.array([0, 0, 1, 1, 1, 1, 1]))
     solution = np.linalg.pinv(np.concatenate([terms, damping]))[:, : len(terms)]
     steps = cells.steps / size
-    x, y = x[:, None] + steps, y[:, None] + steps  # (N, S)
+    x, y = x[:, None] + steps, y[:, None] + steps * cells.lattice.row_spacing  # (N, S)
     for _ in range(_PASSES):  # with a sloping background, the darkest pixels are not those between the images
         darkest = np.percentile(cells.light, _DARKEST_PERCENT, axis=(1, 2))
         constant, along_x, along_y, xx, xy, yy = (solution @ darkest)[1:]

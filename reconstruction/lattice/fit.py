@@ -1,7 +1,6 @@
 """Fit of pitch, rotation and centre to the light of the cells, and tests of whether the lattice is real."""
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +9,10 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells, rough_background, without_background
-from reconstruction.lattice.spectrum import REACH, Peak
+from reconstruction.lattice.spectrum import REACH, Peak, least_rotation_rad
 
 LIT_FRACTION = 0.1  # of the light of a bright cell
-_TO_PITCHES = 1 / (2 * np.pi)
+_CYCLES = 1 / (2 * np.pi)  # per rad
 _ROUGH_ROUNDS, _FINE_ROUNDS = 3, 2
 _REWEIGHTINGS = 5
 _OUTLYING = 4.685  # standard deviations beyond which a cell has no weight (Tukey's biweight, 95 % efficient)
@@ -61,11 +60,11 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
             return None
         harmonics = sign * _evened(cells.harmonics(), brightest)
         # Cells must hold complete images before neighbours can be compared.
-        growth = _growth(cells.index, harmonics) if rough_round else (0.0, 0.0)
-        lattice = _moved(lattice, np.angle(harmonics.sum(axis=0)) * _TO_PITCHES, *growth)
-        if not rough_round:
-            sign = _sign(cut(coefficients, lattice))
-            lattice = _moved(lattice, np.where(sign < 0, 0.5, 0.0))
+        growth = _growth(cells, harmonics) if rough_round else (0.0, 0.0)
+        lattice = _moved(lattice, cells.offset(np.angle(harmonics.sum(axis=0)) * _CYCLES), *growth)
+        for axis in (1, 0) if not rough_round else ():  # half a row is also beside the columns of a hexagonal lattice
+            sign[axis] = _sign(cut(coefficients, lattice))[axis]
+            lattice = _moved(lattice, cells.offset(np.where(sign < 0, 0.5, 0.0) * (np.arange(2) == axis)))
         if not 1 - 2 * REACH < lattice.pitch_px / start.pitch_px < 1 + 2 * REACH:
             return None
     coefficients = spline_coefficients(light)
@@ -76,12 +75,12 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
         match = match_cells(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
         cells = without_background(cells, match.brightness)
         match = match_cells(cells, lit_fraction=LIT_FRACTION, brightest=brightest)
-        typical = Cells(cells.index[:1], match.typical[None].astype(np.float32))
-        offset = np.angle(typical.harmonics()[0] * sign) * _TO_PITCHES
+        typical = replace(cells, index=cells.index[:1], light=match.typical[None].astype(np.float32))
+        offset = cells.offset(np.angle(typical.harmonics()[0] * sign) * _CYCLES)
         weight = match.is_lit * np.clip(match.brightness, 0, 1) ** 2
         if np.count_nonzero(weight) < _FEWEST:
             return None
-        move, stretch, turn, off_lattice = _similarity(cells.index, match.displacement, weight)
+        move, stretch, turn, off_lattice = _similarity(cells.position, match.displacement, weight)
         lattice = _moved(lattice, move + offset, stretch, turn)
     harmonics = _evened(cells.harmonics(), brightest)
     agreement = np.abs(harmonics.sum(axis=0)) / np.maximum(np.abs(harmonics).sum(axis=0), _NOTHING)
@@ -99,15 +98,19 @@ def _evened(harmonics: NDArray[np.complex128], brightest: int) -> NDArray[np.com
     return np.asarray(harmonics * np.minimum(1, most / np.maximum(size, _NOTHING)))
 
 
-def _growth(index: NDArray[np.intp], harmonics: NDArray[np.complex128]) -> tuple[float, float]:
+def _growth(cells: Cells, harmonics: NDArray[np.complex128]) -> tuple[float, float]:
     """Relative stretch and turn of the lattice, from the phase differences of the harmonics (N, xy) of neighbours."""
-    first = index.min(axis=0)
-    columns, rows = index.max(axis=0) - first + 1
+    first = cells.index.min(axis=0)
+    columns, rows = cells.index.max(axis=0) - first + 1
     grid = np.zeros((rows, columns, 2), np.complex128)
-    x, y = (index - first).T
+    x, y = (cells.index - first).T
     grid[y, x] = harmonics
-    along_columns = np.angle((grid[:, 1:] * grid[:, :-1].conj()).sum(axis=(0, 1))) * _TO_PITCHES
-    along_rows = np.angle((grid[1:] * grid[:-1].conj()).sum(axis=(0, 1))) * _TO_PITCHES
+    apart = 1 if cells.lattice.arrangement == "square" else 2  # rows that lie straight below each other
+    along_columns, along_rows = (
+        cells.offset(np.angle((one * other.conj()).sum(axis=(0, 1))) * _CYCLES)
+        for one, other in ((grid[:, 1:], grid[:, :-1]), (grid[apart:], grid[:-apart]))
+    )
+    along_rows /= apart * cells.lattice.row_spacing
     return float(along_columns[0] + along_rows[1]) / 2, float(along_columns[1] - along_rows[0]) / 2
 
 
@@ -120,13 +123,13 @@ def _sign(cells: Cells) -> Floats:
     return np.array([-1.0 if line[edge].mean() > line[middle].mean() else 1.0 for line in along])
 
 
-def _similarity(index: NDArray[np.intp], displacement: Floats, weight: Floats) -> tuple[Floats, float, float, Floats]:
+def _similarity(position: Floats, displacement: Floats, weight: Floats) -> tuple[Floats, float, float, Floats]:
     """Robust fit of a move, a stretch and a turn to displacements (N, xy), in pitches; also the residuals."""
     counts = weight
     for _ in range(_REWEIGHTINGS):
         counts = counts / counts.sum()
-        middle, mean = counts @ index, counts @ displacement
-        (x, y), (dx, dy) = (index - middle).T, (displacement - mean).T
+        middle, mean = counts @ position, counts @ displacement
+        (x, y), (dx, dy) = (position - middle).T, (displacement - mean).T
         spread = max(float(counts @ (x**2 + y**2)), _NOTHING)
         stretch, turn = float(counts @ (x * dx + y * dy)) / spread, float(counts @ (x * dy - y * dx)) / spread
         rest = displacement - mean - np.stack([stretch * x - turn * y, stretch * y + turn * x], axis=-1)
@@ -142,11 +145,12 @@ def _similarity(index: NDArray[np.intp], displacement: Floats, weight: Floats) -
 def _moved(lattice: Lattice, move: Floats, stretch: float = 0.0, turn: float = 0.0) -> Lattice:
     """Move the lattice by `move` (xy), in pitches along its axes, then stretch and turn it."""
     x_px, y_px = lattice.to_camera_px(move * lattice.pitch_px)
-    return Lattice(
+    return replace(
+        lattice,
         center_x_px=float(x_px),
         center_y_px=float(y_px),
         pitch_px=max(lattice.pitch_px * (1 + stretch), SMALLEST_PITCH_PX),
-        rotation_rad=float(np.remainder(lattice.rotation_rad + turn + np.pi / 4, np.pi / 2) - np.pi / 4),
+        rotation_rad=least_rotation_rad(lattice.arrangement, lattice.rotation_rad + turn),
     )
 
 
@@ -164,10 +168,15 @@ def why_no_lattice(fit: Fit | None, peak: Peak, light: Image, brightest: int) ->
     if lit < max(brightest, _FEWEST_LIT) or np.any(np.ptp(fit.cells.index[is_lit], axis=0) < 1):
         return f"light in {lit} of its lenslets is too little"
     if (scatter := float(np.sqrt(np.mean(np.sum(fit.off_lattice[is_lit] ** 2, axis=-1))))) > _SCATTER:
-        return f"the images lie {100 * scatter:.0f} % of the pitch beside a square lattice"
+        return f"the images lie {100 * scatter:.0f} % of the pitch beside a {fit.lattice.arrangement} lattice"
     if _repeats_inside(fit.match.typical):
         return "its cells hold the same image more than once; check sensor.lenslet_pitch_m and pixel_pitch_m"
     return ""
+
+
+def seems_to_be_other(peak: Peak, other: Peak) -> bool:
+    """True if the spectrum has the peaks of another arrangement rather than those searched for."""
+    return other.mean_strength > max(_OUTSTANDING, peak.mean_strength)
 
 
 def is_outstanding(peak: Peak) -> bool:
@@ -179,8 +188,6 @@ def _why_irregular(peak: Peak, lit: int) -> str:
     """Reason why the cells of a frame, `lit` of which seem lit, differ."""
     if not is_outstanding(peak):
         return "was the light on?"
-    if peak.hexagonal_strength > max(_OUTSTANDING, math.sqrt(math.prod(peak.strength))):
-        return "it seems to show a hexagonal one, and only square ones are supported"
     if max(peak.strength) > _ONE_SIDED * min(peak.strength):
         return "its light repeats in one direction only"
     return "was the light on?" if lit < _FEWEST_LIT else "its cells do not hold the same image"

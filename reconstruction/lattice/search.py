@@ -14,8 +14,15 @@ from scipy import ndimage
 from reconstruction.arrays import Counts, Floats, Image, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
-from reconstruction.geometry import Lattice, Sensor
-from reconstruction.lattice.fit import SMALLEST_PITCH_PX, Fit, fit_lattice, is_outstanding, why_no_lattice
+from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers
+from reconstruction.lattice.fit import (
+    SMALLEST_PITCH_PX,
+    Fit,
+    fit_lattice,
+    is_outstanding,
+    seems_to_be_other,
+    why_no_lattice,
+)
 from reconstruction.lattice.spectrum import REACH, Peak, strongest_peak, without_peaks
 
 _SATURATED_FRACTION = 0.01  # of the pixels
@@ -84,7 +91,7 @@ def survey(
     Returns
     -------
     Survey
-        Its rotation lies within +-45 degrees, because a square lattice looks the same after a quarter turn.
+        Its rotation is the least, see `least_rotation_rad`.
 
     Raises
     ------
@@ -93,7 +100,7 @@ def survey(
     """
     light, pitch_px = _light(reference, sensor, dark, full_scale), sensor.lenslet_pitch_px
     progress("searching for a lattice", 0.0)
-    if not _may_show(light, pitch_px):
+    if not _may_show(light, pitch_px, sensor.arrangement):
         raise ReconstructionError(_refusal(pitch_px, "was the light on?"), image="reference")
     progress("searching for bad pixels", 0.1)
     light = repaired(light, find_bad_pixels(reference, dark))
@@ -114,12 +121,13 @@ def _refusal(pitch_px: float, why: str) -> str:
     return f"the reference shows no lattice of {pitch_px:.1f} px pitch: {why}"
 
 
-def _may_show(light: Image, pitch_px: float) -> bool:
+def _may_show(light: Image, pitch_px: float, arrangement: Arrangement) -> bool:
     """False if the spectrum of a frame with many cells shows no lattice of that pitch, its half or double: quick."""
     if light.size < _MANY * pitch_px**2:
         return True
     light = without_peaks(light)
-    return any(is_outstanding(strongest_peak(light, pitch_px * factor)) for factor in (1.0, *_OTHER_PITCHES))
+    peaks = (strongest_peak(light, pitch_px * factor, arrangement) for factor in (1.0, *_OTHER_PITCHES))
+    return any(is_outstanding(peak) for peak in peaks)
 
 
 def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, str]:
@@ -127,14 +135,20 @@ def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, 
     if pitch_px < SMALLEST_PITCH_PX or min(light.shape) < 2 * pitch_px:
         return None, "its pitch is too small or too large"
     brightest = max(1, sensor.lenslet_rows * sensor.lenslet_columns // _DARK_AT_MOST)
-    peak = strongest_peak(light, pitch_px)
-    fit = fit_lattice(light, _start(peak, light.shape), brightest)
+    peak = strongest_peak(light, pitch_px, sensor.arrangement)
+    fit = fit_lattice(light, _start(peak, light.shape, sensor.arrangement), brightest)
     why = why_no_lattice(fit, peak, light, brightest)
-    return (None if why else fit), why
+    if not why:
+        return fit, why
+    other: Arrangement = "hexagonal" if sensor.arrangement == "square" else "square"
+    if seems_to_be_other(peak, strongest_peak(light, pitch_px, other)):
+        why = f'it seems to show a {other} one: set lattice.arrangement = "{other}"'
+    return None, why
 
 
-def _start(peak: Peak, shape: tuple[int, int]) -> Lattice:
+def _start(peak: Peak, shape: tuple[int, int], arrangement: Arrangement) -> Lattice:
     return Lattice(
+        arrangement=arrangement,
         center_x_px=(shape[1] - 1) / 2,
         center_y_px=(shape[0] - 1) / 2,
         pitch_px=max(peak.pitch_px, SMALLEST_PITCH_PX),
@@ -148,7 +162,8 @@ def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: f
         raise ReconstructionError("the reference is not an image of rows x columns", image="reference")
     rows, columns = reference.shape
     smallest_px = sensor.lenslet_pitch_px * (1 - REACH)
-    if rows < sensor.lenslet_rows * smallest_px - 2 or columns < sensor.lenslet_columns * smallest_px - 2:
+    row_px = smallest_px * sensor.row_spacing_m / sensor.lenslet_pitch_m
+    if rows < sensor.lenslet_rows * row_px - 2 or columns < sensor.lenslet_columns * smallest_px - 2:
         raise ReconstructionError(
             f"{sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets of {sensor.lenslet_pitch_px:.1f} px do not fit"
             f" on {rows} x {columns} pixels",
@@ -171,46 +186,87 @@ def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: f
 
 def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
     """Choose the sensor's lenslets among the cells of the fit."""
-    first = fit.cells.index.min(axis=0)
-    columns, rows = fit.cells.index.max(axis=0) - first + 1
-    x, y = (fit.cells.index - first).T
-    whole = np.zeros((rows, columns), np.bool_)
-    lit, brightness, beside = np.zeros_like(whole), np.zeros(whole.shape), np.full((*whole.shape, 2), np.nan)
-    whole[y, x], lit[y, x] = True, fit.match.is_lit
-    brightness[y, x], beside[y, x] = fit.match.brightness, fit.off_lattice * fit.lattice.pitch_px
-    beside[~lit] = np.nan
-    extent = _extent(lit)
+    grids = [_Grid(fit, cell) for cell in ((0, 0), (0, 1))[: 1 if sensor.arrangement == "square" else 2]]
     wanted = (sensor.lenslet_rows, sensor.lenslet_columns)
+    blocks = [block for grid in grids if (block := grid.block(wanted, shape)) is not None]
+    most = max((block.light for block in blocks), default=0.0)
+    lit = (block for block in blocks if block.light >= most - _ALIKE)
+    best = min(lit, key=lambda block: block.away_px, default=None)
+    grid = grids[0] if best is None else best.grid
+    extent = _extent(grid.lit)
     found = [part.stop - part.start for part in extent]
-    fits: Mask = np.zeros((0, 0), np.bool_)
-    if wanted[0] <= rows and wanted[1] <= columns:
-        fits = np.asarray(sliding_window_view(whole, wanted).all(axis=(2, 3)))
-    if not fits.any() or any(_is_cut(*line) for line in zip(extent, whole.shape, wanted, strict=True)):
+    if best is None or any(_is_cut(*line) for line in zip(extent, grid.lit.shape, wanted, strict=True)):
         raise ReconstructionError(
             f"of the lattice of {fit.lattice.pitch_px:.1f} px only {found[0]} x {found[1]} lenslets lie whole on the"
             f" frame, not the sensor's {wanted[0]} x {wanted[1]}: move the camera, or change sensor.lenslet_rows and"
             " lenslet_columns",
             image="reference",
         )
-    light = np.add.outer(_occupied(lit, 1, wanted[0]), _occupied(lit, 0, wanted[1]))
-    top, left = np.indices(fits.shape)
-    middle = np.stack([left + (wanted[1] - 1) / 2, top + (wanted[0] - 1) / 2], axis=-1) + first
-    center_px = fit.lattice.to_camera_px(middle * fit.lattice.pitch_px)
-    away_px = np.hypot(*np.moveaxis(center_px - (np.array(shape[::-1]) - 1) / 2, -1, 0))
-    alike = fits & (light >= light[fits].max() - _ALIKE)
-    row, column = np.unravel_index(np.argmin(np.where(alike, away_px, np.inf)), fits.shape)
-    block = slice(row, row + wanted[0]), slice(column, column + wanted[1])
-    center_x_px, center_y_px = center_px[row, column]
+    brightness, beside = np.zeros(grid.lit.shape), np.full((*grid.lit.shape, 2), np.nan)
+    brightness[grid.place], beside[grid.place] = fit.match.brightness, fit.off_lattice * fit.lattice.pitch_px
+    beside[~grid.lit] = np.nan
+    chosen = best.slices
+    center_x_px, center_y_px = best.center_px
     return Survey(
         lattice=replace(fit.lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px)),
         rows=found[0],
         columns=found[1],
-        illuminated=lit[block],
-        displacement_px=beside[block],
-        brightness=brightness[block],
+        illuminated=grid.lit[chosen],
+        displacement_px=beside[chosen],
+        brightness=brightness[chosen],
         typical=fit.match.typical,
         likeness=float(np.median(fit.match.likeness[fit.match.is_lit])),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """As many rows and columns of cells as the sensor has lenslets."""
+
+    grid: "_Grid"
+    slices: tuple[slice, slice]  # of the grid
+    center_px: Floats  # (xy,)
+    light: float  # lit rows and columns
+    away_px: float  # from the frame's middle
+
+
+class _Grid:
+    """Cells of a fit in rows and columns, counted from one of them; hexagonal ones from an even row on."""
+
+    def __init__(self, fit: Fit, origin: tuple[int, int]) -> None:
+        self._lattice, index = fit.lattice, fit.cells.index - origin
+        self._origin = fit.lattice.cell_positions(np.array(origin))
+        if origin[1] % 2:
+            index[:, 0] -= index[:, 1] % 2  # rows that lay to the left of the origin's row lie to its right
+        self._first = index.min(axis=0)
+        self._first[1] -= self._first[1] % 2 * (fit.lattice.arrangement == "hexagonal")
+        columns, rows = index.max(axis=0) - self._first + 1
+        column, row = (index - self._first).T
+        self.place = row, column
+        self._whole, self.lit = np.zeros((2, rows, columns), np.bool_)
+        self._whole[self.place], self.lit[self.place] = True, fit.match.is_lit
+
+    def block(self, wanted: tuple[int, int], shape: tuple[int, int]) -> _Block | None:
+        """Block of the `wanted` rows and columns with most light; of equal ones that nearest to the frame's middle."""
+        if wanted[0] > len(self.lit) or wanted[1] > len(self.lit.T):
+            return None
+        fits = np.array(sliding_window_view(self._whole, wanted).all(axis=(2, 3)))
+        arrangement = self._lattice.arrangement
+        if arrangement == "hexagonal":
+            fits[1::2] = False
+        if not fits.any():
+            return None
+        light = np.add.outer(_occupied(self.lit, 1, wanted[0]), _occupied(self.lit, 0, wanted[1]))
+        corner = np.moveaxis(np.indices(fits.shape)[::-1], 0, -1) + self._first  # (row, column, xy)
+        first_lenslet = self._origin + self._lattice.cell_positions(corner)
+        middle = first_lenslet - lenslet_centers(arrangement, *wanted)[0, 0]
+        center_px = self._lattice.to_camera_px(middle * self._lattice.pitch_px)
+        away_px = np.hypot(*np.moveaxis(center_px - (np.array(shape[::-1]) - 1) / 2, -1, 0))
+        alike = fits & (light >= light[fits].max() - _ALIKE)
+        row, column = np.unravel_index(np.argmin(np.where(alike, away_px, np.inf)), fits.shape)
+        slices = slice(int(row), int(row) + wanted[0]), slice(int(column), int(column) + wanted[1])
+        best = row, column
+        return _Block(self, slices, center_px[best], float(light[best]), float(away_px[best]))
 
 
 def _extent(lit: Mask) -> tuple[slice, slice]:

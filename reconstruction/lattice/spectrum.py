@@ -1,15 +1,17 @@
 """Rough pitch and rotation of a lattice from the spectrum of a frame.
 
-A square lattice has two spectral peaks, one for its rows and one for its columns. They are searched for together, so
-that neither noise nor stripes pass for a lattice.
+A square lattice has two spectral peaks, one for its rows and one for its columns, a hexagonal one three, 60 degrees
+apart. They are searched for together, so that neither noise nor stripes pass for a lattice.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft, ndimage
 
 from reconstruction.arrays import Image
+from reconstruction.geometry import Arrangement
 
 REACH = 0.16  # relative error of the designed pitch that is searched
 _BINNED_PITCH_PX = 12  # pitch after binning; coarser frames would lose the lattice
@@ -19,18 +21,32 @@ _PADDING = 2  # zero padding
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peak:
-    """The square lattice with the strongest pair of harmonics."""
+    """The lattice with the strongest two or three harmonics."""
 
     pitch_px: float
-    rotation_rad: float  # -45 ... 45 degrees: a square lattice looks the same after a quarter turn
-    strength: tuple[float, float]  # of the harmonics along its rows and columns, over the median
-    hexagonal_strength: float  # of the strongest three harmonics 60 degrees apart, over the median
+    rotation_rad: float  # see `least_rotation_rad`
+    strength: tuple[float, ...]  # of its harmonics, over the median
+
+    @property
+    def mean_strength(self) -> float:
+        """Geometric mean over the harmonics."""
+        return math.prod(self.strength) ** (1 / len(self.strength))
 
 
-def strongest_peak(image: Image, pitch_px: float) -> Peak:
-    """Find the square lattice of about `pitch_px` with the strongest spectrum in an image (row, column)."""
-    binning = max(1, int(pitch_px / _BINNED_PITCH_PX))
-    light, near_px = _binned(image, binning), pitch_px / binning
+def least_rotation_rad(arrangement: Arrangement, rotation_rad: float) -> float:
+    """Rotation of a lattice between -45 and 45 degrees, if square, or -15 and 45 degrees, if hexagonal.
+
+    It looks the same after a quarter, or a sixth, of a turn. Neither end of the range is a usual way to mount it.
+    """
+    period, least = (math.pi / 2, -math.pi / 4) if arrangement == "square" else (math.pi / 3, -math.pi / 12)
+    return (rotation_rad - least) % period + least
+
+
+def strongest_peak(image: Image, pitch_px: float, arrangement: Arrangement = "square") -> Peak:
+    """Find the lattice of about `pitch_px` with the strongest spectrum in an image (row, column)."""
+    period = 1.0 if arrangement == "square" else math.sqrt(3) / 2  # of the harmonics, in pitches
+    binning = max(1, int(pitch_px * period / _BINNED_PITCH_PX))
+    light, near_px = _binned(image, binning), pitch_px * period / binning
     amplitude = _amplitude(light, near_px)
     cells = max(light.shape) / near_px
     pitches_px = near_px * np.linspace(1 - REACH, 1 + REACH, int(2 * REACH * _FINENESS * cells) + 8)
@@ -41,15 +57,14 @@ def strongest_peak(image: Image, pitch_px: float) -> Peak:
     index = frequency * np.array(_padded(light.shape))[:, None, None]
     strength = ndimage.map_coordinates(amplitude, index, order=1, mode="grid-wrap")
     strength /= max(float(np.median(strength)), float(np.finfo(np.float32).tiny))
-    first, second = strength[:, :angles], strength[:, angles:]
-    best = np.unravel_index(np.argmax(first * second), first.shape)
-    sixty = 2 * angles // 3
-    three = strength * np.roll(strength, sixty, axis=1) * np.roll(strength, -sixty, axis=1)
+    apart = angles if arrangement == "square" else 2 * angles // 3
+    harmonics = np.stack([np.roll(strength, -turn, axis=1) for turn in range(0, 2 * angles, apart)])[..., :apart]
+    best = np.unravel_index(np.argmax(harmonics.prod(axis=0)), harmonics.shape[1:])
+    row_rad = 0.0 if arrangement == "square" else math.pi / 6  # from a harmonic to the nearest row of lenslets
     return Peak(
-        pitch_px=float(pitches_px[best[0]]) * binning,
-        rotation_rad=float(angle_rad[best[1]]),
-        strength=(float(first[best]), float(second[best])),
-        hexagonal_strength=float(np.cbrt(three.max())),
+        pitch_px=float(pitches_px[best[0]]) * binning / period,
+        rotation_rad=least_rotation_rad(arrangement, float(angle_rad[best[1]]) - row_rad),
+        strength=tuple(float(each) for each in harmonics[:, best[0], best[1]]),
     )
 
 

@@ -124,8 +124,8 @@ def best_correction(
         raise ValueError("no lenslet has a wavefront")
     half_width_m = np.array(sensor.pupil_half_width_m) + abs(ratio) * field.half_width_m
     x_m, y_m = positions_m.T[:, :, None, None]
-    x = (sensor.pupil_x_m + ratio * x_m) / half_width_m[0]
-    y = (sensor.pupil_y_m[:, None] + ratio * y_m) / half_width_m[1]
+    u_m, v_m = np.moveaxis(sensor.lenslet_centers_m, -1, 0)
+    x, y = (u_m + ratio * x_m) / half_width_m[0], (v_m + ratio * y_m) / half_width_m[1]
     share = known / np.maximum(lenslets, 1)
 
     def without_piston(phase: Floats) -> Floats:

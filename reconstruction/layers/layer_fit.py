@@ -68,7 +68,7 @@ class LayerFit:
 
     def wavefront(self, sensor: Sensor, x_m: float, y_m: float) -> Floats:
         """Wavefront of a field position at the lenslet centres, rad, without piston, (lenslet_row, lenslet_column)."""
-        u_m, v_m = sensor.pupil_x_m, sensor.pupil_y_m[:, None]
+        u_m, v_m = np.moveaxis(sensor.lenslet_centers_m, -1, 0)
         each = [layer.phase(u_m + layer.ratio * x_m, v_m + layer.ratio * y_m, with_tilt=True) for layer in self.layers]
         total = np.sum(each, axis=0)
         return np.asarray(total - total.mean())

@@ -4,17 +4,18 @@ import numpy as np
 from numpy.polynomial import legendre as series
 
 from reconstruction.arrays import Floats
+from reconstruction.geometry import Sensor
 
 
-def local_wavefronts(products: Floats, lenslet_rows: int, lenslet_columns: int, degree: int) -> Floats:
-    """Project pupil modes on the products P_m(xi) P_n(eta) over each lenslet, xi and eta in [-1, 1].
+def local_wavefronts(products: Floats, sensor: Sensor, degree: int) -> Floats:
+    """Project pupil modes on the products P_m(xi) P_n(eta) over each lenslet.
 
     Parameters
     ----------
     products : (pupil_mode, n, m)
         The modes as sums of products over the whole lattice, see `PupilModes`.
-    lenslet_rows, lenslet_columns : int
-        The lenslets tile the lattice.
+    sensor : Sensor
+        xi and eta are -1 ... 1 over the square around the aperture of a lenslet.
     degree : int
         Highest local m and n.
 
@@ -27,10 +28,15 @@ def local_wavefronts(products: Floats, lenslet_rows: int, lenslet_columns: int, 
     nodes, weights = np.polynomial.legendre.leggauss((highest + degree) // 2 + 1)
     project = series.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)  # (node, local)
 
-    def in_cells(cells: int) -> Floats:
-        center = (2 * np.arange(cells) + 1 - cells) / cells
-        values = series.legvander(center[:, None] + nodes / cells, highest)  # (cell, node, k)
-        return np.asarray(np.einsum("cik,ij->cjk", values, project))
+    def in_cells(center_m: Floats, half_width_m: float) -> Floats:
+        at = (center_m[:, None] + nodes * sensor.aperture_width_m / 2) / half_width_m
+        return np.asarray(np.einsum("cik,ij->cjk", series.legvander(at, highest), project))  # (cell, local, k)
 
-    along_x, along_y = in_cells(lenslet_columns), in_cells(lenslet_rows)
-    return np.asarray(np.einsum("pkl,rnk,cml->rcnmp", products, along_y, along_x, optimize=True))
+    half_x_m, half_y_m = sensor.pupil_half_width_m
+    along_y = in_cells(sensor.pupil_y_m, half_y_m)
+    rows_of_x = sensor.lenslet_centers_m[:2, :, 0]  # of even and of odd rows
+    local = np.empty((len(along_y), rows_of_x.shape[1], degree + 1, degree + 1, len(products)))
+    for first, x_m in enumerate(rows_of_x):
+        along_x, some = in_cells(x_m, half_x_m), slice(first, None, 2)
+        local[some] = np.einsum("pkl,rnk,cml->rcnmp", products, along_y[some], along_x, optimize=True)
+    return local

@@ -1,13 +1,28 @@
 """Pupil modes R_p, in which a wavefront is written: phi(u) = sum_p e_p R_p(u)."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.geometry import Sensor, centered_steps
-from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, legendre_orders, legendre_products
-from reconstruction.modes.zernike import noll_orders, zernike, zernike_lenslet_gradients, zernike_products
+from reconstruction.modes.legendre import (
+    legendre,
+    legendre_gradients,
+    legendre_lenslet_gradients,
+    legendre_orders,
+    legendre_products,
+)
+from reconstruction.modes.zernike import (
+    noll_orders,
+    zernike,
+    zernike_gradients,
+    zernike_lenslet_gradients,
+    zernike_products,
+)
 from reconstruction.settings import PupilBasis
 
 _HIGHEST_DEGREE = 16  # highest for which the mean gradients of both bases are exact
@@ -34,28 +49,53 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
     if count is None:
         highest = min(rows - 1, columns - 1, _HIGHEST_DEGREE)
         count = (highest + 1) * (highest + 2) // 2
-    half_x_m, half_y_m = sensor.pupil_half_width_m
+    half_m, centers_m = np.array(sensor.pupil_half_width_m), sensor.lenslet_centers_m
     if basis == "legendre":
+        if sensor.arrangement == "square":
+            gradients = legendre_lenslet_gradients(count, rows, columns)
+        else:
+            gradients = _hexagon_means(partial(legendre_gradients, count), sensor, half_m)
         return PupilModes(
-            values=legendre(count, sensor.pupil_x_m / half_x_m, sensor.pupil_y_m[:, None] / half_y_m),
-            gradients=legendre_lenslet_gradients(count, rows, columns) / sensor.pupil_half_width_m,
+            values=legendre(count, *np.moveaxis(centers_m / half_m, -1, 0)),
+            gradients=gradients / half_m,
             inside=np.ones((rows, columns), np.bool_),
             degree=np.asarray(np.sum(legendre_orders(count), axis=1), np.float64),
             products=legendre_products(count),
         )
-    radius_m = min(half_x_m, half_y_m)
-    x, y = sensor.pupil_x_m / radius_m, sensor.pupil_y_m[:, None] / radius_m
-    edges_x, edges_y = (
-        centered_steps(lenslets + 1) * sensor.lenslet_pitch_m / radius_m for lenslets in (columns, rows)
-    )
+    radius_m = half_m.min()
+    x, y = np.moveaxis(centers_m / radius_m, -1, 0)
+    if sensor.arrangement == "square":
+        edges_x, edges_y = (
+            centered_steps(lenslets + 1) * sensor.lenslet_pitch_m / radius_m for lenslets in (columns, rows)
+        )
+        gradients = zernike_lenslet_gradients(count, edges_x, edges_y)
+    else:
+        gradients = _hexagon_means(partial(zernike_gradients, count), sensor, np.full(2, radius_m))
     degree = np.array([n for n, _ in noll_orders(count)], np.float64)
     return PupilModes(
         values=zernike(count, x, y),
-        gradients=zernike_lenslet_gradients(count, edges_x, edges_y) / radius_m,
+        gradients=gradients / radius_m,
         inside=np.asarray(x**2 + y**2 <= 1),
         degree=degree,
-        products=zernike_products(count, half_x_m / radius_m, half_y_m / radius_m),
+        products=zernike_products(count, *(half_m / radius_m)),
     )
+
+
+def _hexagon_means(gradients: Callable[[Floats, Floats], Floats], sensor: Sensor, unit_m: Floats) -> Floats:
+    """Means over hexagonal lenslets of gradients (mode, *shape, xy) at positions in `unit_m` (xy,).
+
+    The Gauss-Legendre rule, along x and between the edges along y, is exact up to degree 16 of the modes.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_HIGHEST_DEGREE // 2 + 1)
+    along = (nodes + 1) / 4  # of the right half, in pitches
+    edge = (1 - along) / math.sqrt(3)  # upper one
+    centers_m, total = sensor.lenslet_centers_m, 0.0
+    area = 4 * float(weights @ edge)
+    for x, height, share in zip((*along, *-along), (*edge, *edge), (*weights, *weights), strict=True):
+        for node, weight in zip(nodes, weights, strict=True):
+            at = (centers_m + np.array([x, height * node]) * sensor.lenslet_pitch_m) / unit_m
+            total = total + share * height * weight / area * gradients(at[..., 0], at[..., 1])
+    return np.asarray(total)
 
 
 class PupilGrid:

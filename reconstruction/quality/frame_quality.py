@@ -216,8 +216,9 @@ def _misfit(displacement: Displacement) -> float:
 
 
 def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
-    """Parts of a lattice, of at most 16 x 16 lenslets each."""
+    """Parts of a lattice, of about 16 x 16 lenslets each; all begin with an even row."""
     rows, columns = (np.linspace(0, side, -(-side // _TILE) + 1).astype(int).tolist() for side in shape)
+    rows[1:-1] = [row - row % 2 for row in rows[1:-1]]
     for top, bottom in pairwise(rows):
         for left, right in pairwise(columns):
             yield slice(top, bottom), slice(left, right)

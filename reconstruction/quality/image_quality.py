@@ -16,6 +16,7 @@ from scipy.interpolate import make_interp_spline
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor, centered_steps
 from reconstruction.quality.extrapolation import extrapolate
+from reconstruction.quality.row_alignment import aligned
 
 _SAMPLES = 6  # along each side of a lenslet
 _FARTHEST_PERCENT = 99.0  # percentile of the slopes within the reach
@@ -57,10 +58,11 @@ def psf(phase: Floats, sensor: Sensor, *, angle_rad: Floats) -> Floats:
     (..., angle_row, angle_column)
         NaN if nothing is known of a wavefront.
     """
-    field = _transmission(phase)
+    field = _transmission(aligned(phase, sensor.arrangement))
+    rows, columns = phase.shape[-2:]
     to_row, to_column = (
         np.exp(-1j * sensor.wavenumber_rad_per_m * angle_rad[:, None] * at_m).astype(np.complex64)
-        for at_m in (_positions_m(phase.shape[-2], sensor), _positions_m(phase.shape[-1], sensor))
+        for at_m in (_positions_m(rows, sensor.row_spacing_m), _positions_m(columns, sensor.lenslet_pitch_m))
     )
     light = np.abs(to_row @ field @ to_column.T) ** 2
     area = np.abs(field).sum(axis=(-2, -1), dtype=np.float64)[..., None, None]
@@ -78,10 +80,11 @@ def mtf(phase: Floats, sensor: Sensor) -> Mtf:
         rad; NaN where unknown.
     sensor : Sensor
     """
-    field = _transmission(phase)
+    field = _transmission(aligned(phase, sensor.arrangement))
+    rows, columns = phase.shape[-2:]
     return Mtf(
-        frequency_x_per_rad=_frequencies(phase.shape[-1], sensor),
-        frequency_y_per_rad=_frequencies(phase.shape[-2], sensor),
+        frequency_x_per_rad=_frequencies(columns, sensor.lenslet_pitch_m, sensor),
+        frequency_y_per_rad=_frequencies(rows, sensor.row_spacing_m, sensor),
         along_x=_overlap(field),
         along_y=_overlap(np.swapaxes(field, -2, -1)),
         limit_x=_overlap(np.abs(field)),
@@ -94,14 +97,14 @@ def psf_reach_rad(phase: Floats, sensor: Sensor) -> float:
 
     From the slopes between neighbouring lenslets, plus diffraction. NaN if no two neighbours are known.
     """
-    views = phase.reshape(-1, *phase.shape[-2:])
-    rises = [np.abs(np.concatenate([np.diff(view).ravel(), np.diff(view, axis=0).ravel()])) for view in views]
-    known = [rise[np.isfinite(rise)] for rise in rises if np.isfinite(rise).any()]
+    views = aligned(phase, sensor.arrangement).reshape(-1, *phase.shape[-2:])
+    along_x, along_y = np.diff(views) / sensor.lenslet_pitch_m, np.diff(views, axis=1) / sensor.row_spacing_m
+    slopes = np.abs(np.concatenate([each.reshape(len(views), -1) for each in (along_x, along_y)], axis=1))
+    known = [slope[np.isfinite(slope)] for slope in slopes if np.isfinite(slope).any()]
     if not known:
         return float("nan")
-    steepest_rad = max(float(np.percentile(rise, _FARTHEST_PERCENT)) for rise in known)
-    geometry_rad = steepest_rad / sensor.lenslet_pitch_m / sensor.wavenumber_rad_per_m
-    return geometry_rad + _DIFFRACTION * diffraction_rad(sensor)
+    steepest = max(float(np.percentile(slope, _FARTHEST_PERCENT)) for slope in known)
+    return steepest / sensor.wavenumber_rad_per_m + _DIFFRACTION * diffraction_rad(sensor)
 
 
 def psf_angles_rad(sensor: Sensor, reach_rad: float) -> Floats:
@@ -135,13 +138,13 @@ def _to_samples(lenslets: int) -> Floats:
     return np.asarray(make_interp_spline(centers, np.eye(lenslets + 2), k=3)(at))
 
 
-def _positions_m(lenslets: int, sensor: Sensor) -> Floats:
-    return centered_steps(lenslets * _SAMPLES) / _SAMPLES * sensor.lenslet_pitch_m
+def _positions_m(lenslets: int, spacing_m: float) -> Floats:
+    return centered_steps(lenslets * _SAMPLES) / _SAMPLES * spacing_m
 
 
-def _frequencies(lenslets: int, sensor: Sensor) -> Floats:
+def _frequencies(lenslets: int, spacing_m: float, sensor: Sensor) -> Floats:
     """Frequencies at which samples along one axis interfere, cycles/rad, (frequency,)."""
-    return np.arange(lenslets * _SAMPLES + 1) / _SAMPLES * sensor.lenslet_pitch_m / sensor.wavelength_m
+    return np.arange(lenslets * _SAMPLES + 1) / _SAMPLES * spacing_m / sensor.wavelength_m
 
 
 def _overlap(field: NDArray[np.complex64] | NDArray[np.float32]) -> Floats:

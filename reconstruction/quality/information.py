@@ -57,8 +57,7 @@ def layered_information(
     derivatives = model.derivatives(_DEGREE, field_modes.values(*model.position.T))
     n, m = np.nonzero(np.any(derivatives, axis=(2, 3, 4)))
     derivatives, image = derivatives[n, m], model.image()
-    rows, columns = light.shape
-    local = local_wavefronts(products, rows, columns, _DEGREE)[:, :, n, m]
+    local = local_wavefronts(products, sensor, _DEGREE)[:, :, n, m]
     local, of_lenslet = local.reshape(light.size, -1), light.ravel()  # (lenslet, local * pupil_mode), (lenslet,)
     step = np.rint(np.log(np.maximum(of_lenslet, np.finfo(np.float64).tiny)) / _LIGHT_STEP)
     total = np.zeros((len(products), field_modes.count) * 2)

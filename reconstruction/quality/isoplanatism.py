@@ -64,7 +64,7 @@ def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
     position_m = field_positions_m(field, _ACROSS)
     x, y = position_m.T / field.half_width_m
     phase = wavefront.solution.wavefront(np.moveaxis(wavefront.displacement.modes.values(x, y), 0, -1))
-    flat = without_tilt(phase)
+    flat = without_tilt(phase, wavefront.sensor.arrangement)
     step_m = 2 * field.half_width_m / _ACROSS
     mean = without_piston(np.mean(phase, axis=0))
     return Isoplanatism(

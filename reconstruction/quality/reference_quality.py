@@ -6,7 +6,7 @@ import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.geometry import Lattice, Sensor, centered_steps
+from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.clipping import clipped_fraction
 from reconstruction.quality.verdict import Fault, Quality
 
@@ -97,15 +97,13 @@ def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
 
     Whole pitches do not count: a reference may show more lenslets than the sensor has; see `lit_elsewhere`.
     """
-    corners = np.array(
-        [
-            (x, y)
-            for x in centered_steps(sensor.lenslet_columns)[[0, -1]]
-            for y in centered_steps(sensor.lenslet_rows)[[0, -1]]
-        ]
-    )
+    centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns)
+    corners = centers[[0, 0, -1, -1], [0, -1, 0, -1]]
     off = other.from_camera_px(lattice.to_camera_px(corners * lattice.pitch_px)) / other.pitch_px - corners
-    off -= np.rint(off.mean(axis=0))
+    mean = off.mean(axis=0)
+    rows = np.rint(mean[1] / other.row_spacing)
+    half = 0.0 if sensor.arrangement == "square" else (rows % 2) / 2
+    off -= [np.rint(mean[0] - half) + half, rows * other.row_spacing]
     return float(np.hypot(*off.T).max() * other.pitch_px)
 
 
@@ -122,9 +120,8 @@ def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Senso
 def _contrast(light: Floats, lattice: Lattice, sensor: Sensor) -> Floats:
     """Standard deviation of the light over each cell of a lattice, counts, (L,); 0 beyond the frame."""
     steps = centered_steps(_SAMPLES) / _SAMPLES
-    columns, rows = centered_steps(sensor.lenslet_columns), centered_steps(sensor.lenslet_rows)
-    x, y = (np.add.outer(centre, steps) for centre in (columns, rows))  # (lenslet, sample), pitches
-    at = np.stack(np.broadcast_arrays(x[None, :, None, :], y[:, None, :, None]), axis=-1).reshape(-1, _SAMPLES**2, 2)
+    centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns).reshape(-1, 1, 2)
+    at = centers + np.stack(np.meshgrid(steps, steps * lattice.row_spacing), axis=-1).reshape(-1, 2)
     column, row = np.moveaxis(np.rint(lattice.to_camera_px(at * lattice.pitch_px)).astype(np.intp), -1, 0)
     inside = (row >= 0) & (row < light.shape[0]) & (column >= 0) & (column < light.shape[1])
     return np.asarray(np.std(np.where(inside, light[row * inside, column * inside], 0.0), axis=1))

@@ -36,7 +36,8 @@ def slope_fit(wavefront: Wavefront, sensor: Sensor, modes: PupilModes) -> SlopeF
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
     field_modes = np.moveaxis(displacement.modes.values(x, y[:, None]), 0, -1)
     misfit = np.tensordot(field_modes, solution.misfit, axes=([-1], [2])) * sensor.slope_per_px
-    difference = zonal_wavefront(misfit, displacement.valid & modes.inside, pitch_m=sensor.lenslet_pitch_m)
+    known, pitch_m = displacement.valid & modes.inside, sensor.lenslet_pitch_m
+    difference = zonal_wavefront(misfit, known, pitch_m=pitch_m, arrangement=sensor.arrangement)
     difference[~field.contains(x, y[:, None])] = np.nan
     return SlopeFit(without_piston(views + difference), views, difference)
 

@@ -51,17 +51,18 @@ class ReferenceSubimages:
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage
         self.blur_px = sensor.blur_px
         self.pitch_px = lattice.pitch_px
-        self.reach_px = (lattice.pitch_px - self.blur_px) / 2  # light beyond it reaches the next cell
+        self.cell_height_px = lattice.pitch_px * lattice.row_spacing  # a cell is a pitch wide
+        self.reach_px = (self.cell_height_px - self.blur_px) / 2  # light beyond it reaches the next cell
         if not self.half_width_px < self.reach_px:
             raise ReconstructionError(
                 f"the image of the field, {2 * self.half_width_px:.1f} px wide, leaves no room to move in cells of"
-                f" {lattice.pitch_px:.1f} px, of which blur takes {self.blur_px:.1f} px: lower field.half_width_m"
+                f" {self.cell_height_px:.1f} px, of which blur takes {self.blur_px:.1f} px: lower field.half_width_m"
             )
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
         cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
         self.turn = np.array([[cosine, sine], [-sine, cosine]])  # row vectors: lattice frame @ turn = camera
 
-        self.steps_px = centered_steps(int(lattice.pitch_px))  # of a window's columns, and of its rows
+        self.steps_px = centered_steps(int(self.cell_height_px))  # of a window's columns, and of its rows
         self.width = self.steps_px.size
         y, x = (grid.ravel() for grid in np.meshgrid(self.steps_px, self.steps_px, indexing="ij"))
         self.offset_px = np.stack([x, y], axis=-1)  # window positions about the centre, lattice frame, (N, xy)
@@ -113,7 +114,8 @@ class ReferenceSubimages:
             return np.zeros(len(self.center_px), np.bool_)
         row, column = np.nonzero(pixels)
         away_px = (np.stack([column, row], axis=-1) - self.center_px[:, None]) @ self.turn.T
-        return np.asarray(np.any(np.abs(away_px).max(axis=-1) < self.pitch_px / 2 + _NEXT_PX, axis=1))
+        near_px = np.array([self.pitch_px, self.cell_height_px]) / 2 + _NEXT_PX
+        return np.asarray(np.any(np.all(np.abs(away_px) < near_px, axis=-1), axis=1))
 
     def range_used(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Floats:
         """Share (L,) of the dynamic range used: displacement of the field's edge over that which leaves the cell.

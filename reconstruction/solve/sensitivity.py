@@ -30,14 +30,13 @@ def geometric_sensitivity(sensor: Sensor, parameters: Floats) -> Sensitivity:
     return sensitivity
 
 
-def response_sensitivity(response: Floats) -> Sensitivity:
+def response_sensitivity(sensor: Sensor, response: Floats) -> Sensitivity:
     """Response to local wavefronts, (lenslet, n, m, field_mode, K), px per rad: see `registration.response`."""
     degree = response.shape[1] - 1
     n, m = np.nonzero(np.any(response, axis=(0, 3, 4)))
 
     def sensitivity(modes: PupilModes, lenslets: Lenslets) -> Floats:
-        rows, columns = modes.inside.shape
-        local = local_wavefronts(modes.products[1:], rows, columns, degree)
+        local = local_wavefronts(modes.products[1:], sensor, degree)
         local = local.reshape(-1, *local.shape[2:])[lenslets][:, n, m]  # (lenslet, j, pupil_mode - 1)
         return np.asarray(np.einsum("ljp,ljqk->lkpq", local, response[lenslets][:, n, m], optimize=True))
 

@@ -1,6 +1,7 @@
 """Zonal reconstruction at the lenslet centres: Southwell's equations (J. Opt. Soc. Am. 70, 998, 1980).
 
-Between neighbouring lenslets the wavefront rises by the mean of their slopes times the pitch. The weighted
+Between neighbouring lenslets, four or six, the wavefront rises by the mean of their slopes along the way times the
+pitch. The weighted
 least-squares solution over all pairs of valid lenslets needs one sparse factorisation, cached until the valid lenslets
 or their weights change.
 """
@@ -15,6 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from reconstruction.arrays import Floats, Mask
+from reconstruction.geometry import Arrangement, lenslet_centers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,16 +28,19 @@ class ZonalSolution:
     pitch_m: float
     weights: Floats | None = None  # in any unit, (lenslet_row, lenslet_column)
     slope_covariance: Floats | None = None  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
+    arrangement: Arrangement = "square"
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, for values (..., field_mode) of the field modes; see `wavefront.Solution`."""
         slopes = np.tensordot(field_modes, self.slopes, axes=([-1], [2]))
-        return zonal_wavefront(slopes, self.valid, pitch_m=self.pitch_m, weights=self.weights)
+        return zonal_wavefront(
+            slopes, self.valid, pitch_m=self.pitch_m, weights=self.weights, arrangement=self.arrangement
+        )
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront` from the noise of the slopes, rad, the same shape."""
         sigma = np.full((*field_modes.shape[:-1], self.valid.size), np.nan)
-        equations = _equations(self.valid, self.weights)
+        equations = _equations(self.valid, self.weights, self.arrangement)
         if equations is not None and self.slope_covariance is not None:
             unit = np.eye(self.valid.size)
             by_slope = [equations.solve(unit, axis) * self.pitch_m for axis in (0, 1)]  # each (node, lenslet)
@@ -54,18 +59,20 @@ class _Southwell:
     """Factorised equations of one connected set of lenslets (nodes)."""
 
     node: NDArray[np.intp]  # flat index of every lenslet with an equation, (node,)
-    mean: tuple[sparse.csr_array, sparse.csr_array]  # of x slopes, of y slopes, over their pairs: (pair, lenslet)
-    weighted: tuple[sparse.csr_array, sparse.csr_array]  # difference^T weight, of x pairs, of y pairs: (node - 1, pair)
+    rise: tuple[sparse.csr_array, sparse.csr_array]  # between pairs, by x slopes, by y slopes: (pair, lenslet)
+    weighted: sparse.csr_array  # difference^T weight, (node - 1, pair)
     factors: SuperLU  # of difference^T weight difference; the first node is held at zero
 
     def solve(self, slopes: Floats, axis: int) -> Floats:
         """Wavefronts without piston (node, case), per pitch, of slopes (lenslet, case) along one axis."""
-        phase = self.factors.solve(np.asarray(self.weighted[axis] @ (self.mean[axis] @ slopes)))
+        phase = self.factors.solve(np.asarray(self.weighted @ (self.rise[axis] @ slopes)))
         phase = np.concatenate([np.zeros((1, slopes.shape[1])), phase])
         return np.asarray(phase - phase.mean(axis=0))
 
 
-def zonal_wavefront(slopes: Floats, valid: Mask, *, pitch_m: float, weights: Floats | None = None) -> Floats:
+def zonal_wavefront(
+    slopes: Floats, valid: Mask, *, pitch_m: float, weights: Floats | None = None, arrangement: Arrangement = "square"
+) -> Floats:
     """Integrate slopes to wavefronts without piston, all leading axes at once.
 
     Parameters
@@ -76,6 +83,8 @@ def zonal_wavefront(slopes: Floats, valid: Mask, *, pitch_m: float, weights: Flo
     pitch_m : float
     weights : (lenslet_row, lenslet_column), optional
         In any unit.
+    arrangement : Arrangement
+        Of the lenslets.
 
     Returns
     -------
@@ -84,45 +93,52 @@ def zonal_wavefront(slopes: Floats, valid: Mask, *, pitch_m: float, weights: Flo
     """
     flat = np.where(valid[..., None], slopes, 0.0).reshape(-1, valid.size, 2)
     wavefront = np.full((len(flat), valid.size), np.nan)
-    equations = _equations(valid, weights)
+    equations = _equations(valid, weights, arrangement)
     if equations is not None:
         phase = sum(equations.solve(flat[..., axis].T, axis) for axis in (0, 1))
         wavefront[:, equations.node] = np.transpose(phase) * pitch_m
     return wavefront.reshape(*slopes.shape[:-3], *valid.shape)
 
 
-def _equations(valid: Mask, weights: Floats | None) -> _Southwell | None:
+def _equations(valid: Mask, weights: Floats | None, arrangement: Arrangement) -> _Southwell | None:
     weights = np.ones(valid.shape) if weights is None else np.asarray(weights, np.float64)
-    return _southwell(valid.tobytes(), weights.tobytes(), *valid.shape)
+    return _southwell(valid.tobytes(), weights.tobytes(), *valid.shape, arrangement)
 
 
 @lru_cache(maxsize=16)
-def _southwell(valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int) -> _Southwell | None:
+def _southwell(
+    valid_bytes: bytes, weight_bytes: bytes, rows: int, columns: int, arrangement: Arrangement
+) -> _Southwell | None:
     """Factorise the equations; None if no two valid lenslets are neighbours."""
     valid = np.frombuffer(valid_bytes, np.bool_)
     weights = np.frombuffer(weight_bytes, np.float64)
-    index = np.arange(rows * columns).reshape(rows, columns)
-    pairs = [np.stack([index[:, :-1].ravel(), index[:, 1:].ravel()]), np.stack([index[:-1].ravel(), index[1:].ravel()])]
-    pairs = [pair[:, valid[pair].all(axis=0)] for pair in pairs]
-    both = np.concatenate(pairs, axis=1)
-    graph = sparse.coo_array((np.ones(both.shape[1]), (both[0], both[1])), shape=(valid.size, valid.size))
+    pair = _neighbours(np.arange(rows * columns).reshape(rows, columns), arrangement)
+    pair = pair[:, valid[pair].all(axis=0)]
+    graph = sparse.coo_array((np.ones(pair.shape[1]), (pair[0], pair[1])), shape=(valid.size, valid.size))
     labels = connected_components(graph, directed=False)[1]
     node = np.flatnonzero(labels == np.argmax(np.bincount(labels)))
     if node.size < 2:
         return None
-    pairs = [pair[:, np.isin(pair[0], node)] for pair in pairs]
-    mean = tuple(_pairwise(pair, np.full(2, 0.5), valid.size) for pair in pairs)
-    difference = [_pairwise(pair, np.array([-1.0, 1.0]), valid.size)[:, node[1:]] for pair in pairs]
-    weighted = tuple(
-        (each.T @ sparse.diags_array(1 / np.sum(1 / weights[pair], axis=0))).tocsr()
-        for pair, each in zip(pairs, difference, strict=True)
-    )
-    normal = weighted[0] @ difference[0] + weighted[1] @ difference[1]
-    return _Southwell(node, (mean[0], mean[1]), (weighted[0], weighted[1]), splu(normal.tocsc()))
+    pair = pair[:, np.isin(pair[0], node)]
+    ones = np.ones(pair.shape[1])
+    centers = lenslet_centers(arrangement, rows, columns).reshape(-1, 2)
+    half_way = (centers[pair[1]] - centers[pair[0]]).T / 2  # (xy, pair)
+    rise_x, rise_y = (_pairwise(pair, (along, along), valid.size) for along in half_way)
+    difference = _pairwise(pair, (-ones, ones), valid.size)[:, node[1:]]
+    weighted = (difference.T @ sparse.diags_array(1 / np.sum(1 / weights[pair], axis=0))).tocsr()
+    return _Southwell(node, (rise_x, rise_y), weighted, splu((weighted @ difference).tocsc()))
 
 
-def _pairwise(pair: NDArray[np.intp], weights: Floats, lenslets: int) -> sparse.csr_array:
-    """Sparse operator from lenslets to pairs (2, pair), with the weights of their first and second lenslet."""
-    count = pair.shape[1]
-    values = np.repeat(weights, count)
-    return sparse.csr_array((values, (np.tile(np.arange(count), 2), pair.ravel())), shape=(count, lenslets))
+def _neighbours(index: NDArray[np.intp], arrangement: Arrangement) -> NDArray[np.intp]:
+    """Pairs (2, pair) of the indices of neighbours in a lattice of indices (lenslet_row, lenslet_column)."""
+    pairs = [(index[:, :-1], index[:, 1:]), (index[:-1], index[1:])]
+    if arrangement == "hexagonal":  # the second neighbour in the next row: left of even rows, right of odd ones
+        pairs += [(index[:-1:2, 1:], index[1::2, :-1]), (index[1:-1:2, :-1], index[2::2, 1:])]
+    return np.concatenate([np.stack([one.ravel(), other.ravel()]) for one, other in pairs], axis=1)
+
+
+def _pairwise(pair: NDArray[np.intp], weights: tuple[Floats, Floats], lenslets: int) -> sparse.csr_array:
+    """Sparse operator from lenslets to pairs (2, pair), with the weights (pair,) of first and second lenslets."""
+    row, values = np.tile(np.arange(pair.shape[1]), 2), np.concatenate(weights)
+    some = values != 0
+    return sparse.csr_array((values[some], (row[some], pair.ravel()[some])), shape=(pair.shape[1], lenslets))

@@ -9,6 +9,7 @@ axis, and the camera's pixels are evaluated once at the end. On symmetric grids 
 and sines.
 """
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Event, Lock
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.runtime.threads import one_blas_thread
+from simulated_devices.optics.aperture import lenslet_aperture
 from simulated_devices.optics.image_sum import ImageSum, unfold
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.pixel_grid import PixelGrid
@@ -62,28 +64,33 @@ class ForwardModel:
             }
         )
         self._sensor, self._field = sensor, field
-        self._samples = pupil_samples
         self._threads = threads
         self.camera_shape = rows, columns
-        self._lenslet_rows = sensor.lenslet_rows + 2 * border_lenslets
-        self._lenslet_columns = sensor.lenslet_columns + 2 * border_lenslets
+        self._aperture = lenslet_aperture(sensor.arrangement, pupil_samples)
+        self._samples = samples = len(self._aperture)
+        # Positions of a hexagonal lattice are every second one of a rectangular lattice with half the pitch along x;
+        # an even number of rows more keeps its odd rows odd.
+        part = 1 if sensor.arrangement == "square" else 2
+        self._lenslet_rows = sensor.lenslet_rows + 2 * part * math.ceil(border_lenslets / part)
+        lenslet_columns = sensor.lenslet_columns + 2 * border_lenslets
+        self._lenslet_columns = lenslet_columns * part
         self._pixels = PixelGrid(
             sensor,
             lattice,
             lenslet_rows=self._lenslet_rows,
-            lenslet_columns=self._lenslet_columns,
+            lenslet_columns=lenslet_columns,
             rows=rows,
             columns=columns,
-            pupil_samples=pupil_samples,
+            aperture=self._aperture,
             pixel_fill_factor=pixel_fill_factor,
         )
-        local_m = centered_steps(pupil_samples) * (sensor.lenslet_pitch_m / pupil_samples)
-        center_x_m = centered_steps(self._lenslet_columns) * sensor.lenslet_pitch_m
-        center_y_m = centered_steps(self._lenslet_rows) * sensor.lenslet_pitch_m
+        local_m = centered_steps(samples) * (sensor.aperture_width_m / samples)
+        center_x_m = centered_steps(self._lenslet_columns) * (sensor.lenslet_pitch_m / part)
+        center_y_m = centered_steps(self._lenslet_rows) * sensor.row_spacing_m
         self._tilt_per_m = sensor.wavenumber_rad_per_m / field.collimator_focal_length_m
         # Order of the even-odd transform: lower half mirrored, then upper half; within a half, columns run lenslet by
         # lenslet, rows sample by sample.
-        half = pupil_samples // 2
+        half = samples // 2
         halves_m = np.stack([local_m[:half][::-1], local_m[half:]])
         self._local_x_m = np.broadcast_to(halves_m[:, None, :], (2, self._lenslet_columns, half)).ravel()
         self._local_y_m = np.broadcast_to(halves_m[:, :, None], (2, half, self._lenslet_rows)).ravel()
@@ -140,7 +147,7 @@ class ForwardModel:
         waves = np.empty((lenslets[0] * lenslets[1], len(position_m), (2 * n - 1) ** 2), np.float32)
 
         def work(first: int, ended: Event) -> None:
-            total = ImageSum(n, *lenslets)
+            total = ImageSum(self._aperture, *lenslets)
             for point in range(first, len(position_m), self._threads):
                 if ended.is_set():
                     return
@@ -163,7 +170,7 @@ class ForwardModel:
         def work(first: int, ended: Event) -> Images:
             nonlocal done
             lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
-            total = ImageSum(self._samples, *lenslets)
+            total = ImageSum(self._aperture, *lenslets)
             for column in columns[first :: self._threads]:
                 for point in column:
                     if ended.is_set():

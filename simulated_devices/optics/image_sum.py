@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from reconstruction.arrays import Floats
 from simulated_devices.optics.compiled import compiled
 
 Images: TypeAlias = NDArray[np.float32]
@@ -20,13 +21,18 @@ class ImageSum:
     The four sums are (4, y, lenslet_row, lenslet_column, x) with y and x the positive half of the 2n positions.
     """
 
-    def __init__(self, pupil_samples: int, lenslet_rows: int, lenslet_columns: int) -> None:
-        n, half = pupil_samples, pupil_samples // 2
+    def __init__(self, aperture: Floats, lenslet_rows: int, lenslet_columns: int) -> None:
+        """Prepare for lenslets with this amplitude (sample_row, sample_column), the same about both axes."""
+        n, half = len(aperture), len(aperture) // 2
         self._half, self._rows, self._columns = half, lenslet_rows, lenslet_columns
         # k u.y / f = 2 pi u' y' / (2n), u' in pupil samples, y' in steps of the 2n-point grid
         angle = 2 * np.pi / (2 * n) * np.outer(np.arange(half) + 0.5, np.arange(n) + 0.5)
         self._along_x = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)  # each (u, x)
         self._along_y = tuple(np.ascontiguousarray(matrix.T) for matrix in self._along_x)  # each (y, u)
+        quarter = aperture[half:, half:].astype(np.float32)
+        self._amplitude = None  # 1 everywhere
+        if not np.all(quarter == 1):
+            self._amplitude = np.tile(np.repeat(quarter, lenslet_rows, axis=0), (1, 2 * lenslet_columns))
         lenslets = lenslet_rows * lenslet_columns
         self.folded: Images = np.zeros((4, n * lenslets * n), np.float32)
         # Work space: allocating it for every point would cost more than the arithmetic.
@@ -42,6 +48,8 @@ class ImageSum:
         halves = phase.reshape(self._field.shape[1:])
         np.cos(halves, out=self._field[0])
         np.sin(halves, out=self._field[1])
+        if self._amplitude is not None:
+            self._field *= self._amplitude
         width = self._field.shape[-1] // 2
         for odd_y, combine_y in enumerate((np.add, np.subtract)):
             combine_y(self._field[:, 1], self._field[:, 0], out=self._parity_y)

@@ -3,7 +3,7 @@
 The field of an object point over a lenslet is a product of functions of u and v, and so is its image without a sample:
 |F(x)|^2 |F(y)|^2. A small wavefront a P_m(xi) P_n(eta) adds a * 2 Re[i c_m(x) c_n(y)] with c_m = conj(F) F_m, F_m the
 transform of the field times P_m. On samples symmetric about the axis, c_m is real for even m and imaginary for odd m:
-to first order only wavefronts with odd m + n change the image.
+to first order only wavefronts with odd m + n change the image. A hexagonal aperture is a sum of a few such products.
 """
 
 import math
@@ -12,9 +12,11 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor, centered_steps
+from simulated_devices.optics.aperture import lenslet_aperture
 from simulated_devices.optics.source import SourcePoints
 
 _PIXEL_NODES = 4  # of Gauss-Legendre quadrature over a pixel
+_NOTHING = 1e-12  # singular value of an aperture, over the largest, that is rounding
 
 
 class LensletImage:
@@ -51,17 +53,21 @@ class LensletImage:
         self._nodes, self._weights = np.polynomial.legendre.leggauss(_PIXEL_NODES)
         self._pixel_m = centered_steps(width) * sensor.pixel_pitch_m
         self._node_m = self._nodes * pixel_fill_factor * sensor.pixel_pitch_m / 2
-        self._along = 2 * centered_steps(pupil_samples) / pupil_samples  # xi at the samples
-        self._sample_m = self._along * sensor.lenslet_pitch_m / 2
+        aperture = lenslet_aperture(sensor.arrangement, pupil_samples)
+        samples = len(aperture)
+        self._along = 2 * centered_steps(samples) / samples  # xi at the samples
+        self._sample_m = self._along * sensor.aperture_width_m / 2
         self._tilt_per_m = sensor.wavenumber_rad_per_m / field.collimator_focal_length_m
         self._wave_per_m = sensor.wavenumber_rad_per_m / sensor.lenslet_focal_length_m
-        period_px = 2 * math.pi / self._wave_per_m * pupil_samples / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
-        self._scale = 1 / (pupil_samples * period_px)  # light of a point, integrated over one period, is 1
+        period_px = 2 * math.pi / self._wave_per_m * samples / sensor.aperture_width_m / sensor.pixel_pitch_m
+        self._factors = _factors(aperture)  # along x and y, each (term, sample)
+        self._terms = len(self._factors[0]) ** 2  # of a product of two fields
+        self._scale = 1 / (math.sqrt(np.sum(aperture)) * period_px)  # light of a point, over one period, is 1
 
     def image(self) -> Floats:
         """Image without a sample, (row, column); a pixel's share of the light of all points."""
         along_x, along_y = (self._products(0, axis)[0] for axis in (0, 1))
-        return np.asarray((along_y * self._light) @ along_x.T)
+        return np.asarray((along_y * np.repeat(self._light, self._terms)) @ along_x.T)
 
     def derivatives(self, degree: int, field_values: Floats) -> Floats:
         """Derivatives of the image by wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
@@ -81,7 +87,7 @@ class LensletImage:
         along_x, along_y = (self._products(degree, axis) for axis in (0, 1))
         count, width = len(field_values), len(self._pixel_m)
         derivatives = np.zeros((degree + 1, degree + 1, count, width, width))
-        weighted = field_values * self._light
+        weighted = np.repeat(field_values * self._light, self._terms, axis=1)
         for n in range(degree + 1):
             for m in range((n + 1) % 2, degree + 1 - n, 2):
                 rows = (weighted[:, None] * along_y[n]).reshape(-1, weighted.shape[1])
@@ -89,11 +95,20 @@ class LensletImage:
         return derivatives
 
     def _products(self, degree: int, axis: int) -> Floats:
-        """F F_m averaged over each pixel, without the i of odd m: (m, pixel, point)."""
+        """F F_m averaged over each pixel, without the i of odd m: (m, pixel, point * term)."""
         y_m = self._pixel_m[:, None, None] + self._node_m[:, None]  # (pixel, node, 1)
         wave = self._tilt_per_m * self._position_m[:, axis] - self._wave_per_m * y_m  # rad/m, (pixel, node, point)
         even, odd = (part(wave[..., None] * self._sample_m) for part in (np.cos, np.sin))
         polynomials = np.polynomial.legendre.legvander(self._along, degree)  # (sample, m)
-        field = even.sum(axis=-1)
-        parts = [(odd if m % 2 else even) @ polynomials[:, m] for m in range(degree + 1)]
-        return np.stack([np.tensordot(self._weights / 2, field * part, axes=(0, 1)) for part in parts]) * self._scale
+        factors = self._factors[axis].T  # (sample, term)
+        field = (even @ factors) * (self._weights[:, None, None] / 2 * self._scale)
+        parts = ((odd if m % 2 else even) @ (factors * polynomials[:, m : m + 1]) for m in range(degree + 1))
+        products = [np.einsum("inpr,inps->iprs", field, part) for part in parts]
+        return np.stack(products).reshape(degree + 1, len(y_m), -1)
+
+
+def _factors(aperture: Floats) -> tuple[Floats, Floats]:
+    """Functions of x and of y, each (term, sample): the sum of their products is the aperture (sample_row, ...)."""
+    along_y, size, along_x = np.linalg.svd(aperture)
+    count = np.count_nonzero(size > _NOTHING * size[0])
+    return along_x[:count], (along_y[:, :count] * size[:count]).T

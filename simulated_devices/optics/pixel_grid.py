@@ -28,27 +28,27 @@ class PixelGrid:
         lenslet_columns: int,
         rows: int,
         columns: int,
-        pupil_samples: int,
+        aperture: Floats,
         pixel_fill_factor: float,
     ) -> None:
+        """Prepare the pixels; `aperture` (sample_row, sample_column) is the amplitude of a lenslet's light."""
         self._shape = rows, columns
-        self._lenslets = lenslet_rows, lenslet_columns
-        self._samples = pupil_samples
-        period_m = sensor.wavelength_m * sensor.lenslet_focal_length_m * pupil_samples / sensor.lenslet_pitch_m
+        self._samples = pupil_samples = len(aperture)
+        period_m = sensor.wavelength_m * sensor.lenslet_focal_length_m * pupil_samples / sensor.aperture_width_m
         angle_per_px = 2 * math.pi * sensor.pixel_pitch_m / period_m
         row, column = np.mgrid[:rows, :columns]
-        position_px = lattice.from_camera_px(np.stack([column, row], axis=-1).astype(np.float64))
-        in_cells = position_px / lattice.pitch_px + [lenslet_columns / 2, lenslet_rows / 2]  # (row, column, xy)
-        cell = np.floor(in_cells).astype(np.int64)
-        inside = np.all((cell >= 0) & (cell < [lenslet_columns, lenslet_rows]), axis=-1).ravel()
-        lenslet = (cell[..., 1] * lenslet_columns + cell[..., 0]).ravel()
+        position_px = np.stack([column, row], axis=-1).astype(np.float64)
+        cell, local_px, inside = lattice.cells_at(position_px, lenslet_rows, lenslet_columns)
         pixel = np.flatnonzero(inside)
+        lenslet = (cell[..., 1] * lenslet_columns + cell[..., 0]).ravel()
+        if lattice.arrangement == "hexagonal":  # every second column of the forward model
+            lenslet = 2 * lenslet + (cell[..., 1] % 2).ravel()
+            lenslet_columns *= 2
         self._pixel = pixel[np.argsort(lenslet[pixel], kind="stable")]  # flat pixel indices, lenslet by lenslet
         self._ends = np.cumsum(np.bincount(lenslet[self._pixel], minlength=lenslet_rows * lenslet_columns))
-        local_px = (in_cells - cell - 0.5) * lattice.pitch_px
         self._angle = (local_px.reshape(-1, 2)[self._pixel] * angle_per_px).astype(np.float32)  # (pixel, xy)
         # Light of one lenslet, integrated over a period, is 1 per unit of object weight; a pixel has this share of it.
-        self._scale = (sensor.pixel_pitch_m / period_m) ** 2 / pupil_samples**2
+        self._scale = (sensor.pixel_pitch_m / period_m) ** 2 / np.sum(aperture)
         self._transfer = _pixel_transfer(
             pupil_samples, pixel_fill_factor * angle_per_px / (2 * math.pi), lattice.rotation_rad
         )

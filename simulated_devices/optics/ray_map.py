@@ -45,11 +45,8 @@ def truth_wavefront(
 
     Each view has no piston. `shift_m` (x, y) is the displacement of the screen.
     """
-    x_m = _meeting_points(ray_map, sensor.pupil_x_m, field.view_x_m) - shift_m[0]  # (view_column, lenslet_column)
-    y_m = _meeting_points(ray_map, sensor.pupil_y_m, field.view_y_m) - shift_m[1]  # (view_row, lenslet_row)
-    wavefront = screen.at(x_m[None, :, None, :], y_m[:, None, :, None])
+    s_m = ray_map.pupil_scale * sensor.lenslet_centers_m  # (lenslet_row, lenslet_column, xy)
+    x_m = s_m[..., 0] + ray_map.field_scale * field.view_x_m[:, None, None] - shift_m[0]  # (view_column, ...)
+    y_m = s_m[..., 1] + ray_map.field_scale * field.view_y_m[:, None, None] - shift_m[1]  # (view_row, ...)
+    wavefront = screen.at(x_m, y_m[:, None])
     return np.asarray(wavefront - wavefront.mean(axis=(2, 3), keepdims=True), np.float64)
-
-
-def _meeting_points(ray_map: RayMap, pupil_m: Floats, view_m: Floats) -> Floats:
-    return np.asarray(ray_map.pupil_scale * pupil_m[None, :] + ray_map.field_scale * view_m[:, None], np.float64)

@@ -89,15 +89,17 @@ def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
     calibration = measurement.calibration
     if calibration is not None:
         bench = calibration.bench
+    sensor = bench.sensor
+    pupil_x_m = sensor.pupil_x_m if sensor.arrangement == "square" else sensor.lenslet_centers_m[..., 0]
     return {
-        "sensor": asdict(bench.sensor),
+        "sensor": asdict(sensor),
         "lattice": None if calibration is None else asdict(calibration.lattice),
         "field": asdict(bench.field),
         "reconstruction": asdict(bench.reconstruction),
         "view_x_m": bench.field.view_x_m.tolist(),
         "view_y_m": bench.field.view_y_m.tolist(),
-        "pupil_x_m": bench.sensor.pupil_x_m.tolist(),
-        "pupil_y_m": bench.sensor.pupil_y_m.tolist(),
+        "pupil_x_m": pupil_x_m.tolist(),
+        "pupil_y_m": sensor.pupil_y_m.tolist(),
     }
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def _lattice(bench: Bench) -> Lattice:
 def _with_lattice(bench: Bench, name: str, change: Callable[[float, float], float]) -> Bench:
     """Change one number of the lattice; `change` gets it and the distance of the outermost lenslet, px."""
     lattice, lenslets = _lattice(bench), max(bench.sensor.lenslet_rows, bench.sensor.lenslet_columns)
-    changed = change(getattr(lattice, name), (lenslets - 1) / 2 * lattice.pitch_px)
+    changed: Any = change(getattr(lattice, name), (lenslets - 1) / 2 * lattice.pitch_px)
     return replace(bench, lattice=replace(lattice, **{name: changed}))
 
 

@@ -144,7 +144,7 @@ class GaussNewton:
             sees_bad=reference.near(bad),
             center_px=reference.center_px,
             turn=reference.turn[0].astype(np.float32),
-            half_cell_px=np.float32(reference.pitch_px / 2),
+            half_cell_px=np.float32(reference.cell_height_px / 2),
         )
 
         threads = self._threads

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,23 @@ def test_lattice_is_optional() -> None:
     assert parse_bench(MINIMAL[:start] + MINIMAL[end:], "b").lattice is None
 
 
+def test_arrangement_is_known_before_the_place_of_the_lattice() -> None:
+    start, end = MINIMAL.index("[lattice]"), MINIMAL.index("[field]")
+    bench = parse_bench(MINIMAL[:start] + '[lattice]\narrangement = "hexagonal"\n' + MINIMAL[end:], "b")
+    assert (bench.sensor.arrangement, bench.lattice) == ("hexagonal", None)
+    assert bench.design_lattice(512, 512).arrangement == "hexagonal"
+    assert parse_bench(write_bench(bench), "again") == bench
+
+
+def test_arrangement_belongs_to_sensor_and_lattice() -> None:
+    bench = parse_bench(MINIMAL, "b", ("lattice.arrangement=hexagonal",))
+    assert bench.lattice is not None
+    assert (bench.sensor.arrangement, bench.lattice.arrangement) == ("hexagonal", "hexagonal")
+    assert parse_bench(write_bench(bench), "again") == bench
+    with pytest.raises(ValueError, match=r'lattice\.arrangement = "square" is missing'):
+        replace(bench, sensor=replace(bench.sensor, arrangement="square"))
+
+
 FAULTS = {
     "unknown section": ("[sensor]", "[sensors]", "unknown key sensors; known are sensor, field"),
     "misspelt key": ("lenslet_rows", "lenslet_row", "sensor: unknown key lenslet_row; known are lenslet_rows"),
@@ -59,6 +77,11 @@ FAULTS = {
     "unknown choice": ('"quadratic"', '"bent"', 'registration.warp: must be one of "translation", "affine"'),
     "number for a choice": ('"quadratic"', "6", 'registration.warp: must be one of "translation"'),
     "views outside the field": ("0.5e-3\n", "0.9e-3\n", "field: view_spacing_m places views outside"),
+    "unknown arrangement": (
+        "[lattice]",
+        '[lattice]\narrangement = "triangular"',
+        'lattice.arrangement: must be one of "square", "hexagonal"',
+    ),
     "broken TOML": ("[sensor]", "[sensor", "not valid TOML"),
 }
 

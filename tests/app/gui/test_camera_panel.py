@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PyQt6.QtCore import QEvent, QPoint
@@ -10,6 +12,7 @@ from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from reconstruction.displacement import Outcome
+from reconstruction.geometry import Arrangement
 
 
 def test_image_is_oriented_as_on_the_camera(make_window: MakeWindow) -> None:
@@ -30,18 +33,19 @@ def test_image_is_oriented_as_on_the_camera(make_window: MakeWindow) -> None:
     assert width / height == pytest.approx(40 / 60, rel=0.1)
 
 
-def test_lost_lenslet_is_crossed_out_with_its_reason(make_window: MakeWindow) -> None:
-    window = make_window()
+@pytest.mark.parametrize("arrangement", ["square", "hexagonal"])
+def test_lost_lenslet_is_crossed_out_with_its_reason(make_window: MakeWindow, arrangement: Arrangement) -> None:
+    window, lattice = make_window(), replace(LATTICE, arrangement=arrangement)
     outcome = np.zeros(LENSLETS, np.int8)
     outcome[1, 10] = Outcome.SATURATED
     panel = window.camera_panel
-    panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
+    panel.show_bench(replace(SENSOR, arrangement=arrangement), lattice, FULL_SCALE)
     window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
     QApplication.processEvents()
     seen = picture(panel._graphics).astype(int)
     row, column = np.nonzero((seen[..., 0] > 200) & (seen[..., 2] < 130))
     center = panel._view.mapSceneToView(QPoint(round(column.mean()), round(row.mean())).toPointF())
-    expected = LATTICE.lenslet_centers_px(*LENSLETS)[1, 10]
+    expected = lattice.lenslet_centers_px(*LENSLETS)[1, 10]
     assert (center.x(), center.y()) == pytest.approx(tuple(expected), abs=2.0)
     panel._point_at(panel._view.mapViewToScene(center))
     assert "row 1, column 10: saturated" in panel.caption.text()

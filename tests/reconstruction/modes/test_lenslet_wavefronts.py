@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.optics import sensor_of
 
+from reconstruction.geometry import Arrangement
 from reconstruction.modes.legendre import legendre, legendre_products
 from reconstruction.modes.lenslet_wavefronts import local_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
@@ -25,15 +28,18 @@ def test_products_of_zernike_polynomials_match_their_values() -> None:
     np.testing.assert_allclose(found, zernike(45, 1.5 * X, 0.7 * Y), atol=1e-9)
 
 
+@pytest.mark.parametrize("arrangement", ["square", "hexagonal"])
 @pytest.mark.parametrize("basis", ["legendre", "zernike"])
-def test_local_wavefronts_add_up_to_the_modes(basis: PupilBasis) -> None:
+def test_local_wavefronts_add_up_to_the_modes(basis: PupilBasis, arrangement: Arrangement) -> None:
     rows, columns = 5, 8
-    sensor = sensor_of(rows, columns)
+    sensor = replace(sensor_of(rows, columns), arrangement=arrangement)
+    half_width_m = 0.25e-3 if arrangement == "square" else 0.5e-3 / 3**0.5
     modes = pupil_modes(sensor, basis, 28)  # of degree 6 at most: a local degree of 6 is exact
-    local = local_wavefronts(modes.products, rows, columns, 6)
+    local = local_wavefronts(modes.products, sensor, 6)
     half_x, half_y = sensor.pupil_half_width_m
     for row, column in np.ndindex(rows, columns):
-        u_m, v_m = (at + 0.25e-3 * xi for at, xi in ((sensor.pupil_x_m[column], X), (sensor.pupil_y_m[row], Y)))
+        x_m, y_m = sensor.lenslet_centers_m[row, column]
+        u_m, v_m = x_m + half_width_m * X, y_m + half_width_m * Y
         if basis == "legendre":
             expected = legendre(28, u_m / half_x, v_m / half_y)
         else:
@@ -44,8 +50,9 @@ def test_local_wavefronts_add_up_to_the_modes(basis: PupilBasis) -> None:
 
 def test_lower_degree_is_least_squares_projection() -> None:
     rows, columns = 3, 4
-    modes = pupil_modes(sensor_of(rows, columns), "legendre", 28)
-    local = local_wavefronts(modes.products, rows, columns, 2)
+    sensor = sensor_of(rows, columns)
+    modes = pupil_modes(sensor, "legendre", 28)
+    local = local_wavefronts(modes.products, sensor, 2)
     assert local.shape == (rows, columns, 3, 3, 28)
     steps = (np.arange(400) + 0.5) / 200 - 1
     row, column = 0, 3
@@ -60,7 +67,7 @@ def test_mean_gradient_is_that_of_the_pupil_modes() -> None:
     """Over a lenslet, the mean slope along x is that of P_1 and P_3 alone: from edge to edge."""
     sensor = sensor_of(4, 7)
     modes = pupil_modes(sensor, "legendre", 15)
-    local = local_wavefronts(modes.products, 4, 7, 4)
+    local = local_wavefronts(modes.products, sensor, 4)
     along_x = (local[:, :, 0, 1] + local[:, :, 0, 3]) * 2 / sensor.lenslet_pitch_m
     along_y = (local[:, :, 1, 0] + local[:, :, 3, 0]) * 2 / sensor.lenslet_pitch_m
     found = np.moveaxis(np.stack([along_x, along_y], axis=-1), 2, 0)

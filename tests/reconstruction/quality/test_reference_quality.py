@@ -38,7 +38,7 @@ STALE = {
 
 
 @pytest.mark.parametrize("change", STALE.values(), ids=STALE)
-def test_stale_lattice_is_found(change: dict[str, float]) -> None:
+def test_stale_lattice_is_found(change: dict[str, Any]) -> None:
     shown = find_lattice(LIGHT, BENCH.sensor)
     stale = replace(BENCH.lattice, **change)
     found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown)

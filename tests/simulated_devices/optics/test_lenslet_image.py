@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.optics import FIELD, sensor_of
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Lattice
+from reconstruction.geometry import Lattice, Sensor
 from reconstruction.modes.field_modes import LegendreModes
 from simulated_devices.optics.forward_model import ForwardModel, Images
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
 
 SENSOR = sensor_of(2, 2)
-WIDTH, PITCH_PX, SAMPLES = 31, 31.25, 12
-MIDDLE_PX = (WIDTH - 1 + PITCH_PX) / 2  # the first lenslet's axis is in the middle of the window
+HEXAGONAL = replace(SENSOR, arrangement="hexagonal")
+SENSORS = pytest.mark.parametrize("sensor", [SENSOR, HEXAGONAL], ids=["square", "hexagonal"])
+WIDTH, PITCH_PX, SAMPLES = 27, 31.25, 12
 GENERATOR = np.random.default_rng(0)
 SOURCE = SourcePoints(
     position_m=np.concatenate([GENERATOR.uniform(-0.6e-3, 0.6e-3, (8, 2)), np.zeros((1, 2))]),
@@ -24,10 +27,18 @@ SOURCE = SourcePoints(
 MODES = LegendreModes(3)
 
 
-def forward_model(fill_factor: float) -> ForwardModel:
+def forward_model(fill_factor: float, sensor: Sensor) -> ForwardModel:
+    """Two by two lenslets, of which the first one's axis is in the middle of the window."""
+    x, y = (0.5, 0.5) if sensor is SENSOR else (0.75, 3**0.5 / 4)  # pitches to the middle of the lattice
+    middle_px = (WIDTH - 1) / 2
     return ForwardModel(
-        SENSOR,
-        Lattice(center_x_px=MIDDLE_PX, center_y_px=MIDDLE_PX, pitch_px=PITCH_PX),
+        sensor,
+        Lattice(
+            center_x_px=middle_px + x * PITCH_PX,
+            center_y_px=middle_px + y * PITCH_PX,
+            pitch_px=PITCH_PX,
+            arrangement=sensor.arrangement,
+        ),
         FIELD,
         rows=WIDTH,
         columns=WIDTH,
@@ -36,23 +47,28 @@ def forward_model(fill_factor: float) -> ForwardModel:
     )
 
 
-def lenslet_image(fill_factor: float = 1.0, source: SourcePoints = SOURCE) -> LensletImage:
-    return LensletImage(SENSOR, FIELD, source, width=WIDTH, pupil_samples=SAMPLES, pixel_fill_factor=fill_factor)
+def lenslet_image(fill_factor: float = 1.0, source: SourcePoints = SOURCE, sensor: Sensor = SENSOR) -> LensletImage:
+    return LensletImage(sensor, FIELD, source, width=WIDTH, pupil_samples=SAMPLES, pixel_fill_factor=fill_factor)
 
 
+@SENSORS
 @pytest.mark.parametrize("fill_factor", [0.0, 0.6, 1.0])
-def test_image_is_that_of_the_forward_model(fill_factor: float) -> None:
-    expected = forward_model(fill_factor).irradiance(SOURCE)
-    np.testing.assert_allclose(lenslet_image(fill_factor).image(), expected, atol=2e-6 * expected.max())
+def test_image_is_that_of_the_forward_model(fill_factor: float, sensor: Sensor) -> None:
+    expected = forward_model(fill_factor, sensor).irradiance(SOURCE)
+    np.testing.assert_allclose(lenslet_image(fill_factor, sensor=sensor).image(), expected, atol=2e-6 * expected.max())
 
 
+@SENSORS
 @pytest.mark.parametrize("fill_factor", [0.6, 1.0])
-def test_derivatives_are_those_of_the_forward_model(fill_factor: float) -> None:
-    model, image = forward_model(fill_factor), lenslet_image(fill_factor)
+def test_derivatives_are_those_of_the_forward_model(fill_factor: float, sensor: Sensor) -> None:
+    model, image = forward_model(fill_factor, sensor), lenslet_image(fill_factor, sensor=sensor)
     found = image.derivatives(4, MODES.values(*image.position.T))
     assert found.shape == (5, 5, 3, WIDTH, WIDTH)
-    half_m = SENSOR.lenslet_pitch_m / 2
-    xi, eta = (at / half_m - np.sign(at) for at in (model.sample_x_m, model.sample_y_m))  # of the two lenslets
+    half_m = 250e-6 if sensor is SENSOR else 500e-6 / 3**0.5
+    middle_m = sensor.lenslet_centers_m[0, 0]
+    xi, eta = (
+        (at - middle) / half_m for at, middle in zip((model.sample_x_m, model.sample_y_m), middle_m, strict=True)
+    )
     along_x, along_y = (np.polynomial.legendre.legvander(at, 4).T for at in (xi, eta))
     amplitude = 0.03
     largest = np.abs(found).max()
