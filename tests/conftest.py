@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
+from support.leftovers import no_leftovers
 from support.optics import SmallBench
 
 from app.acquisition.devices import simulated_bench
@@ -23,6 +25,8 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
     from support.window_tools import MakeWindow
 
     from app.gui.main_window import MainWindow
+
+_WATCHED = {"gui", "acquisition"}  # others leave threads of Dask and of process pools
 
 pytest_plugins = ["support.driver_fixtures"]
 
@@ -41,6 +45,13 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _no_leftovers(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail if a thread or a window outlives a test of the rooms that make them."""
+    with no_leftovers() if request.path.parent.name in _WATCHED else nullcontext():
         yield
 
 
@@ -106,11 +117,11 @@ def restored_theme(qapp: QApplication) -> Iterator[None]:
 
 
 @pytest.fixture
-def make_window(qapp: QApplication) -> Iterator[MakeWindow]:
+def make_window(qapp: QApplication) -> Iterator[MakeWindow]:  # noqa: ARG001 - it must be there
     """Make windows; see `window_tools.windows`."""
     from support.window_tools import windows  # noqa: PLC0415 - only where a window is wanted
 
-    with windows(qapp) as make:
+    with windows() as make:
         yield make
 
 
