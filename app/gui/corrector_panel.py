@@ -4,7 +4,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
-from app.gui.layers_panel import ORIGINS
+from app.gui.layers_panel import origin_choice
 from app.gui.plot import Plot
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
@@ -32,10 +32,7 @@ class CorrectorPanel(QWidget):
             self.corrector.addItem(_name(corrector), corrector)
         self.corrector.setCurrentIndex(_DEFAULT)
         self.corrector.setToolTip("Shapes that the corrector can take over its footprint")
-        self.origin = Choice()
-        for text, origin in ORIGINS:
-            self.origin.addItem(text, origin)
-        self.origin.setToolTip("Where distances are measured from: lenslets, in the collimated beam, or mask")
+        self.origin = origin_choice()
         keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
         self.plot = Plot("Residual (rad RMS)", "conjugate distance of the corrector (mm)", keys, widest="00.0")
         self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
@@ -59,7 +56,7 @@ class CorrectorPanel(QWidget):
         """Show residuals, or why there are none."""
         found = made.found
         if found is None:
-            self._say(f"No residual: {made.problem}")
+            self.sentence.setText(f"No residual: {made.problem}")
             return
         distance_mm, residual_rad = found["distance"].values * 1e3, found["residual"].values
         at_mm, without_rad = float(found["corrector_distance_m"]) * 1e3, float(found["uncorrected"])
@@ -70,11 +67,7 @@ class CorrectorPanel(QWidget):
         self._mark.setData([at_mm, at_mm], [0.0, top])
         self.plot.set_ranges((0, farthest_mm), (0, top))
         text = in_words(found)
-        self._say(text[0].upper() + text[1:])
-
-    def _say(self, text: str) -> None:
-        self.sentence.setText(text)
-        self.sentence.setToolTip(text.replace("; ", "\n"))
+        self.sentence.setText(text[0].upper() + text[1:])
 
 
 def _name(corrector: Corrector) -> str:

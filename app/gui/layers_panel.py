@@ -1,6 +1,7 @@
 """The layers panel: misfit over the distance, the layers found with their phase, or one at a known distance, live."""
 
 import math
+from typing import get_args
 
 import numpy as np
 from PyQt6.QtCore import Qt
@@ -22,10 +23,18 @@ from app.results.shown_wavefront import Unit
 from drivers.interface import Range
 from reconstruction.layers.layer_search import LayerSearch
 
-ORIGINS: tuple[tuple[str, Origin], ...] = (("from the lenslets", "lenslets"), ("from the mask", "mask"))
 _MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
 _INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
 _FINE_M = 1e-4  # errors below it have two decimals in mm
+
+
+def origin_choice() -> Choice:
+    """Make a choice of where distances are measured from; its data are an `Origin`."""
+    made = Choice()
+    for origin in get_args(Origin):
+        made.addItem(f"from the {origin}", origin)
+    made.setToolTip("Where distances are measured from: lenslets, in the collimated beam, or mask")
+    return made
 
 
 class LayersPanel(QWidget):
@@ -48,12 +57,9 @@ class LayersPanel(QWidget):
             tool_tip="Distance of the known layer", name="Distance of the layer", unit="mm", decimals=1
         )
         self.distance.entered.connect(self._enter)
-        self.origin = Choice()
-        for text, origin in ORIGINS:
-            self.origin.addItem(text, origin)
-        self.origin.setToolTip("Where distances are measured from: lenslets, in the collimated beam, or mask")
+        self.origin = origin_choice()
         self.origin.currentIndexChanged.connect(self._show_distance)
-        keys = (("single layer there", theme.ACCENT), ("found", theme.AMBER), ("any wavefront", theme.DIM))
+        keys = (("one layer", theme.ACCENT), ("found", theme.AMBER), ("limit", theme.DIM))
         self.plot = Plot("Unexplained (%)", "distance (mm)", keys, widest="100")
         self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
         self.plot.setToolTip(
@@ -90,10 +96,10 @@ class LayersPanel(QWidget):
         if found.request.origin != self.origin.currentData() or found.request.count != self.mode.currentData():
             return  # another choice was made meanwhile
         if found.problem:
-            self._say(f"No layer: {found.problem}")
+            self.sentence.setText(f"No layer: {found.problem}")
             self.show_stale()
             return
-        self._say(_in_words(found))
+        self.sentence.setText(_in_words(found))
         if found.search is not None:
             self._ratio = found.ratios[0]
             self._show_distance()
@@ -140,10 +146,6 @@ class LayersPanel(QWidget):
         self.map.set_captions(
             {(0, index): ((f"{at_m * 1e3:.1f} mm",), wide) for index, at_m in enumerate(found.distances_m)}
         )
-
-    def _say(self, text: str) -> None:
-        self.sentence.setText(text)
-        self.sentence.setToolTip(text)
 
     def _enter(self, typed_m: float) -> None:
         if self._bench is not None:

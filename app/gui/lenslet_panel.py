@@ -68,9 +68,8 @@ class LensletPanel(QWidget):
         self._write(*_numbers(found))
 
     def _write(self, numbers: str, quality: str = "") -> None:
-        for line, text in ((self.numbers, numbers), (self.quality, quality)):
-            line.setText(text)
-            line.setToolTip(text)
+        self.numbers.setText(numbers)
+        self.quality.setText(quality)
 
 
 def _residual_scale(residual: Floats) -> ColourScale:

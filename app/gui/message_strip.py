@@ -162,7 +162,6 @@ class MessageStrip(QFrame):
         if (sentence, colour) != self._shown:
             self._shown = (sentence, colour)
             self.text.setText(sentence)
-            self.text.setToolTip(sentence)
             colour_text(self.text, colour)
 
 

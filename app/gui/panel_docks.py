@@ -99,7 +99,7 @@ class PanelDocks:
         window.restoreState(self._default)
         first.raise_()
         window.resizeDocks([self._camera, self._wavefronts], [1000, 1000], Qt.Orientation.Horizontal)
-        window.resizeDocks([self._camera, first], [1000, 450], Qt.Orientation.Vertical)
+        window.resizeDocks([self._camera, first], [1000, 600], Qt.Orientation.Vertical)
         self._show_titles()
 
     def _dock_all(self) -> None:

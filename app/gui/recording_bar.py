@@ -166,7 +166,8 @@ class RecordingBar(QFrame):
         else:
             text = f"Recording {state.folder.name}"
         self.text.setText(text)
-        self.text.setToolTip(text if state is None else str(self.folder or state.folder))
+        if state is not None:
+            self.text.setToolTip(str(self.folder or state.folder))
 
     def _limit(self) -> None:
         acquisition = self._controller.acquisition

@@ -214,7 +214,6 @@ class SettingsDialog(QDialog):
 
     def _show_problem(self, sentence: str, at: QWidget | None) -> None:
         self.problem.setText(sentence)
-        self.problem.setToolTip(sentence)
         for _, editor in self.editors.values():
             editor.setStyleSheet(f"color: {theme.RED.name()};" if editor is at else "")
         for ending in (self.apply, self.save):

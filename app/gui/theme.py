@@ -58,7 +58,7 @@ QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
 QMenuBar::item:selected {{ background: {RAISED.name()}; }}
 QMainWindow::separator {{ background: {BACKGROUND.name()}; width: 6px; height: 6px; }}
 QMainWindow::separator:hover {{ background: {LINE.name()}; }}
-QTabBar::tab {{ color: {DIM.name()}; padding: 4px 10px; margin-right: 2px; border-bottom: 2px solid {LINE.name()}; }}
+QTabBar::tab {{ color: {DIM.name()}; padding: 4px 4px; margin-right: 1px; border-bottom: 2px solid {LINE.name()}; }}
 QTabBar::tab:hover {{ color: {TEXT.name()}; }}
 QTabBar::tab:selected {{ color: {TEXT.name()}; border-bottom-color: {ACCENT.name()}; }}
 QStatusBar::item {{ border: none; }}

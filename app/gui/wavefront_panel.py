@@ -84,7 +84,6 @@ class WavefrontPanel(QWidget):
         if reason != self.stale.text():
             self.grid.show_stale(is_stale=bool(reason))
             self.stale.setText(reason)
-            self.stale.setToolTip(reason)
             self.stale.setVisible(bool(reason))
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
@@ -129,7 +128,6 @@ class WavefrontPanel(QWidget):
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         parts = (self.menu.options.in_words, reach, presentation.summary(maps, self.menu.unit))
         self._summary.setText("; ".join(filter(None, parts)))
-        self._summary.setToolTip(self._summary.text())
         if self._enlarged is not None:
             self._enlarged.update_text()
 

@@ -46,7 +46,7 @@ def colour_text(shown: QLabel, colour: QColor) -> None:
 
 
 class ElidedLabel(QLabel):
-    """A line of text without minimum width; an ellipsis replaces what does not fit."""
+    """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all."""
 
     def __init__(self, role: str = "", parent: QWidget | None = None) -> None:
         """Start empty; for `role` see `label`."""
@@ -56,10 +56,16 @@ class ElidedLabel(QLabel):
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setMinimumHeight(self.fontMetrics().height())  # also when empty, so that nothing moves
 
+    def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
+        """Show a text, also in the tool tip."""
+        super().setText(text)
+        self.setToolTip(text)
+
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint the text, elided to the width."""
         painter, style = QPainter(self), self.style()
         fitting = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width())
+        fitting = "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting
         if isinstance(style, QStyle):
             style.drawItemText(
                 painter, self.rect(), int(self.alignment()), self.palette(), True, fitting, self.foregroundRole()

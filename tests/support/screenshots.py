@@ -24,6 +24,8 @@ from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
+from app.gui.corrector_panel import CorrectorPanel
+from app.gui.layers_panel import LayersPanel
 from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 from app.gui.tour import Tour
@@ -138,6 +140,8 @@ class Photographer:
             if name == "Lenslet":
                 window.tabs.inspect(7, 7)
             window.docks.show_panel(panel)
+            if isinstance(panel, LayersPanel | CorrectorPanel):
+                self._wait(panel.sentence.text)  # their analyses take seconds
             self._save(name.lower(), window)
         window.wavefront_panel.menu.change(views=9)
         window.status_line.timing_row.toggle()
@@ -228,7 +232,7 @@ class Photographer:
                 self._save(name, dialog)
                 dialog.close()
 
-    def _wait(self, condition: Callable[[], bool]) -> None:
+    def _wait(self, condition: Callable[[], object]) -> None:
         deadline_s = time.monotonic() + _WAIT_S
         while not condition():
             if time.monotonic() > deadline_s:
