@@ -78,8 +78,10 @@ class Photographer:
     """Brings the window into each state and saves a picture of it, or of a dialog."""
 
     def __init__(self, application: QApplication, variant: Variant, folder: Path) -> None:
-        self._application, self._variant, self._folder = application, variant, folder
-        self._runs = Path(tempfile.mkdtemp())
+        self._application, self._variant, self._folder = application, variant, folder.resolve()
+        self._elsewhere = tempfile.mkdtemp()
+        os.chdir(self._elsewhere)
+        self._runs = Path("recordings")  # as the pictures show it
 
     def take_all(self) -> None:
         """Take the pictures of the variant."""
@@ -104,7 +106,7 @@ class Photographer:
         self._close(window)
         if self._variant.is_complete:
             show_other_windows(self)
-        shutil.rmtree(self._runs)
+        shutil.rmtree(self._elsewhere)
 
     def _show_replay(self) -> None:
         (run,) = self._runs.iterdir()
