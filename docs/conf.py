@@ -28,14 +28,17 @@ add_module_names = False
 highlight_language = "none"  # of indented blocks; fenced ones name theirs
 
 html_theme = "alabaster"
+html_static_path = ["_static"]
 html_theme_options = {
     "description": "Wavefronts at every position of the field, live",
     "page_width": "1120px",
     "sidebar_width": "250px",
+    "body_max_width": "none",
     "fixed_sidebar": True,
     "show_relbars": True,
     "font_family": "system-ui, sans-serif",
     "head_font_family": "system-ui, sans-serif",
+    "code_font_size": "0.82em",
 }
 html_sidebars = {"**": ["about.html", "searchfield.html", "navigation.html"]}
 html_show_sourcelink = False

@@ -72,6 +72,16 @@ def test_pages_need_no_network_and_can_be_searched(pages: Path) -> None:
     assert not [path.name for path in files if loading.search(path.read_text("utf-8"))]
 
 
+def test_narrow_windows_have_one_layout(pages: Path) -> None:
+    """The project's style sheet changes the layout at the same width as the theme's."""
+    widths = [
+        re.findall(r"@media screen and \(max-width: (\d+px)\)", (pages / "_static" / name).read_text("utf-8"))
+        for name in ("alabaster.css", "custom.css")
+    ]
+    assert widths[0]
+    assert widths[0] == widths[1]
+
+
 def settings_of(hint: Any) -> Iterator[str]:
     """Names of all settings of a section, also of its parts and of all drivers."""
     for cls in get_args(hint) or (hint,):
@@ -106,6 +116,7 @@ def test_references_have_every_command_and_name(pages: Path) -> None:
 
 def test_broken_links_fail(tmp_path: Path) -> None:
     shutil.copy(DOCS / "conf.py", tmp_path)
+    shutil.copytree(DOCS / "_static", tmp_path / "_static")
     (tmp_path / "index.md").write_text("# A\n\n[a](b.md) [c](#d) ![e](f.png) [g](../h.json)\n")
     told = build(tmp_path, tmp_path / "out")
     assert told.returncode != 0
