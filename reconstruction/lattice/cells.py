@@ -39,22 +39,16 @@ class Cells:
         return np.asarray(centered_steps(samples) / samples)
 
     def harmonics(self) -> NDArray[np.complex128]:
-        """First Fourier harmonic of each cell's light along x and y, (N, xy); see `offset`.
-
-        In a hexagonal lattice that along x is slanted, because columns are.
-        """
-        wave, slanted = np.exp(2j * np.pi * self.steps), np.exp(2j * np.pi * self._slant * self.steps)
-        return np.stack([(self.light @ wave) @ slanted, self.light.sum(axis=2) @ wave], axis=-1)
+        """First Fourier harmonic of each cell's light along x and y, (N, xy); see `offset`."""
+        wave = np.exp(2j * np.pi * self.steps)
+        return np.stack([self.light.sum(axis=1) @ wave, self.light.sum(axis=2) @ wave], axis=-1)
 
     def offset(self, cycles: Floats) -> Floats:
-        """Offset of light from the middle of its cell, in pitches, from the phases (..., xy) of the harmonics."""
-        along_x, along_y = cycles[..., 0], cycles[..., 1]
-        return np.stack([along_x - self._slant * along_y, along_y * self.lattice.row_spacing], axis=-1)
+        """Offset of light from the middle of its cell, in pitches, from the phases (..., xy) of the harmonics.
 
-    @property
-    def _slant(self) -> float:
-        """Distance by which each row lies to the right of the one before, in pitches."""
-        return 0.0 if self.lattice.arrangement == "square" else 0.5
+        That along x is weak where cells of a hexagonal lattice hold halves of two rows: y must be known first.
+        """
+        return np.asarray(cycles * [1.0, self.lattice.row_spacing])
 
 
 def cell_index(lattice: Lattice, shape: tuple[int, int], *, partial: bool = False) -> NDArray[np.intp]:

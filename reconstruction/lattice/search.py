@@ -30,7 +30,8 @@ _DARK_AT_MOST = 8  # largest ratio of all lenslets to the lit ones
 _OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or column count fully
 _MANY = 2000  # cells, from which on a lattice's spectral peak, 0.5 sqrt(cells), is far above the noise, 3.5
 _OTHER_PITCHES = 0.5, 2.0  # over the designed one, from a wrong focal length or binning
-_ALIKE = 0.3  # rows and columns; blocks that differ by less count as equally lit
+# Rows and columns; blocks that differ by less count as equally lit. Columns of hexagonal arrays end in single lenslets.
+_ALIKE = {"square": 0.3, "hexagonal": 0.1}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,7 +191,7 @@ def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
     wanted = (sensor.lenslet_rows, sensor.lenslet_columns)
     blocks = [block for grid in grids if (block := grid.block(wanted, shape)) is not None]
     most = max((block.light for block in blocks), default=0.0)
-    lit = (block for block in blocks if block.light >= most - _ALIKE)
+    lit = (block for block in blocks if block.light >= most - _ALIKE[sensor.arrangement])
     best = min(lit, key=lambda block: block.away_px, default=None)
     grid = grids[0] if best is None else best.grid
     extent = _extent(grid.lit)
@@ -262,7 +263,7 @@ class _Grid:
         middle = first_lenslet - lenslet_centers(arrangement, *wanted)[0, 0]
         center_px = self._lattice.to_camera_px(middle * self._lattice.pitch_px)
         away_px = np.hypot(*np.moveaxis(center_px - (np.array(shape[::-1]) - 1) / 2, -1, 0))
-        alike = fits & (light >= light[fits].max() - _ALIKE)
+        alike = fits & (light >= light[fits].max() - _ALIKE[arrangement])
         row, column = np.unravel_index(np.argmin(np.where(alike, away_px, np.inf)), fits.shape)
         slices = slice(int(row), int(row) + wanted[0]), slice(int(column), int(column) + wanted[1])
         best = row, column

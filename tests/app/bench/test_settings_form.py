@@ -158,3 +158,12 @@ def test_connected_devices_replace_the_simulated_ones(form: SettingsForm) -> Non
 def test_every_driver_has_a_form(form: SettingsForm, driver: str) -> None:
     form.set(fields(form)["camera.driver"], driver)
     assert fields(form)["camera.driver"].text == driver
+
+
+def test_arrangement_alone_is_a_lattice_still_to_be_found() -> None:
+    form = SettingsForm.of(load_bench("small_demo"))
+    assert "sensor.arrangement" not in fields(form)
+    form.set(fields(form)["lattice.arrangement"], "hexagonal")
+    bench = form.bench()
+    assert (bench.sensor.arrangement, bench.lattice) == ("hexagonal", None)
+    assert fields(SettingsForm.of(bench))["lattice.arrangement"].text == "hexagonal"

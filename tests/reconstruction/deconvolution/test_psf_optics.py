@@ -109,3 +109,14 @@ def test_reach_holds_nearly_all_light() -> None:
 def test_pupil_beyond_the_lattice_is_refused() -> None:
     with pytest.raises(ValueError, match=r"imaging pupil of 6 mm is wider than the lattice of 5\.5 mm"):
         psf(FLAT, pupil_diameter_m=6e-3)
+
+
+def test_hexagonal_lenslets_give_the_same_pattern_as_square_ones() -> None:
+    def curved(u: np.ndarray[Any, Any], v: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        return np.asarray(6e5 * u**2 - 4e5 * u * v + 3e5 * v**2 + 900 * u - 600 * v)
+
+    imaging = Imaging(pixel_m=PIXEL_M, pupil_diameter_m=4.5e-3)
+    hexagonal = replace(sensor_of(13, 11), arrangement="hexagonal")
+    found = PsfOptics(imaging, hexagonal, FIELD, REACH)(curved(*np.moveaxis(hexagonal.lenslet_centers_m, -1, 0)))
+    expected = PsfOptics(imaging, SENSOR, FIELD, REACH)(curved(U, V))
+    np.testing.assert_allclose(found, expected, atol=5e-3 * expected.max())

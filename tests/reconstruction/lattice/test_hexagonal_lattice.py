@@ -10,7 +10,9 @@ from support.lattice_frames import FRAME, Shape, draw, drawn, image_of, photogra
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Sensor
+from reconstruction.frame.spline import spline_coefficients
+from reconstruction.geometry import Lattice, Sensor
+from reconstruction.lattice.cells import cut
 from reconstruction.lattice.search import survey
 from reconstruction.lattice.spectrum import least_rotation_rad
 
@@ -31,14 +33,19 @@ def centers_px(rows: int, columns: int, rotation_rad: float) -> Floats:
 
 
 def hexagons(
-    brightness: Floats, *, shape: Shape = "square", half_width: float = 0.25, rotation_rad: float = 0.0
+    brightness: Floats,
+    *,
+    shape: Shape = "square",
+    half_width: float = 0.25,
+    rotation_rad: float = 0.0,
+    moved_px: tuple[float, float] = (0.0, 0.0),
 ) -> Floats:
     rows, columns = brightness.shape
     row, _ = np.indices((rows, columns))
     beside = np.stack([np.where(row % 2, 0.25, -0.25), (row - (rows - 1) / 2) * (np.sqrt(3) / 2 - 1)], axis=-1)
     return draw(
         FRAME,
-        center_px=CENTER_PX,
+        center_px=(CENTER_PX[0] + moved_px[0], CENTER_PX[1] + moved_px[1]),
         pitch_px=PITCH_PX,
         rotation_rad=rotation_rad,
         brightness=brightness,
@@ -62,6 +69,33 @@ def test_lattice_is_found_at_any_rotation(shape: Shape, rotation_rad: float) -> 
     assert found.illuminated.all()
 
 
+@pytest.mark.parametrize(("x", "y"), [(-0.25, 0.5), (0.0, 0.5), (0.13, 0.47), (0.5, 0.0), (0.5, 0.5)])
+def test_search_may_begin_between_lenslets(x: float, y: float) -> None:
+    """The frame's middle, where it begins, lies there: (x, y) in pitches and rows from lenslet (5, 5)."""
+    first = np.array([255.5 - x * PITCH_PX, 255.5 - y * PITCH_PX * np.sqrt(3) / 2])
+    moved = first - centers_px(11, 10, 0)[5, 5]
+    light = hexagons(np.ones((11, 10)), shape="pinhole", moved_px=(float(moved[0]), float(moved[1])))
+    found = survey(photographed(light, np.random.default_rng(1), peak_e=1000), sensor(11, 10))
+    np.testing.assert_allclose(found.lattice.lenslet_centers_px(11, 10), centers_px(11, 10, 0) + moved, atol=0.15)
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.1, 0.45), (-0.2, -0.4), (0.3, 0.2)])
+def test_phases_of_the_harmonics_are_the_offset_of_the_light(x: float, y: float) -> None:
+    light = hexagons(np.ones((11, 10)), shape="pinhole")
+    middle_px = centers_px(11, 10, 0)[5, 5]
+    lattice = Lattice(
+        center_x_px=middle_px[0] - x * PITCH_PX,
+        center_y_px=middle_px[1] - y * PITCH_PX * np.sqrt(3) / 2,
+        pitch_px=PITCH_PX,
+        arrangement="hexagonal",
+    )
+    cells = cut(spline_coefficients(light.astype(np.float32)), lattice)
+    near = np.abs(cells.index).max(axis=1) < 4
+    inner = replace(cells, light=cells.light * near[:, None, None])
+    found = inner.offset(np.angle(inner.harmonics().sum(axis=0)) / (2 * np.pi))
+    np.testing.assert_allclose(found, [x, y * np.sqrt(3) / 2], atol=0.03)
+
+
 def test_rotation_is_the_least_of_six() -> None:
     for rotation in (-14.9, 0, 30, 44.9):
         for turns in (-2, 1, 3):
@@ -83,17 +117,18 @@ def test_lit_block_is_found_from_even_and_from_odd_rows_on(top: int, left: int) 
     np.testing.assert_allclose(first, expected[top, left], atol=0.1)
 
 
-def test_hexagonal_array_has_no_lenslets_in_the_corners() -> None:
-    """127 lenslets within six steps of the middle one, as commercial arrays have them."""
+@pytest.mark.parametrize("moved_px", [-20.0, 0.0, 30.0])
+def test_hexagonal_array_has_no_lenslets_in_the_corners(moved_px: float) -> None:
+    """127 lenslets within six steps of the middle one, as commercial arrays have them, anywhere on the frame."""
     centers = centers_px(13, 14, 0) - centers_px(13, 14, 0)[6, 6]
     x, y = np.moveaxis(np.abs(centers) / PITCH_PX, -1, 0)
     lit = (y < 5.3) & (x + y / np.sqrt(3) < 6.1)
     assert lit.sum() == 127
-    found = survey(hexagons(lit.astype(np.float64), shape="pinhole"), sensor(13, 13))
+    found = survey(hexagons(lit.astype(np.float64), shape="pinhole", moved_px=(moved_px, 0.0)), sensor(13, 13))
     assert found.illuminated.sum() == 127
     assert np.isnan(found.displacement_px[~found.illuminated]).all()
     own = found.lattice.lenslet_centers_px(13, 13)[found.illuminated]
-    np.testing.assert_allclose(np.sort(own[:, 0]), np.sort(centers_px(13, 14, 0)[lit][:, 0]), atol=0.05)
+    np.testing.assert_allclose(np.sort(own[:, 0]), np.sort(centers_px(13, 14, 0)[lit][:, 0]) + moved_px, atol=0.05)
 
 
 def test_ring_is_centred_on_its_middle() -> None:
