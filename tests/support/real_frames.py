@@ -19,6 +19,7 @@ from app.bench.config import Bench, load_bench
 from app.images import read_image
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
+from reconstruction.geometry import Arrangement, Lattice
 from reconstruction.lattice.search import Survey, survey
 
 _BENCH = Path(__file__).parent / "real_frames.toml"
@@ -38,6 +39,7 @@ class Case:
     smooth_px: float = 1.0  # of the search for spots
     window: float = 0.6  # of the pitch, width of the window about a spot
     dark: Path | None = None
+    arrangement: Arrangement = "square"
 
     def bench(self) -> Bench:
         """The page's bench with this sensor."""
@@ -49,6 +51,7 @@ class Case:
             lenslet_columns=columns,
             lenslet_pitch_m=self.pitch_m,
             pixel_pitch_m=self.pixel_m,
+            arrangement=self.arrangement,
         )
         return replace(bench, sensor=sensor)
 
@@ -72,6 +75,14 @@ CASES = (
     Case(path=_REFERENCES / "mmirs_camera1_ref.fits", lenslets=(15, 15), pitch_m=600e-6, pixel_m=26e-6),
     Case(path=_REFERENCES / "mmirs_camera2_ref.fits", lenslets=(15, 15), pitch_m=600e-6, pixel_m=26e-6),
     SKY,
+    Case(path=_REFERENCES / "f9_ref.fits", lenslets=(12, 12), pitch_m=625e-6, pixel_m=20e-6, arrangement="hexagonal"),
+    Case(
+        path=_REFERENCES / "f9_new_ref.fits",
+        lenslets=(12, 12),
+        pitch_m=625e-6,
+        pixel_m=16.2e-6,
+        arrangement="hexagonal",
+    ),
 )
 
 
@@ -116,13 +127,16 @@ def _nearest(among: Floats, position: Floats) -> tuple[Floats, NDArray[np.intp]]
     return np.asarray(away), np.asarray(index)
 
 
-def square_lattice(position_px: Floats, start: Survey) -> tuple[float, float]:
-    """Pitch, px, and rotation, rad, of the lattice nearest to positions (N, xy) by least squares."""
-    index = np.rint((position_px - position_px[len(position_px) // 2]) / start.lattice.pitch_px)
-    x, y = (index - index.mean(axis=0)).T
-    dx, dy = (position_px - position_px.mean(axis=0)).T
-    along, across = x @ dx + y @ dy, x @ dy - y @ dx
-    return float(np.hypot(along, across) / (x @ x + y @ y)), float(np.arctan2(across, along))
+def regular_lattice(position_px: Floats, near: Lattice) -> tuple[float, float]:
+    """Pitch, px, and rotation, rad, of the lattice through positions (N, xy) by least squares, starting from `near`."""
+    second = {"square": 1j, "hexagonal": np.exp(1j * np.pi / 3)}[near.arrangement]
+    z = position_px @ [1, 1j]
+    away = (z - z[len(z) // 2]) / (near.pitch_px * np.exp(1j * near.rotation_rad))
+    along_second = np.rint(away.imag / second.imag)
+    unit = np.rint(away.real - along_second * second.real) + along_second * second
+    unit -= unit.mean()
+    scale = complex(np.vdot(unit, z - z.mean()) / np.vdot(unit, unit).real)
+    return abs(scale), float(np.angle(scale))
 
 
 def compare(name: str, seen: Survey, truth_px: Floats) -> None:
@@ -131,7 +145,7 @@ def compare(name: str, seen: Survey, truth_px: Floats) -> None:
     away, nearest = _nearest(truth_px, ours)
     near = away < 0.3 * seen.lattice.pitch_px
     difference = ours[near] - truth_px[nearest[near]]
-    lattices = [square_lattice(position, seen) for position in (ours[near], truth_px[nearest[near]])]
+    lattices = [regular_lattice(position, seen.lattice) for position in (ours[near], truth_px[nearest[near]])]
     _write(
         f"{name:27} {near.sum():4} of {len(ours):4} lenslets | pitch found {seen.lattice.pitch_px:.4f}, by least"
         f" squares {lattices[0][0]:.4f}, truth {lattices[1][0]:.4f} px | rotation {lattices[0][1] * 1e3:+.3f}, truth"
