@@ -71,7 +71,7 @@ class LayersPanel(QWidget):
         self.map = ViewGrid()
         self.map.setMinimumSize(80, 50)
         self.map.setToolTip("Phase of each layer, without piston")
-        self.map.empty = "no layer"
+        self.map.empty = ""  # until the first search has ended
         self.sentence = ElidedLabel()
         header = row(self.mode, self.distance, self.origin, (ElidedLabel(), 1))
         column(header, (row((self.plot, 3), (self.map, 2), spacing=12), 1), self.sentence, parent=self)
@@ -96,6 +96,7 @@ class LayersPanel(QWidget):
         if found.request.origin != self.origin.currentData() or found.request.count != self.mode.currentData():
             return  # another choice was made meanwhile
         if found.problem:
+            self.map.empty = "no layer"
             self.sentence.setText(f"No layer: {found.problem}")
             self.show_stale()
             return

@@ -134,9 +134,11 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
     window = make_window()
     window.show_measurement(measured("registration.warp=translation"))
     open_tab(qtbot, window, "Layers")
-    sentence = window.tabs.layers.sentence
-    qtbot.waitUntil(lambda: bool(sentence.text()))
-    assert sentence.text() == "No layer: the distance of a layer needs displacements that change over the field"
+    panel = window.tabs.layers
+    before = panel.map.empty  # the search has not ended
+    qtbot.waitUntil(lambda: bool(panel.sentence.text()))
+    assert panel.sentence.text() == "No layer: the distance of a layer needs displacements that change over the field"
+    assert (before, panel.map.empty) == ("", "no layer")
 
 
 def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot) -> None:
