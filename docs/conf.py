@@ -10,7 +10,8 @@ import typer.main
 from sphinx.application import Sphinx
 
 import svwfs
-from app.bench.config import Bench, CameraSettings, LightSettings, drivers_of
+from app.bench.config import Bench
+from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.bench.presets import PRESETS
 from app.bench.settings_form import FormField, SettingsForm
 from app.cli.application import cli

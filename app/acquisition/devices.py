@@ -4,7 +4,8 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from app.bench.config import Bench, CameraSettings, LightSettings
+from app.bench.config import Bench
+from app.bench.device_settings import CameraSettings, LightSettings
 from app.bench.settings import RecordingSettings
 from app.bench.trusted_libraries import check_unchanged
 from app.cache import cache_folder

@@ -8,25 +8,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-from collections.abc import Callable, Mapping
-from functools import cache, partial
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import cattrs
 import tomli_w
 
 from app.bench.bench_error import BenchError, line_of_setting, line_of_syntax
 from app.bench.bench_files import bench_file, read_bench_text
+from app.bench.conversion import UNKNOWN, converter, sentence_of
+from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
 from app.files import in_words
-from drivers.dcam.settings import DcamSettings
-from drivers.genicam.settings import GenicamSettings
 from drivers.manual_light import ManualLightSettings
-from drivers.micro_manager.settings import MicroManagerSettings
-from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
-from drivers.usb_lights.settings import DC2200Settings
 from reconstruction.arrays import Counts
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
@@ -39,15 +36,7 @@ if TYPE_CHECKING:
     from reconstruction.frame.noise import CameraNoise
     from reconstruction.pipeline import Reconstructor
 
-T = TypeVar("T")
 Settings = TypeVar("Settings", bound="DataclassInstance")
-
-CameraSettings: TypeAlias = (
-    SimulatedCameraSettings | DcamSettings | GenicamSettings | MicroManagerSettings | RecordingSettings
-)
-LightSettings: TypeAlias = (
-    SimulatedLightSettings | DC4100Settings | DC2200Settings | CoolLEDSettings | ManualLightSettings
-)
 
 AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
@@ -58,7 +47,6 @@ _OF_VERSION_0_1 = {
     ("registration", "warp"): "quadratic",
     ("reconstruction", "response"): False,
 }
-_UNKNOWN = "unknown key"
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,11 +145,6 @@ class Bench:
         return self.light if isinstance(self.light, SimulatedLightSettings) else SimulatedLightSettings()
 
 
-def drivers_of(kind: Any) -> dict[str, type]:
-    """Return the settings classes of a union by driver name."""
-    return {get_args(get_type_hints(each)["driver"])[0]: each for each in get_args(kind)}
-
-
 def load_bench(source: str | Path, overrides: tuple[str, ...] = (), *, is_recorded: bool = False) -> Bench:
     """Read a bench from a TOML file or a preset; see `parse_bench`."""
     text = read_bench_text(Path(source) if is_recorded else bench_file(source))
@@ -204,11 +187,11 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
             del tree[section][key]
     _arrange(tree)
     try:
-        return _converter().structure(tree, Bench)
+        return converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
-        faults = cattrs.transform_error(error, format_exception=_sentence)
+        faults = cattrs.transform_error(error, format_exception=sentence_of)
         faults.sort(
-            key=lambda fault: not fault.startswith(_UNKNOWN)
+            key=lambda fault: not fault.startswith(UNKNOWN)
         )  # before the key that a misspelt one leaves missing
         sentence, _, path = faults[0].rpartition(" @ $")
         section = path.lstrip(".").replace("sensor.arrangement", "lattice.arrangement")
@@ -265,59 +248,3 @@ def _override(tree: dict[str, Any], override: str) -> None:
         if not isinstance(tree, dict):
             raise InputError(f"setting {override!r}: {section} is not a section")
     tree[key] = parsed
-
-
-@cache
-def _converter() -> cattrs.Converter:
-    """Converter without implicit conversions: no text for a number, no true for 1, no NaN."""
-    converter = cattrs.Converter(forbid_extra_keys=True)
-    converter.register_structure_hook(int, _exactly(int, "a whole number"))
-    converter.register_structure_hook(bool, _exactly(bool, "true or false"))
-    converter.register_structure_hook(str, _exactly(str, "text in quotes"))
-    converter.register_structure_hook(float, lambda value, _: _number(value))
-    converter.register_structure_hook_func(
-        lambda kind: kind in (CameraSettings, LightSettings), lambda value, kind: _by_driver(converter, value, kind)
-    )
-    return converter
-
-
-def _by_driver(converter: cattrs.Converter, value: Any, kind: Any) -> Any:
-    """Read a section into the settings class of its driver, by default the simulated one."""
-    if not isinstance(value, dict):
-        raise ValueError("must be a section")  # noqa: TRY004 - cattrs handles it like other values
-    known, driver = drivers_of(kind), value.get("driver", "simulated")
-    if driver not in known:
-        raise ValueError(f"driver = {driver!r} is unknown; known are " + ", ".join(f'"{name}"' for name in known))
-    return converter.structure(value, known[driver])
-
-
-def _exactly(kind: type[T], what: str) -> Callable[[Any, Any], T]:
-    def take(value: Any, _: Any) -> T:
-        if type(value) is not kind:
-            raise TypeError(f"must be {what}, not {value!r}")
-        return value
-
-    return take
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise TypeError(f"must be a finite number, not {value!r}")
-    return float(value)
-
-
-def _sentence(error: BaseException, kind: type | None) -> str:
-    """Describe an error; cattrs adds the path of the key."""
-    if isinstance(error, cattrs.ForbiddenExtraKeysError):
-        extra = ", ".join(sorted(error.extra_fields))
-        known = ", ".join(field.name for field in dataclasses.fields(error.cl))
-        return f"{_UNKNOWN} {extra}; known are {known}"
-    if isinstance(error, KeyError):
-        return "is missing"
-    if type(None) in get_args(kind):  # an optional setting
-        kind = get_args(kind)[0]
-    if get_origin(kind) is Literal:
-        return "must be one of " + ", ".join(f'"{value}"' for value in get_args(kind))
-    if dataclasses.is_dataclass(kind) and not isinstance(error, ValueError):
-        return "must be a section"
-    return str(error)

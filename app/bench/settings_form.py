@@ -9,7 +9,8 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import tomli_w
 
-from app.bench.config import Bench, CameraSettings, LightSettings, drivers_of, parse_bench, write_bench
+from app.bench.config import Bench, parse_bench, write_bench
+from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.bench.settings_words import in_unit
 from app.errors import InputError
 from drivers.discovery import DiscoveredDevice

@@ -10,7 +10,7 @@ from typing import Any
 import cattrs
 
 from app.acquisition.devices import open_camera, open_light
-from app.bench.config import CameraSettings, LightSettings, drivers_of
+from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.commands.device_trace import Trace
 from app.errors import RunError
 from drivers.camera import Camera

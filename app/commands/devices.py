@@ -9,7 +9,8 @@ import tomli_w
 from rich.console import Console
 
 from app.acquisition.device_kinds import KINDS
-from app.bench.config import Bench, CameraSettings, LightSettings
+from app.bench.config import Bench
+from app.bench.device_settings import CameraSettings, LightSettings
 from app.commands import device_trace
 from app.commands.device_check import Verdict, check_device, settings_of
 from app.commands.prompt import ask

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.bench.config import Bench, CameraSettings
+from app.bench.config import Bench
+from app.bench.device_settings import CameraSettings
 from app.errors import InputError
 from app.images import read_image
 from app.measurement.bench_reconstructor import BenchReconstructor, full_scale_of

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench
+from app.bench.config import load_bench
+from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.bench.presets import PRESETS
 from app.bench.settings_form import FormField, SettingsForm
 from app.bench.settings_words import in_words

@@ -27,7 +27,8 @@ from support.pictures import assert_drawn
 
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
-from app.bench.config import Bench, CameraSettings, LightSettings, load_bench, write_bench
+from app.bench.config import Bench, load_bench, write_bench
+from app.bench.device_settings import CameraSettings, LightSettings
 from app.bench.presets import PRESETS
 from app.cli.application import cli
 from app.errors import Interrupted, RunError

@@ -17,7 +17,8 @@ from support.simulated_scene import CAMERA, STILL, open_bench
 
 from app.acquisition.device_kinds import KINDS, DeviceKind
 from app.acquisition.devices import open_camera, open_light
-from app.bench.config import CameraSettings, LightSettings, drivers_of, load_bench, write_bench
+from app.bench.config import load_bench, write_bench
+from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.commands import devices as device_report
 from app.commands.device_trace import Trace, serial_numbers
 from app.errors import InputError, RunError
