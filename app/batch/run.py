@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -101,13 +102,14 @@ def _opened(out: Path, job: Job, sources: Sequence[Source], evaluate: Evaluate, 
     problem = ""
     for source in sources:
         progress("preparing", 0.0)
-        for _, template in evaluate(partial(first_result, job), [source]):
-            if isinstance(template, RunError):
-                raise template
-            if isinstance(template, Exception):
-                problem = problem or _reason(template)
-            elif template is not None:
-                return ResultStore.create(out, job, template)
+        # Every worker prepares itself, which it needs anyway; the first answer is enough.
+        _, template = next(evaluate(partial(first_result, job), repeat(source)))
+        if isinstance(template, RunError):
+            raise template
+        if isinstance(template, Exception):
+            problem = problem or _reason(template)
+        elif template is not None:
+            return ResultStore.create(out, job, template)
     raise RunError(f"{out}: there is nothing to write: {problem or 'no frame has a wavefront'}")
 
 

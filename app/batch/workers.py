@@ -20,8 +20,11 @@ R = TypeVar("R")
 _CONNECT_S = 20
 _LEAST_WAITING = 16  # tasks at the scheduler; more would only delay Ctrl-C
 _CLOSE_S = 30
-# Dask makes workers return memory at once, so that each array of a frame is mapped anew: half the speed.
-_MALLOC = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
+_ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
+_MALLOC = {
+    f"{_ENVIRONMENT}.MALLOC_TRIM_THRESHOLD_": None,  # Dask's maps every array of a frame anew: half the speed
+    f"{_ENVIRONMENT}.MALLOC_ARENA_MAX": 1,  # an arena for each thread takes a hundred megabytes more
+}
 
 
 class Workers:
