@@ -18,7 +18,9 @@ MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
 _MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
 _JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
+_TEXT = b"P2"
 _FITS_BLOCK, _FITS_CARD = 2880, 80  # bytes
+_FITS_SIZE = "BITPIX, NAXIS, BSCALE or BZERO"
 _FITS_SCALING = ("BSCALE", "1"), ("BZERO", "0")
 _FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "64": ">i8", "-32": ">f4", "-64": ">f8"}  # of BITPIX
 
@@ -34,7 +36,7 @@ def read_image(path: Path) -> NDArray[Any]:
     except Exception as error:
         raise InputError(f"{path}: cannot be read as {FORMATS}: {in_words(error)}") from error
     if np.ndim(image) == 3 and image.shape[2] in {3, 4}:
-        if np.any(image[..., :2] != image[..., 1:3]):
+        if not np.array_equal(image[..., :2], image[..., 1:3], equal_nan=image.dtype.kind == "f"):
             raise InputError(f"{path}: is a colour image; save one of its channels as a grey image")
         image = image[..., 0]
     if not isinstance(image, np.ndarray) or image.ndim != 2 or 0 in image.shape:
@@ -44,7 +46,10 @@ def read_image(path: Path) -> NDArray[Any]:
         raise InputError(f"{path}: holds {image.dtype} values; a grey image is needed")
     if image.dtype == np.float16:  # its sums overflow
         image = image.astype(np.float32)
-    if np.max(np.abs(image), where=np.isfinite(image), initial=0) > MOST_COUNTS:
+    known = np.isfinite(image)
+    if not known.any():
+        raise InputError(f"{path}: holds no number")
+    if max(float(np.max(image, where=known, initial=0)), -float(np.min(image, where=known, initial=0))) > MOST_COUNTS:
         raise InputError(f"{path}: holds values beyond {MOST_COUNTS:g}; counts are needed")
     return image
 
@@ -52,6 +57,10 @@ def read_image(path: Path) -> NDArray[Any]:
 def _read(path: Path) -> NDArray[Any]:
     with path.open("rb") as file:
         start = file.read(len(_FITS))
+    if not start:
+        raise ValueError("it is empty")
+    if start.startswith(_TEXT):
+        raise ValueError("it holds its numbers as text; save it as a binary PGM (P5)")
     if start.startswith(np.lib.format.MAGIC_PREFIX):
         # Fails if the file is shorter than its header says.
         return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
@@ -91,6 +100,7 @@ def _read_picture(path: Path) -> NDArray[Any]:
     """Read a PNG, BMP or PGM with the bits that it has."""
     import cv2  # noqa: PLC0415 - most commands read none
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # a damaged file raises below
     image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ValueError("it is damaged or too large")
@@ -104,23 +114,30 @@ def _read_fits(path: Path) -> NDArray[Any]:
         header, at = _fits_header(stored, at)
         if header.get("ZIMAGE") == "T":
             raise ValueError("its image is compressed; unpack it, for example with funpack")
-        shape = [int(header[f"NAXIS{axis}"]) for axis in range(int(header["NAXIS"]), 0, -1)]
-        kind = np.dtype(_FITS_TYPES[header["BITPIX"]])
+        try:
+            shape = [int(header[f"NAXIS{axis}"]) for axis in range(int(header["NAXIS"]), 0, -1)]
+            kind = np.dtype(_FITS_TYPES[header["BITPIX"]])
+            scale, zero = (float(header.get(name, default).replace("D", "E")) for name, default in _FITS_SCALING)
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"its header has no valid {_FITS_SIZE}: {error}") from None
+        if min(shape, default=0) < 0 or not math.isfinite(zero) or not math.isfinite(scale) or not scale:
+            raise ValueError(f"its header has no valid {_FITS_SIZE}")
         pixels = math.prod(shape) if shape else 0
         length = (pixels + int(header.get("PCOUNT", 0))) * int(header.get("GCOUNT", 1)) * kind.itemsize
         if not 0 <= length <= len(stored) - at:
             raise ValueError("it ends before its last pixel")
         if pixels and header.get("XTENSION", "IMAGE") == "IMAGE":
-            images.append((header, np.frombuffer(stored, kind, pixels, at).reshape(shape)))
+            images.append((header.get("BLANK"), scale, zero, np.frombuffer(stored, kind, pixels, at).reshape(shape)))
         at += -(-length // _FITS_BLOCK) * _FITS_BLOCK
-    ((header, values),) = _only(images)
+    ((blank, scale, zero, values),) = _only(images)
     values = np.reshape(values, [length for length in values.shape if length > 1]) if values.ndim > 2 else values
-    scale, zero = (float(header.get(name, default).replace("D", "E")) for name, default in _FITS_SCALING)
+    if blank is not None and values.dtype.kind != "f" and (undefined := values == int(blank)).any():
+        return np.where(undefined, np.nan, np.asarray(values * scale + zero, np.float64))
     if (scale, zero) == (1.0, 0.0):
         return values.astype(values.dtype.newbyteorder("="))
     if values.dtype.kind == "i" and (scale, zero) == (1.0, -float(np.iinfo(values.dtype).min)):
         return (values.astype(values.dtype.newbyteorder("=")) ^ np.iinfo(values.dtype).min).view(f"u{values.itemsize}")
-    return values * scale + zero
+    return np.asarray(values * scale + zero)
 
 
 def _fits_header(stored: NDArray[np.uint8], at: int) -> tuple[dict[str, str], int]:

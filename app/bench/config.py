@@ -185,7 +185,7 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]
-    _arrange(tree)
+    _arrange(tree, name)
     try:
         return converter().structure(tree, Bench)
     except cattrs.BaseValidationError as error:
@@ -213,9 +213,11 @@ def write_bench(bench: Bench) -> str:
     return tomli_w.dumps(_without_none(tree))
 
 
-def _arrange(tree: dict[str, Any]) -> None:
+def _arrange(tree: dict[str, Any], name: str) -> None:
     """Copy `lattice.arrangement` to the sensor, which has it even if the place of the lattice is not known."""
-    sensor, lattice = (tree.get(name) for name in ("sensor", "lattice"))
+    sensor, lattice = (tree.get(section) for section in ("sensor", "lattice"))
+    if isinstance(sensor, dict) and "arrangement" in sensor:
+        raise BenchError(f"{name}: sensor: {UNKNOWN} arrangement; it is lattice.arrangement", line=None)
     if isinstance(sensor, dict) and isinstance(lattice, dict) and "arrangement" in lattice:
         sensor["arrangement"] = lattice["arrangement"]
         if len(lattice) == 1:

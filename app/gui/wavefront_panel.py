@@ -20,6 +20,7 @@ from app.gui.widgets import Choice, ElidedLabel, button, colour_text, column, la
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
+from reconstruction.quality.row_alignment import aligned
 from reconstruction.wavefront import Wavefront
 
 
@@ -183,13 +184,13 @@ class WavefrontPanel(QWidget):
         if self.shown is None:
             return
         per_rad = unit.per_rad(self.shown.sensor.wavelength_m) if presentation.has_unit else 1.0
-        shown = maps * per_rad
+        sensor = self.shown.sensor
+        shown = (aligned(maps, sensor.arrangement) if reach_mrad is None else maps) * per_rad
         limit = self._limits[presentation.family, unit]
         self._follow(limit, max(presentation.limit(shown), presentation.finest * per_rad))
         self._maps = (self.quantity, shown)
-        sensor = self.shown.sensor
-        half_m, lenslets = sensor.pupil_half_width_m, (sensor.lenslet_columns, sensor.lenslet_rows)
-        x_mm, y_mm = (half * (1 - 1 / count) * 1e3 for half, count in zip(half_m, lenslets, strict=True))
+        x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3
+        y_mm = (sensor.lenslet_rows - 1) / 2 * sensor.row_spacing_m * 1e3
         scale, text = presentation.scale(limit.value, unit), partial(describe, presentation, unit)
         if reach_mrad is None:
             self.grid.show_maps(Maps(shown, scale, text, reach=(x_mm, y_mm), reach_unit="mm"))

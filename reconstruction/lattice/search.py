@@ -29,6 +29,7 @@ _SATURATED_FRACTION = 0.01  # of the pixels
 _DARK_AT_MOST = 8  # largest ratio of all lenslets to the lit ones
 _OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or column count fully
 _MANY = 2000  # cells, from which on a lattice's spectral peak, 0.5 sqrt(cells), is far above the noise, 3.5
+_OTHER: dict[Arrangement, Arrangement] = {"square": "hexagonal", "hexagonal": "square"}
 _OTHER_PITCHES = 0.5, 2.0  # over the designed one, from a wrong focal length or binning
 # Rows and columns; blocks that differ by less count as equally lit. Columns of hexagonal arrays end in single lenslets.
 _ALIKE = {"square": 0.3, "hexagonal": 0.1}
@@ -108,7 +109,7 @@ def survey(
     progress("fitting the lattice", 0.25)
     fit, why = _fitted(light, sensor, pitch_px)
     for tried, factor in enumerate(_OTHER_PITCHES, 1):
-        if fit is None:
+        if fit is None and why != _blame(sensor.arrangement):
             progress(f"fitting one of {pitch_px * factor:.1f} px pitch", (tried + 1) / 4)
             fit, _ = _fitted(light, sensor, pitch_px * factor)
     if fit is not None and abs(fit.lattice.pitch_px / pitch_px - 1) < REACH:
@@ -141,10 +142,15 @@ def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, 
     why = why_no_lattice(fit, peak, light, brightest)
     if not why:
         return fit, why
-    other: Arrangement = "hexagonal" if sensor.arrangement == "square" else "square"
-    if seems_to_be_other(peak, strongest_peak(light, pitch_px, other)):
-        why = f'it seems to show a {other} one: set lattice.arrangement = "{other}"'
+    if seems_to_be_other(peak, strongest_peak(light, pitch_px, _OTHER[sensor.arrangement])):
+        why = _blame(sensor.arrangement)
     return None, why
+
+
+def _blame(arrangement: Arrangement) -> str:
+    """Reason why there is no lattice of an arrangement: the other one is there."""
+    other = _OTHER[arrangement]
+    return f'it seems to show a {other} one: set lattice.arrangement = "{other}"'
 
 
 def _start(peak: Peak, shape: tuple[int, int], arrangement: Arrangement) -> Lattice:

@@ -130,6 +130,11 @@ FITS: dict[str, tuple[bytes, np.ndarray]] = {
     "scaled": (fits((primary(BSCALE="2.5D0", BZERO=-100.0), SHORTS)), IMAGE * 2.5 - 100),
     "plane of a cube": (fits((primary(NAXIS=3, NAXIS3=1), SHORTS)), IMAGE.astype(np.int16)),
     "extension": (fits(EMPTY, (TABLE, bytes(17)), (EXTENSION, LONGS)), IMAGE.astype(np.int32)),
+    "blank": (fits((primary(BLANK=7), SHORTS)), np.where(IMAGE == 7, np.nan, IMAGE)),
+    "blank and unsigned": (
+        fits((primary(BZERO=TOP, BLANK=7 - TOP), (IMAGE - TOP).astype(">i2").tobytes())),
+        np.where(IMAGE == 7, np.nan, IMAGE),
+    ),
     "records behind it": (fits((primary(), SHORTS)) + bytes(2880), IMAGE.astype(np.int16)),
 }
 
@@ -151,6 +156,11 @@ BAD_FITS = {
     "compressed; unpack it, for example with funpack": fits(EMPTY, ({**TABLE, "ZIMAGE": "T"}, bytes(17))),
     "ends before its last pixel": fits((primary(NAXIS2=300_000), SHORTS)),
     "its header has no end": fits((primary(), b""))[:500],
+    "no valid BITPIX, NAXIS, BSCALE or BZERO: '17'": fits((primary(17), SHORTS)),
+    "no valid BITPIX, NAXIS, BSCALE or BZERO: 'NAXIS'": fits(({"SIMPLE": "T", "BITPIX": 16}, SHORTS)),
+    "no valid BITPIX, NAXIS, BSCALE or BZERO: could": fits((primary(BZERO="'abc'"), SHORTS)),
+    "no valid BITPIX, NAXIS, BSCALE or BZERO$": fits((primary(NAXIS1=-4), SHORTS)),
+    "BSCALE or BZERO$": fits((primary(BSCALE=0), SHORTS)),
 }
 
 
@@ -203,3 +213,29 @@ def test_damaged_picture_is_refused(tmp_path: Path) -> None:
     (tmp_path / "cut.png").write_bytes(whole.read_bytes()[:5000])
     with pytest.raises(InputError, match=r"cut\.png: cannot be read as .*: it is damaged or too large"):
         read_image(tmp_path / "cut.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "sentence"),
+    [
+        ("empty.tif", b"", "it is empty"),
+        ("text.pgm", b"P2\n2 1\n255\n1 2\n", "it holds its numbers as text"),
+        ("cut.png", b"\x89PNG\r\n\x1a\n" + bytes(40), "it is damaged or too large"),
+    ],
+)
+def test_damaged_images_are_refused_without_other_lines(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, content: bytes, sentence: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=sentence):
+        read_image(tmp_path / name)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_images_without_usable_numbers_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "unknown.npy", np.full((3, 4), np.nan))
+    np.save(tmp_path / "least.npy", np.full((3, 4), np.iinfo(np.int64).min))
+    with pytest.raises(InputError, match="holds no number"):
+        read_image(tmp_path / "unknown.npy")
+    with pytest.raises(InputError, match="holds values beyond"):
+        read_image(tmp_path / "least.npy")

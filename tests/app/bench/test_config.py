@@ -59,6 +59,8 @@ def test_arrangement_belongs_to_sensor_and_lattice() -> None:
     assert bench.lattice is not None
     assert (bench.sensor.arrangement, bench.lattice.arrangement) == ("hexagonal", "hexagonal")
     assert parse_bench(write_bench(bench), "again") == bench
+    with pytest.raises(InputError, match=r"unknown key arrangement; it is lattice\.arrangement"):
+        parse_bench(MINIMAL, "b", ("sensor.arrangement=hexagonal",))
     with pytest.raises(ValueError, match=r'lattice\.arrangement = "square" is missing'):
         replace(bench, sensor=replace(bench.sensor, arrangement="square"))
 

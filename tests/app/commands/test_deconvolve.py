@@ -120,8 +120,8 @@ def test_geometry_comes_from_toml_and_options(
 
 def refusals(tmp_path: Path, result: Path) -> dict[str, tuple[list[str | Path], str]]:
     rgb, broken, taken, single = (tmp_path / name for name in ("rgb.tif", "nan.tif", "taken.tif", "single.nc"))
-    tifffile.imwrite(rgb, np.zeros((20, 30, 3), np.uint8), photometric="rgb")
-    tifffile.imwrite(broken, np.full((150, 160), np.nan, np.float32))
+    tifffile.imwrite(rgb, np.full((20, 30, 3), (0, 9, 0), np.uint8), photometric="rgb")
+    tifffile.imwrite(broken, np.where(np.eye(150, 160), np.nan, 1).astype(np.float32))
     tifffile.imwrite(taken, np.zeros((5, 5), np.uint8))
     with open_results(result) as results:
         one_view = results.isel(frame=0, view_row=[1], view_column=[1]).drop_vars("coefficients").load()
@@ -132,7 +132,7 @@ def refusals(tmp_path: Path, result: Path) -> dict[str, tuple[list[str | Path], 
     out: list[str | Path] = ["--out", tmp_path / "new.tif"]
     return {
         "scale": ([good, *with_result, *out], "its scale is unknown: give --scale"),
-        "rgb": ([rgb, *with_result, *SCALE, *out], "one grey image is needed"),
+        "rgb": ([rgb, *with_result, *SCALE, *out], "is a colour image"),
         "nan": ([broken, *with_result, *SCALE, *out], "holds NaN"),
         "apart": ([good, *with_result, *SCALE, "--set", "imaging.center_x_px=9000.0", *out], "field covers 0 x"),
         "single view": ([good, "--with", single, *SCALE, *out], "neither coefficients nor several views"),

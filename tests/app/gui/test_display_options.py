@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from app.gui.presentation import number, signed
 from app.results.dataset import result_dataset, write_results
 from app.results.view_analysis import Quantity
 from reconstruction.arrays import Floats
+from reconstruction.wavefront import Wavefront
 
 
 @pytest.fixture
@@ -168,3 +170,20 @@ def test_numbers_have_significant_digits(value: float, text: str) -> None:
 
 def test_signed_numbers() -> None:
     assert [signed(value) for value in (0.5, -0.5, 0.0)] == ["+0.500", "\N{MINUS SIGN}0.500", "0"]
+
+
+def test_columns_of_hexagonal_maps_are_straight(make_window: MakeWindow) -> None:
+    sensor = replace(SENSOR, arrangement="hexagonal")
+    x_m = sensor.lenslet_centers_m[..., 0]
+    window, tilted = make_window(), bowl()
+    window._analysis.use_settings(BENCH.reconstruction)
+    window.wavefront_panel.show_wavefront(
+        Wavefront(
+            sensor, tilted.field, tilted.displacement, tilted.solution, np.broadcast_to(1e3 * x_m, (3, 3, *x_m.shape))
+        )
+    )
+    maps = window.wavefront_panel.grid.maps
+    assert maps is not None
+    half_m = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m
+    np.testing.assert_allclose(maps.values[1, 1, :, -1], 1e3 * half_m, rtol=1e-6)
+    assert maps.reach[0] == pytest.approx(1e3 * half_m)

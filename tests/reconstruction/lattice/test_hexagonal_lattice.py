@@ -156,8 +156,10 @@ def test_displaced_light_is_reported() -> None:
 
 
 def test_square_lattice_is_refused_with_its_name() -> None:
+    steps: list[str] = []
     with pytest.raises(ReconstructionError, match=r'a square one: set lattice\.arrangement = "square"'):
-        survey(drawn(), sensor(15, 15))
+        survey(drawn(), sensor(15, 15), progress=lambda step, _: steps.append(step))
+    assert steps[-1] == "fitting the lattice"  # and none of another pitch, which might seem to fit
 
 
 def test_hexagonal_lattice_is_refused_by_a_square_sensor() -> None:
