@@ -47,8 +47,6 @@ def read_image(path: Path) -> NDArray[Any]:
     if image.dtype == np.float16:  # its sums overflow
         image = image.astype(np.float32)
     known = np.isfinite(image)
-    if not known.any():
-        raise InputError(f"{path}: holds no number")
     if max(float(np.max(image, where=known, initial=0)), -float(np.min(image, where=known, initial=0))) > MOST_COUNTS:
         raise InputError(f"{path}: holds values beyond {MOST_COUNTS:g}; counts are needed")
     return image
@@ -85,6 +83,8 @@ def _read_tiff(path: Path) -> NDArray[Any]:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
         tag = series.keyframe.tags.get(_ORIENTATION)
         image = series.asarray()
+        if series.axes == "SYX":  # its channels are stored one after the other
+            image = np.moveaxis(image, 0, -1)
         return image if tag is None or image.ndim != 2 else _upright(image, int(tag.value))
 
 

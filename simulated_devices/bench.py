@@ -1,5 +1,7 @@
 """The simulated bench: light, mask, sample and optics, on which the three devices act."""
 
+from __future__ import annotations
+
 import dataclasses
 import threading
 from collections import deque
@@ -42,8 +44,24 @@ class Condition:
 class Exposed:
     """Light that the camera received during an exposure."""
 
-    photons: NDArray[np.float32]  # mean number on each pixel, (row, column)
+    parts: tuple[tuple[NDArray[np.float32], np.float32], ...]  # irradiances (row, column), m^2, and their doses, m^-2
     state: int | None  # of the sample at the end; None if it was out of the beam
+
+    @property
+    def photons(self) -> NDArray[np.float32]:
+        """Mean number on each pixel, (row, column)."""
+        (image, dose), *others = self.parts
+        photons = image * dose
+        for image, dose in others:
+            photons += image * dose
+        return photons
+
+    def is_same_light(self, other: Exposed) -> bool:
+        """True if the other exposure received exactly the same light."""
+        return len(self.parts) == len(other.parts) and all(
+            image is other_image and dose == other_dose
+            for (image, dose), (other_image, other_dose) in zip(self.parts, other.parts, strict=True)
+        )
 
 
 class SimulatedBench:
@@ -122,14 +140,12 @@ class SimulatedBench:
     def expose(self, start_s: float, end_s: float) -> Exposed:
         """Photons on the camera from `start_s` to `end_s`; a change in between counts from its moment."""
         self._load_rendered()
-        photons = np.zeros((self._scene.rows, self._scene.columns), np.float32)
-        state = None
+        parts, state = [], None
         for begin_s, finish_s, condition in self._pieces(start_s, end_s):
             image, state = self._image(condition, (begin_s + finish_s) / 2)
-            if condition.is_light_on and finish_s > begin_s:
-                dose = PHOTONS_PER_S_M2_A * condition.current_a * (finish_s - begin_s)
-                photons += image * np.float32(dose)
-        return Exposed(photons=photons, state=state)
+            current_a = condition.current_a if condition.is_light_on else 0.0
+            parts.append((image, np.float32(PHOTONS_PER_S_M2_A * current_a * max(finish_s - begin_s, 0.0))))
+        return Exposed(parts=tuple(parts), state=state)
 
     def close(self) -> None:
         """End the rendering ahead; closing twice is allowed."""

@@ -8,7 +8,8 @@ before it.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -55,9 +56,33 @@ class Detector:
 
     def counts(self, photons: NDArray[np.float32], exposure: Exposure) -> NDArray[np.uint16]:
         """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
+        edges = [len(photons) * part // self._THREADS for part in range(self._THREADS + 1)]
+        counts = np.empty(photons.shape, np.uint16)
+        jobs = [
+            self._pool.submit(self._expose, photons, exposure, start, end, counts) for start, end in pairwise(edges)
+        ]
+        for job in jobs:
+            job.result()
+        return counts
+
+    def begin(self, photons: Callable[[], NDArray[np.float32]], exposure: Exposure) -> Future[NDArray[np.uint16]]:
+        """Begin to compute the counts of a frame in one thread; `photons` is called there."""
+        return self._pool.submit(self._counts_in_one_thread, photons, exposure)
+
+    def _counts_in_one_thread(
+        self, photons: Callable[[], NDArray[np.float32]], exposure: Exposure
+    ) -> NDArray[np.uint16]:
+        received = photons()
+        counts = np.empty(received.shape, np.uint16)
+        self._expose(received, exposure, 0, len(received), counts)
+        return counts
+
+    def _expose(
+        self, photons: NDArray[np.float32], exposure: Exposure, start: int, end: int, counts: NDArray[np.uint16]
+    ) -> None:
+        """Fill rows start ... end of the counts."""
         settings = self._settings
         background_e = settings.dark_current_e_per_s * exposure.exposure_s + settings.clock_induced_charge_e
-        counts = np.empty(photons.shape, np.uint16)
         parameters = np.array(
             [
                 settings.quantum_efficiency,
@@ -74,11 +99,4 @@ class Detector:
         )
         hashed_seed = int(splitmix64(np.uint64(self._seed)))  # Numba returns it as Python's integer
         key = np.uint64(splitmix64(np.uint64((hashed_seed + exposure.index) % 2**64)))
-        edges = [len(photons) * part // self._THREADS for part in range(self._THREADS + 1)]
-        jobs = [
-            self._pool.submit(expose_rows, photons, key, parameters, start, end, counts)
-            for start, end in pairwise(edges)
-        ]
-        for job in jobs:
-            job.result()
-        return counts
+        expose_rows(photons, key, parameters, start, end, counts)

@@ -1,4 +1,4 @@
-"""Random numbers of electrons in one pixel: the compiled inner loop of the detector.
+"""Random numbers of electrons in the pixels: the compiled inner loop of the detector.
 
 Large numbers follow Cornish-Fisher expansions, which turn one normal deviate z into a deviate with the right mean,
 variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
@@ -74,10 +74,26 @@ def _tail_normal(probability: float) -> float:
 
 
 @compiled
-def poisson(mean: float, bits: np.uint64) -> float:
-    """Poisson deviate: by inversion for a small mean, by Cornish-Fisher to order 1/mean for a larger one."""
+def _fill_normal(bits: NDArray[np.uint64], deviates: NDArray[np.float64]) -> None:
+    """Fill with `normal` of each; the first loop has no branch, so that it runs on several numbers at a time."""
+    for index in range(len(bits)):
+        position = uniform(bits[index]) * _CELLS
+        cell = int(position)
+        low = _QUANTILE[cell]
+        deviates[index] = low + (position - cell) * (_QUANTILE[cell + 1] - low)
+    for index in range(len(bits)):
+        cell = int(uniform(bits[index]) * _CELLS)
+        if cell < _TAIL or cell >= _CELLS - _TAIL:
+            deviates[index] = _tail_normal(uniform(bits[index]))
+
+
+@compiled
+def poisson(mean: float, z: float, bits: np.uint64) -> float:
+    """Poisson deviate: by inversion for a small mean, by Cornish-Fisher to order 1/mean for a larger one.
+
+    `z` is the normal deviate of the same bits.
+    """
     if mean >= _INVERSION_LIMIT:
-        z = normal(bits)
         root = math.sqrt(mean - 1 / 12)  # rounding to whole electrons adds the twelfth again
         return math.floor(mean + root * z + (z * z - 1) / 6 + (z - z * z * z) / (72 * root) + 0.5)
     u = uniform(bits)
@@ -112,13 +128,18 @@ def multiplied(electrons: float, em_gain: float, key: np.uint64) -> float:
 
 
 @compiled
-def _many_multiplied(mean: float, em_gain: float, z: float) -> float:
-    """Shot noise and register in one expansion, from the first three cumulants of a compound Poisson process."""
+def _fill_many_multiplied(means: Images, em_gain: float, electrons: NDArray[np.float64]) -> None:
+    """Turn normal deviates into electrons after the register, from many before it.
+
+    Shot noise and register are one expansion, from the first three cumulants of a compound Poisson process.
+    """
     t = math.sqrt(em_gain * (em_gain - 1))
     s = em_gain - t
-    variance = mean * (s * s + 2 * s * t + 2 * t * t)
-    third = mean * (s * s * s + 3 * s * s * t + 6 * s * t * t + 6 * t * t * t)
-    return mean * em_gain + math.sqrt(variance) * z + third / (6 * variance) * (z * z - 1)
+    variance = s * s + 2 * s * t + 2 * t * t  # of one electron
+    third = s * s * s + 3 * s * s * t + 6 * s * t * t + 6 * t * t * t
+    for column in range(len(means)):
+        mean, z = means[column], electrons[column]
+        electrons[column] = mean * em_gain + math.sqrt(mean * variance) * z + third / (6 * variance) * (z * z - 1)
 
 
 @compiled
@@ -128,17 +149,26 @@ def expose_rows(
     """Fill rows start ... end of `counts` from mean `photons` (row, column); `parameters` as `Detector` lists them."""
     efficiency, background, full_well, em_gain, register_well, read_noise, per_electron, offset, top = parameters
     columns = photons.shape[1]
+    bits, means = np.empty(columns, np.uint64), np.empty(columns, np.float32)
+    electrons, read = np.empty(columns), np.empty(columns)
     for row in range(start, end):
         for column in range(columns):
-            bits = splitmix64(key ^ (np.uint64(row * columns + column) * _MIX_2))
-            mean = photons[row, column] * efficiency + background
+            bits[column] = splitmix64(key ^ (np.uint64(row * columns + column) * _MIX_2))
+            means[column] = photons[row, column] * efficiency + background
+        _fill_normal(bits, electrons)
+        deviates = electrons if em_gain == 1 else electrons.copy()
+        if em_gain > 1:
+            _fill_many_multiplied(means, em_gain, electrons)
+        for column in range(columns):
+            mean = means[column]
             if em_gain > 1 and _COMPOUND_LIMIT < mean < full_well / 2:
-                electrons = _many_multiplied(mean, em_gain, normal(bits))
-            else:
-                electrons = min(poisson(mean, bits), full_well)
-                if em_gain > 1 and electrons > 0:
-                    electrons = multiplied(electrons, em_gain, splitmix64(bits))
-            if em_gain > 1:
-                electrons = min(electrons, register_well)
-            value = (electrons + read_noise * normal(bits >> _32)) * per_electron + offset
+                continue
+            few = min(poisson(mean, deviates[column], bits[column]), full_well)
+            electrons[column] = multiplied(few, em_gain, splitmix64(bits[column])) if em_gain > 1 and few > 0 else few
+        for column in range(columns):
+            bits[column] >>= _32
+        _fill_normal(bits, read)
+        well = register_well if em_gain > 1 else full_well
+        for column in range(columns):
+            value = (min(electrons[column], well) + read_noise * read[column]) * per_electron + offset
             counts[row, column] = np.uint16(min(max(value + 0.5, 0.0), top))
