@@ -36,7 +36,7 @@ check: lint setup c-compiler ## lint and the quick tests of numerics, devices an
 test: setup c-compiler ## every test but the soaks, about ten minutes
 	$(PYTEST) -m 'not soak'
 
-soak: setup c-compiler ## the tests that take 15 s or more each
+soak: setup c-compiler ## the tests that take 10 s or more each
 	$(PYTEST) -m soak
 
 storms: setup c-compiler ## 10,000 random sequences of commands and faults for every driver, most of an hour

@@ -157,6 +157,9 @@ rotation_rad = 0.003
 collimator_focal_length_m = 0.2
 half_width_m = 0.6e-3
 
+[registration]
+warp = "quadratic"
+
 [reconstruction]
 pupil_modes = 15
 

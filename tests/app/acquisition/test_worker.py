@@ -76,7 +76,9 @@ def test_start_up_yields_wavefronts(running: Running) -> None:
     running.acquisition.close()
     counts = running.measurements[-1].counts
     assert counts.acquired == len(running.measurements)
-    assert counts.reconstructed == counts.acquired
+    skipped = [measurement.problem for measurement in running.measurements if measurement.wavefront is None]
+    assert skipped == [SKIPPED] * len(skipped)  # the computer may stall
+    assert counts.reconstructed == counts.acquired - len(skipped) > 0
     assert [measurement.frame.index for measurement in running.measurements] == list(range(counts.acquired))
     assert counts.lost == 0
     assert running.newest is running.measurements[-1]

@@ -68,6 +68,7 @@ def test_svwfs_measures_the_wavefront_better_than_peers(result: Json, bench: Ben
         assert residuals[OURS] < min(residuals[name] for name in RATIOS)
 
 
+@pytest.mark.soak
 def test_missing_peer_is_reported(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: object) -> contestants.Register:
         raise ImportError("No module named 'skimage'")

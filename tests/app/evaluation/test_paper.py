@@ -74,11 +74,13 @@ def test_table_2_orders_the_methods_like_the_paper(monkeypatch: pytest.MonkeyPat
     assert "affine_zonal_resized" in ours
 
 
+@pytest.mark.soak
 def test_stars_follow_the_spacing_of_the_bench(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = table(monkeypatch, tmp_path, "table1", "--set", "simulation.source.star_spacing_m=0.45e-3")["ours"]
     assert ours["stars_zonal"]["mean_rad"] < 0.15
 
 
+@pytest.mark.soak
 def test_circular_field_counts_only_views_inside(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     written = table(monkeypatch, tmp_path, "table1", "--set", "field.shape=circle")
     assert written["problems"] == {}

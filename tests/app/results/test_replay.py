@@ -29,7 +29,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import rms
 
 FRAMES = 6
@@ -152,7 +152,7 @@ def test_other_method_is_compared(recording: Recording, tmp_path: Path) -> None:
         "sensor": kept.bench.sensor,
         "lattice": kept.lattice,
         "field": kept.bench.field,
-        "registration": RegistrationSettings(),
+        "registration": kept.bench.registration,
         "full_scale": kept.full_scale,
         "noise": kept.reconstructor().noise,
         "reference_frames": kept.reference.frames,

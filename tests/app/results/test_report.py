@@ -178,7 +178,7 @@ def test_facts_are_those_of_the_recording(mine: Recording) -> None:
     assert found["dark"] == found["reference"] == "mean of 4 frames of 20 ms, em gain 8"
     assert "counts per electron" in found["noise"]
     assert found["lattice"] == "7 x 5 lenslets, pitch 31.2500 px, centre (121.30, 84.60) px, turned by +3.00 mrad"
-    assert found["method"] == "gauss_newton, warp automatic, modal, legendre, 15 pupil modes"
+    assert found["method"] == "gauss_newton, warp quadratic, modal, legendre, 15 pupil modes"
     assert found["speed"] == "registration 17.1 (30.0) ms: median (99 %)"
     assert found["software"].startswith("svwfs ")
 
