@@ -40,6 +40,7 @@ class FramePath:
     def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None) -> None:
         """Reconstruct a frame from elsewhere, as if its exposure ended when it was read, and pass it on."""
         lag_s = self._clock_lag_s if math.isfinite(self._clock_lag_s) else 0.0
+        self.counts = replace(self.counts, acquired=self.counts.acquired + 1)
         self.process(replace(frame, camera_time_s=frame.host_time_s - lag_s), instrument, light)
 
     def process(self, frame: Frame, instrument: Instrument, light: LightState | None) -> None:

@@ -39,6 +39,7 @@ class Activity:
 
     text: str = ""
     progress: float = 0.0
+    may_cancel: bool = True
 
 
 class AcquisitionLoop:
@@ -52,7 +53,7 @@ class AcquisitionLoop:
     ) -> None:
         self.bench = bench  # as given; the instrument has the changed settings
         self._open_devices = open_devices
-        self._commands = CommandQueue(self._update_status)
+        self._commands = CommandQueue(self._finish_command)
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
         self._light_switch = LightSwitch()
@@ -169,6 +170,10 @@ class AcquisitionLoop:
         while execute is not None:
             execute(instrument)
             execute = self._commands.next()
+
+    def _finish_command(self, instrument: Instrument) -> None:
+        self._update_status(instrument)
+        self.activity = Activity()  # not before: the status is still that of the routine, for example the light off
 
     def _must_stop_waiting(self, instrument: Instrument) -> bool:
         """Return whether the worker should stop waiting for a frame; also polls the status in long exposures."""

@@ -23,6 +23,8 @@ T = TypeVar("T")
 
 __all__ = ["Acquisition", "Activity", "FrameTotals", "Measurement"]
 
+_PREPARING = "preparing the reconstruction: after an installation, its compilation takes half a minute"
+
 
 class Acquisition(AcquisitionLoop):
     """The acquisition loop with its routines and its recorder.
@@ -36,7 +38,8 @@ class Acquisition(AcquisitionLoop):
 
     def take_reference(self, frames: int) -> Future[None]:
         """Average `frames` frames into the reference."""
-        return self._routine(f"taking the reference, {counted(frames)}", Instrument.take_reference, frames)
+        text = f"taking the reference, {counted(frames)}"
+        return self._routine(text, Instrument.take_reference, frames, afterwards=_PREPARING)
 
     def auto_expose(self) -> Future[AutoExposure]:
         """Find and set exposure and current; a `RoutineError` says why there are none."""
@@ -128,9 +131,12 @@ class Acquisition(AcquisitionLoop):
         """State of the recording that `keep_recent` writes or wrote last."""
         return self._recorder.kept_state
 
-    def _routine(self, text: str, routine: Callable[..., T], *arguments: int) -> Future[T]:
+    def _routine(self, text: str, routine: Callable[..., T], *arguments: int, afterwards: str = "") -> Future[T]:
+        """Submit a routine; `afterwards` names what it does after its last frame, which cannot be cancelled."""
+
         def show_progress(frame: Frame, fraction: float) -> None:
-            self.activity = Activity(text, fraction)
+            is_over = bool(afterwards) and fraction >= 1
+            self.activity = Activity(afterwards, may_cancel=False) if is_over else Activity(text, fraction)
             self._path.show(frame, text, self._light())
 
         def command(instrument: Instrument) -> T:
@@ -141,10 +147,7 @@ class Acquisition(AcquisitionLoop):
             self._cancelling.clear()
             self._status_due_s = -math.inf
             self.activity = Activity(text)
-            try:
-                return routine(instrument, *arguments, progress=show_progress, should_stop=should_stop)
-            finally:
-                self.activity = Activity()
+            return routine(instrument, *arguments, progress=show_progress, should_stop=should_stop)
 
         return self.submit(command)
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, QProcess
+from PyQt6.QtWidgets import QAbstractButton
 
 from app.gui.message_strip import MessageStrip
 
@@ -24,13 +25,25 @@ class BackgroundCommands(QObject):
         super().__init__(parent)
         self._messages = messages
 
-    def start(self, begin: str, *arguments: str | Path, end: str, then: Callable[[], object] | None = None) -> None:
-        """Run a command to its end; `begin` and `end` are the messages, `then` is called if it succeeds."""
+    def start(
+        self,
+        by: QAbstractButton,
+        begin: str,
+        *arguments: str | Path,
+        end: str,
+        then: Callable[[], object] | None = None,
+    ) -> None:
+        """Run a command to its end, its button `by` grey meanwhile.
+
+        `begin` and `end` are the messages, `then` is called if it succeeds.
+        """
         process = QProcess(self)
+        by.setEnabled(False)
 
         def finish(status: int, how: QProcess.ExitStatus) -> None:
             errors = bytes(process.readAllStandardError().data()).decode(errors="replace").strip().splitlines()
             process.deleteLater()
+            by.setEnabled(True)
             if how is QProcess.ExitStatus.NormalExit and status == 0:
                 self._messages.inform(end)
                 if then is not None:

@@ -68,7 +68,7 @@ class MainWindow(QMainWindow):
         self._settings = settings
         self._measurement: Measurement | None = None
         self._status: Status | None = None
-        self._failure = ""
+        self._failure, self._activity = "", Activity()
         self._is_closing, self._refreshes = False, 0
         self._conditions: tuple[object, ...] = ()  # of the frames
         self._changed_s = -math.inf  # time of their last change
@@ -145,6 +145,7 @@ class MainWindow(QMainWindow):
         if has_answers or has_switched:
             self._status = None  # shown again, so that a refused value gives way to the one in force
         self._failure = acquisition.failure  # read once: message and buttons must agree
+        self._activity = acquisition.activity  # before the status, which is that after a routine as soon as it ends
         status = acquisition.status
         if status is not None and self._failure:
             is_light_on = status.is_light_on and status.bench.has_manual_light
@@ -154,7 +155,7 @@ class MainWindow(QMainWindow):
         is_ready = self._status is not None and not self._failure
         self.controls.setEnabled(is_ready)
         self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
-        self.messages.show_activity(acquisition.activity, may_cancel=is_ready and bool(acquisition.activity.text))
+        self.messages.show_activity(self._activity, may_cancel=is_ready)
         measurement = acquisition.newest
         if measurement is not None and measurement is not self._measurement and not self.isMinimized():
             start_s = time.perf_counter()
@@ -208,19 +209,18 @@ class MainWindow(QMainWindow):
         self.controller.show_recordings()
         self.recording_bar.refresh()
         self.status_line.update_text(status, None if acquisition is None else acquisition.timings.summary())
-        activity = Activity() if acquisition is None else acquisition.activity
-        is_live = status is not None and status.is_running and not activity.text
+        is_live = status is not None and status.is_running and not self._activity.text
         is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
         live = measurement if is_live and is_present else None  # what is wrong with earlier frames is over
         alarm = ""
-        if status is not None and not activity.text:
+        if status is not None and not self._activity.text:
             alarm = warning(status) if live is None else warning(status, live.problem, live.wavefront, live.quality)
         self.messages.show_state(
             failure=self._failure,
             way_out=way_out(status),
             may_reconnect=not is_replay(status),
             warning=alarm,
-            advice=advice(status, activity, measurement),
+            advice=advice(status, self._activity, measurement),
         )
 
     def save_screenshot(self, path: Path | None = None) -> bool:

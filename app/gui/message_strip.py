@@ -94,13 +94,13 @@ class MessageStrip(QFrame):
             self._answer(is_accepted=True)
 
     def show_activity(self, activity: Activity, *, may_cancel: bool) -> None:
-        """Show the progress of the worker's activity, if any."""
-        self.cancel.setVisible(may_cancel)
+        """Show the progress of the worker's activity, if any; `may_cancel` is true if the devices are open."""
+        self.cancel.setVisible(may_cancel and activity.may_cancel and bool(activity.text))
         self.progress.setVisible(bool(activity.text))
         if activity.text:
             self.progress.setRange(0, 1000 if activity.progress else 0)  # 0 to 0: busy, of unknown duration
             self.progress.setValue(round(activity.progress * 1000))
-            self.progress.setToolTip(f"{activity.text}: Esc cancels")
+            self.progress.setToolTip(f"{activity.text}: Esc cancels" if activity.may_cancel else activity.text)
 
     def show_state(
         self, *, failure: str, warning: str, advice: str, way_out: str = "", may_reconnect: bool = True

@@ -159,7 +159,9 @@ class NumberField(QDoubleSpinBox):
         if not self.decimals() and value != round(value):
             return f"{about}: only whole numbers {allowed} are allowed"
         rounding = 0.5001 * 10.0 ** -self.decimals()
-        if not self.minimum() - rounding <= value <= self.maximum() + rounding:
+        is_word = bool(self.specialValueText()) and value == self.minimum() != 0  # 0 is another way to say it
+        is_beyond = not self.minimum() - rounding <= value <= self.maximum() + rounding
+        if is_beyond or (is_word and self._typed(text) != self.specialValueText()):
             return f"{about} is outside the allowed range {allowed}: not changed"
         return ""
 

@@ -199,6 +199,7 @@ class RecordingBar(QFrame):
         if self.folder is not None:
             out = self.folder / "report.pdf"
             self.commands.start(
+                self.report,
                 f"writing the report of {self.folder.name}",
                 *("report", self.folder, "--out", out, "--overwrite"),
                 end=f"the report is in {out}",
@@ -213,6 +214,7 @@ class RecordingBar(QFrame):
         name, _ = QFileDialog.getSaveFileName(self, what, proposed, f"*.{suffix}")
         if name:  # the dialog has asked whether to replace it
             self.commands.start(
+                self.export,
                 f"exporting {self.folder.name}",
                 *("export", self.folder, "--to", to, "--out", name, "--overwrite"),
                 end=f"exported to {name}",

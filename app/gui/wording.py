@@ -74,7 +74,7 @@ def stale(status: Status) -> str:
 def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
     """Return the current activity or the next useful key."""
     if activity.text:
-        return f"{activity.text}: Esc cancels" if status is not None else activity.text
+        return f"{activity.text}: Esc cancels" if status is not None and activity.may_cancel else activity.text
     if status is None:
         return "no bench is open: open one (Ctrl+O), or a preset in the menu Bench"
     if not status.is_running:

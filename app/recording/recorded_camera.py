@@ -93,6 +93,7 @@ class RecordedCamera(Camera):
             exposure_range_s=Range(taken.exposure_s, taken.exposure_s),
             em_gain_range=Range(taken.em_gain, taken.em_gain),
             amplifiers=("as recorded" if calibration is None else calibration.reference.amplifier,),
+            readout_speeds=(_readout_speed(self._recording),),
         )
 
     def _is_running(self) -> bool:
@@ -236,3 +237,11 @@ def _spread(average: Average, full_scale: int) -> Floats:
     room = np.floor(np.minimum(mean, full_scale - mean))
     spread: Floats = np.clip(wanted, 0, np.maximum(room, 0))
     return spread
+
+
+def _readout_speed(recording: Recording) -> int:
+    """Return the readout speed at the start of a recording; 1 if `run.json` does not tell."""
+    devices = recording.run.get("devices")
+    camera = devices.get("camera") if isinstance(devices, dict) else None
+    speed = camera.get("readout_speed") if isinstance(camera, dict) else None
+    return speed if type(speed) is int else 1

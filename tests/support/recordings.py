@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
-from app.bench.config import load_bench, write_bench
+from app.bench.config import Bench, load_bench, write_bench
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import PIXELS, STORE
 from app.recording.frame_array import FrameArray
@@ -23,6 +23,10 @@ from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from reconstruction.runtime.threads import one_blas_thread
 from support.patience import HANG_S
+
+
+def _facts(bench: Bench, instrument: Instrument) -> dict[str, Any]:
+    return {"command": "measure", "bench": write_bench(bench), "devices": instrument.properties()}
 
 
 def record(
@@ -34,7 +38,7 @@ def record(
         one_blas_thread(),
         open_devices(bench, lambda _: None) as devices,
         closing(Instrument(devices, bench)) as instrument,
-        closing(RecordingWriter(folder, {"command": "measure", "bench": write_bench(bench)})) as writer,
+        closing(RecordingWriter(folder, _facts(bench, instrument))) as writer,
     ):
         devices.light.set_on(True)
         instrument.take_dark(4, progress=lambda *_: None, should_stop=lambda: False)

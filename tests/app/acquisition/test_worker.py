@@ -129,6 +129,27 @@ def test_cancelled_routine_restores_devices(running: Running) -> None:
     assert running.acquisition.activity.text == ""
 
 
+def test_dark_ends_with_the_status_of_the_light(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    running.begin()
+    query = Instrument.status
+
+    def query_slowly(instrument: Instrument) -> Status:
+        time.sleep(0.1)
+        return query(instrument)
+
+    monkeypatch.setattr(Instrument, "status", query_slowly)
+    dark = running.acquisition.take_dark(3)
+    seen = set[tuple[str, bool]]()
+    while not dark.done():
+        text = running.acquisition.activity.text
+        status = running.acquisition.status
+        assert status is not None
+        seen.add((text, status.is_light_on))
+        time.sleep(0.01)
+    assert ("taking the dark, 3 frames", False) in seen
+    assert ("", False) not in seen  # the window would ask for the light
+
+
 def test_cancel_affects_only_running_routine(running: Running) -> None:
     running.begin()
     first, second = running.acquisition.take_dark(10_000), running.acquisition.take_dark(2)

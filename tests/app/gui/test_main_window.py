@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -10,9 +11,11 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
-from support.patience import own_time
+from support.patience import HANG_S, own_time, wait_until
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
 
+from app.acquisition.instrument import Instrument
+from app.acquisition.worker import Activity
 from app.gui import theme
 from app.gui.main_window import MainWindow
 from drivers.interface import Disconnected
@@ -138,6 +141,50 @@ def test_routine_shows_its_progress_and_can_be_cancelled(live: tuple[MainWindow,
     qtbot.waitUntil(lambda: "ancelled" in window.messages.text.text())
     qtbot.waitUntil(lambda: camera.is_running and camera.stage.is_sample_in)
     qtbot.waitUntil(lambda: not window.messages.progress.isVisible())
+
+
+def test_compilation_after_the_reference_is_explained(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    release = threading.Event()
+    prepare = Instrument._prepare
+
+    def compile_slowly(instrument: Instrument) -> None:
+        release.wait(HANG_S)
+        prepare(instrument)
+
+    monkeypatch.setattr(Instrument, "_prepare", compile_slowly)
+    window.controls.reference.click()
+    messages = window.messages
+    qtbot.waitUntil(lambda: messages.text.text().startswith("Preparing the reconstruction: after an installation"))
+    assert "Esc" not in messages.text.text() + messages.progress.toolTip()
+    assert messages.progress.isVisible()
+    assert messages.progress.maximum() == 0  # busy, not 100 %
+    assert messages.cancel.isHidden()
+    release.set()
+    qtbot.waitUntil(lambda: messages.text.text() == "Reference taken: mean of 20 frames")
+
+
+def test_end_of_a_dark_is_not_blamed_on_the_light(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    acquisition, show = window.controller.acquisition, window.messages.show_activity
+    assert acquisition is not None
+    window.controls.frames.setValue(60)
+    window.controls.dark.click()
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light off")
+
+    def outlast(activity: Activity, *, may_cancel: bool) -> None:
+        """The dark ends while the window draws."""
+        show(activity, may_cancel=may_cancel)
+        wait_until(lambda: not acquisition.activity.text)
+
+    monkeypatch.setattr(window.messages, "show_activity", outlast)
+    window.refresh()
+    window.update_text()
+    assert window.messages.text.text() == "Taking the dark, 60 frames: Esc cancels"
 
 
 def test_slow_redraw_shows_the_newest_frame(

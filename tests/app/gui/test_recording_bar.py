@@ -118,7 +118,10 @@ def test_report_and_export_run_beside_the_window(
     bar.report.click()
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "out.csv"), ""))
     bar.exports.actions()[1].trigger()
+    assert not bar.report.isEnabled()  # grey until it is written
+    assert not bar.export.isEnabled()
     qtbot.waitUntil(lambda: "The report is in" in window.log.text)
+    assert bar.report.isEnabled()
     assert opened == [bar.folder / "report.pdf"]
     assert (bar.folder / "report.pdf").read_bytes().startswith(b"%PDF")
     qtbot.waitUntil(lambda: "Exported to" in window.log.text)
@@ -136,6 +139,7 @@ def test_failed_command_is_shown_until_dismissed(
     bar.report.click()
     qtbot.waitUntil(lambda: "gone: no such folder" in window.messages.text.text())
     assert window.messages.dismiss.isVisible()
+    assert bar.report.isEnabled()
 
 
 def test_replay_starts_another_window(

@@ -131,12 +131,19 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
     )
     assert [widget.isEnabled() for widget in devices] == [False] * len(devices)
     assert controls.method.isEnabled()
+    assert controls.readout_speed.currentText() == "3"  # as recorded
     assert window.replay.badge.isVisible()
+    acquisition = window.controller.acquisition
+    assert acquisition is not None
+    assert acquisition.newest is not None
+    before = acquisition.newest.counts
     press(qtbot, window, Qt.Key.Key_L)  # the light
     press(qtbot, window, Qt.Key.Key_Period)
     qtbot.waitUntil(lambda: window.replay.text.text() == "frame 5 of 6")
     assert window.controller.status is not None
     assert window.controller.status.is_light_on
+    after = acquisition.newest.counts
+    assert after.acquired - before.acquired == after.reconstructed - before.reconstructed == 1
 
 
 def test_speed_multiplies_the_recorded_rate(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:

@@ -143,6 +143,25 @@ def test_impossible_number_is_refused_in_red_and_not_sent(
     assert not sent
 
 
+def test_number_that_stands_for_automatic_is_refused(qtbot: QtBot) -> None:
+    field = NumberField(name="Modes", tool_tip="", lowest="automatic")
+    field.show_value(28, Range(2, 1000))
+    field.show()
+    field.edit()
+    sent, refused = list[float](), list[str]()
+    field.entered.connect(sent.append)
+    field.refused.connect(refused.append)
+    type_text(qtbot, field, "2")
+    press(qtbot, field, Qt.Key.Key_Return)
+    assert refused[-1] == "Modes 2 is outside the allowed range automatic ... 1000: not changed"
+    assert not sent
+    field.edit()
+    type_text(qtbot, field, "automatic")
+    press(qtbot, field, Qt.Key.Key_Return)
+    assert sent == [2]
+    field.deleteLater()
+
+
 def test_refused_number_is_explained_in_red_and_reaches_no_device(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot
 ) -> None:
