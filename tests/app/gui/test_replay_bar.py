@@ -14,7 +14,7 @@ from pytestqt.qtbot import QtBot
 from support.recordings import record
 from support.window_tools import press
 
-from app.acquisition.worker import Acquisition
+from app.acquisition.worker import Acquisition, FrameTotals
 from app.gui.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.recording.description import describe
@@ -52,6 +52,12 @@ def window(qapp: QApplication, qtbot: QtBot, recording: Recording, played: list[
     shown.close()
     shown.deleteLater()
     qapp.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+
+
+def counts(window: MainWindow) -> FrameTotals:
+    assert window.controller.acquisition is not None
+    assert window.controller.acquisition.newest is not None
+    return window.controller.acquisition.newest.counts
 
 
 def shown_frame(window: MainWindow, recording: Recording) -> int | None:
@@ -133,17 +139,14 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
     assert controls.method.isEnabled()
     assert controls.readout_speed.currentText() == "3"  # as recorded
     assert window.replay.badge.isVisible()
-    acquisition = window.controller.acquisition
-    assert acquisition is not None
-    assert acquisition.newest is not None
-    before = acquisition.newest.counts
+    before = counts(window)
     press(qtbot, window, Qt.Key.Key_L)  # the light
     press(qtbot, window, Qt.Key.Key_Period)
     qtbot.waitUntil(lambda: window.replay.text.text() == "frame 5 of 6")
     assert window.controller.status is not None
     assert window.controller.status.is_light_on
-    after = acquisition.newest.counts
-    assert after.acquired - before.acquired == after.reconstructed - before.reconstructed == 1
+    qtbot.waitUntil(lambda: counts(window) != before)
+    assert counts(window) == FrameTotals(before.acquired + 1, before.reconstructed + 1, before.lost)
 
 
 def test_speed_multiplies_the_recorded_rate(window: MainWindow, qtbot: QtBot, recording: Recording) -> None:
