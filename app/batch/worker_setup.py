@@ -2,6 +2,8 @@
 
 import signal
 
+import app.batch.work  # noqa: F401 - while the process starts, rather than with the first block
+
 
 def dask_setup(_worker: object) -> None:
     """Ignore Ctrl-C, which a terminal sends to all processes; the command stops its workers."""
