@@ -96,7 +96,9 @@ def way_out(status: Status | None) -> str:
     """Return what a failure has shut down, and what to do: a manual light, only a person can switch off."""
     if is_replay(status):
         return "the replay has ended: open the recording again (Ctrl+Shift+O)"
-    if status is not None and status.bench.has_manual_light:
+    if status is None:
+        return "no device is open: reconnect (Ctrl+R)"
+    if status.bench.has_manual_light:
         return "the devices are shut down, switch the light off by hand: reconnect (Ctrl+R)"
     return "light and devices are shut down: reconnect (Ctrl+R)"
 

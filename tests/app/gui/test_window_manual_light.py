@@ -15,6 +15,7 @@ from support.window_tools import MakeWindow, press
 
 from app.acquisition.worker import Acquisition
 from app.gui.main_window import MainWindow
+from drivers.interface import Devices, Disconnected
 from drivers.manual_light import ManualLight, ManualLightSettings
 
 BENCH = replace(MANUAL, light=ManualLightSettings())
@@ -96,3 +97,14 @@ def close_by_user(window: MainWindow) -> None:
     window.closeEvent(event)
     assert not event.isAccepted()
     QApplication.processEvents()
+
+
+def test_devices_that_do_not_open_tell_nothing_of_the_light(make_window: MakeWindow, qtbot: QtBot) -> None:
+    def fail(*_: object) -> Devices:
+        raise Disconnected("there is no camera")
+
+    window = make_window()
+    window.open(lambda: Acquisition(BENCH, fail))
+    text = "There is no camera  \N{EM DASH}  no device is open: reconnect (Ctrl+R)"
+    qtbot.waitUntil(lambda: window.messages.text.text() == text)
+    assert window.messages.reconnect.isVisible()
