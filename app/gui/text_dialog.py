@@ -1,13 +1,28 @@
 """A dialog with a text that can be copied; the measurement continues beside it."""
 
 from PyQt6.QtCore import QSize, Qt, QUrl
-from PyQt6.QtGui import QFontDatabase, QGuiApplication, QTextCursor
+from PyQt6.QtGui import QFontDatabase, QGuiApplication, QImage, QTextCursor, QTextDocument
 from PyQt6.QtWidgets import QDialog, QTextBrowser, QWidget
 
 from app.gui.widgets import button, column, row
 
 _SIZE = QSize(760, 480)
 _PAGE_SIZE = QSize(960, 720)
+
+
+class _Page(QTextBrowser):
+    """A page whose pictures are no wider than it was when they were loaded."""
+
+    def loadResource(self, kind: int, name: QUrl) -> object:  # noqa: N802 - Qt's name
+        """Return a resource; a wide picture is scaled down."""
+        resource, bar, document = super().loadResource(kind, name), self.verticalScrollBar(), self.document()
+        if kind != QTextDocument.ResourceType.ImageResource.value or bar is None or document is None:
+            return resource
+        picture = QImage(self.source().resolved(name).toLocalFile())
+        width = self.contentsRect().width() - bar.sizeHint().width() - round(2 * document.documentMargin())
+        if not 0 < width < picture.width():
+            return resource
+        return picture.scaledToWidth(width, Qt.TransformationMode.SmoothTransformation)
 
 
 class TextDialog(QDialog):
@@ -17,7 +32,7 @@ class TextDialog(QDialog):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle(title)
-        self.view = QTextBrowser()
+        self.view = _Page()
         self.view.setOpenExternalLinks(True)
         if is_fixed_width:
             self.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
@@ -51,8 +66,8 @@ class TextDialog(QDialog):
         self.back.show()
         self.back.setEnabled(False)
         self.view.backwardAvailable.connect(self.back.setEnabled)
+        self.show()  # the page has its width from now on
         self.view.setSource(page)
-        self.show()
 
     def _copy(self) -> None:
         if (clipboard := QGuiApplication.clipboard()) is not None:
