@@ -26,7 +26,7 @@ _AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
 _LEAST_LENSLETS = 9
 # Systematic error: share of the displacement in one parameter of the warp that appears in another one, or is missing in
 # itself, alike for all lenslets of a frame. Fitted to the distances in noise-free frames (docs/layers.md).
-_SYSTEMATIC_SHARE = 0.003
+_SYSTEMATIC_SHARE = 0.002
 
 
 class FrameEquations:
