@@ -5,7 +5,7 @@ normal equations of all wavefronts are formed once per reference; those of layer
 """
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,8 @@ class FrameEquations:
 
     def __init__(self, solver: "LayerSolver", share: Floats, gram: Floats, moments: Moments) -> None:
         self._solver, self._share, self._gram, self._moments = solver, share, gram, moments
-        self._of_layer = lru_cache(maxsize=64)(self._products)
+        # Not of a method: a cycle would keep up to 200 MB until Python collects its garbage.
+        self._of_layer = lru_cache(maxsize=64)(partial(_products, solver, gram, moments.columns))
 
     def fit(self, *ratios: float) -> LayerFit:
         """Fit layers at some ratios of field to pupil position."""
@@ -63,11 +64,6 @@ class FrameEquations:
         normal = np.einsum("ilk,jlk->ij", weighted, slopes)
         influence = np.tensordot(np.linalg.pinv(normal, hermitian=True), weighted, axes=1)  # of displacements
         return self._solver.systematic_covariance(explained, influence)
-
-    def _products(self, ratio: float) -> tuple[Floats, Floats, Floats]:
-        """Scaled basis of a layer, and its products with the normal matrix and the moments."""
-        basis = self._solver.basis(ratio) * self._solver.scale
-        return basis, self._gram @ basis, self._moments.columns @ basis
 
 
 class LayerSolver:
@@ -198,3 +194,9 @@ class FixedLayerSolver:
         rows = self._rows.reshape(len(missing), -1, self._rows.shape[1])[lost] * np.sqrt(missing[lost])[:, None, None]
         rows = rows.reshape(-1, rows.shape[2])
         return Spectrum(self._gram - rows.T @ rows)
+
+
+def _products(solver: LayerSolver, gram: Floats, columns: Floats, ratio: float) -> tuple[Floats, Floats, Floats]:
+    """Scaled basis of a layer, and its products with the normal matrix and the moments."""
+    basis = solver.basis(ratio) * solver.scale
+    return basis, gram @ basis, columns @ basis

@@ -128,8 +128,10 @@ def multiplied(electrons: float, em_gain: float, key: np.uint64) -> float:
 
 
 @compiled
-def _fill_many_multiplied(means: Images, em_gain: float, electrons: NDArray[np.float64]) -> None:
-    """Turn normal deviates into electrons after the register, from many before it.
+def _fill_many_multiplied(
+    means: Images, em_gain: float, deviates: NDArray[np.float64], electrons: NDArray[np.float64]
+) -> None:
+    """Fill `electrons` after the register by normal deviates, for many electrons before it.
 
     Shot noise and register are one expansion, from the first three cumulants of a compound Poisson process.
     """
@@ -138,7 +140,7 @@ def _fill_many_multiplied(means: Images, em_gain: float, electrons: NDArray[np.f
     variance = s * s + 2 * s * t + 2 * t * t  # of one electron
     third = s * s * s + 3 * s * s * t + 6 * s * t * t + 6 * t * t * t
     for column in range(len(means)):
-        mean, z = means[column], electrons[column]
+        mean, z = means[column], deviates[column]
         electrons[column] = mean * em_gain + math.sqrt(mean * variance) * z + third / (6 * variance) * (z * z - 1)
 
 
@@ -150,15 +152,14 @@ def expose_rows(
     efficiency, background, full_well, em_gain, register_well, read_noise, per_electron, offset, top = parameters
     columns = photons.shape[1]
     bits, means = np.empty(columns, np.uint64), np.empty(columns, np.float32)
-    electrons, read = np.empty(columns), np.empty(columns)
+    deviates, electrons = np.empty(columns), np.empty(columns)
     for row in range(start, end):
         for column in range(columns):
             bits[column] = splitmix64(key ^ (np.uint64(row * columns + column) * _MIX_2))
             means[column] = photons[row, column] * efficiency + background
-        _fill_normal(bits, electrons)
-        deviates = electrons if em_gain == 1 else electrons.copy()
+        _fill_normal(bits, deviates)
         if em_gain > 1:
-            _fill_many_multiplied(means, em_gain, electrons)
+            _fill_many_multiplied(means, em_gain, deviates, electrons)
         for column in range(columns):
             mean = means[column]
             if em_gain > 1 and _COMPOUND_LIMIT < mean < full_well / 2:
@@ -167,8 +168,8 @@ def expose_rows(
             electrons[column] = multiplied(few, em_gain, splitmix64(bits[column])) if em_gain > 1 and few > 0 else few
         for column in range(columns):
             bits[column] >>= _32
-        _fill_normal(bits, read)
+        _fill_normal(bits, deviates)
         well = register_well if em_gain > 1 else full_well
         for column in range(columns):
-            value = (min(electrons[column], well) + read_noise * read[column]) * per_electron + offset
+            value = (min(electrons[column], well) + read_noise * deviates[column]) * per_electron + offset
             counts[row, column] = np.uint16(min(max(value + 0.5, 0.0), top))

@@ -77,7 +77,7 @@ def test_start_up_yields_wavefronts(running: Running) -> None:
     counts = running.measurements[-1].counts
     assert counts.acquired == len(running.measurements)
     skipped = [measurement.problem for measurement in running.measurements if measurement.wavefront is None]
-    assert skipped == [SKIPPED] * len(skipped)  # the computer may stall
+    assert skipped == [SKIPPED] * len(skipped)  # seen once, on a busy computer
     assert counts.reconstructed == counts.acquired - len(skipped) > 0
     assert [measurement.frame.index for measurement in running.measurements] == list(range(counts.acquired))
     assert counts.lost == 0

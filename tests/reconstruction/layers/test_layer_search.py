@@ -1,6 +1,8 @@
 """Layers found in displacements computed in closed form from polynomial phases."""
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
@@ -74,6 +76,19 @@ def test_error_bars_of_the_phase_cover_the_truth() -> None:
         pulls.append((layer.phase(x_m, x_m[:, None]) - true) / layer.sigma(x_m, x_m[:, None]))
     spread = np.std(pulls, axis=0)  # without what is common to all draws, such as the piston
     assert 0.7 < np.sqrt(np.mean(spread**2)) < 1.1  # the prior knows a part
+
+
+def test_equations_are_freed_with_their_last_user() -> None:
+    """A live window makes them several times a second, with hundreds of megabytes."""
+    found = equations(noisy(displacements_px(PHASE, 0.975), 1))
+    found.fit(0.9)
+    kept = weakref.ref(found)
+    gc.disable()
+    try:
+        del found
+        assert kept() is None
+    finally:
+        gc.enable()
 
 
 def test_lost_lenslets_are_left_out() -> None:
