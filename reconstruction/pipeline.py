@@ -1,15 +1,15 @@
 """From a camera frame to the wavefront: everything independent of the frame is prepared once."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, cached_property
 
 import numpy as np
 
-from reconstruction.arrays import Counts, Floats, Image, Mask
+from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.above_dark import AboveDark
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
@@ -31,9 +31,7 @@ from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.warp_choice import CHOSEN_WARPS, expected_error_rad2
 from reconstruction.wavefront import Solution, Wavefront
 
-_SATURATED_FRACTION = 0.01  # of the frame's pixels; with more, the frame is rejected
 _DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing matches has no light
-_BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 
 
 class Reconstructor:
@@ -79,15 +77,11 @@ class Reconstructor:
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:
         self.frame_shape = reference.shape[0], reference.shape[-1]
-        self._dark = None
-        if dark is not None:
-            _check(dark, "dark", reference.shape)
-            self._dark = _finite(dark, "dark")
-        self._full_scale = full_scale
+        self._above_dark = AboveDark(self.frame_shape, dark, full_scale)
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
         self._reconstruction = reconstruction
         self._reference_frames = reference_frames
-        light, _ = self._light(reference, "reference")
+        light, _ = self._above_dark(reference, "reference")
         if not np.mean(light) > 0:
             raise ReconstructionError(
                 "the reference shows no light above the dark: was the light on for the dark, or off for the reference?",
@@ -142,7 +136,7 @@ class Reconstructor:
         ReconstructionError
             If fewer than two lenslets match the reference, or the frame has the wrong size or is saturated.
         """
-        light, saturated = self._light(frame, "frame")
+        light, saturated = self._above_dark(frame, "frame")
         displacement = self._register(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
             is_dark = light.std(dtype=np.float64) < _DARK_CONTRAST * self.subimages.light.std()
@@ -265,30 +259,6 @@ class Reconstructor:
             bad=self._bad,
         )
 
-    def _light(self, image: Counts, name: str) -> tuple[Image, Mask]:
-        """Check an image; return its counts above the dark or the background, and its saturated pixels."""
-        light, saturated = self._above_dark(image, name), self._saturated(image)
-        if np.count_nonzero(saturated) > _SATURATED_FRACTION * image.size:
-            raise ReconstructionError(
-                f"the {name} is saturated: shorten the exposure or lower the light's current", image=name
-            )
-        return light, saturated
-
-    def _above_dark(self, image: Counts, name: str) -> Image:
-        _check(image, name, self.frame_shape)
-        if self._dark is not None and np.issubdtype(image.dtype, np.integer):
-            return np.subtract(image, self._dark, dtype=np.float32)
-        light = _finite(image, name)
-        light -= self._dark if self._dark is not None else np.float32(np.percentile(light, _BACKGROUND_PERCENT))
-        return light
-
-    def _saturated(self, image: Counts) -> Mask:
-        if not math.isfinite(self._full_scale):
-            return np.zeros(image.shape, np.bool_)
-        if np.issubdtype(image.dtype, np.integer):
-            return np.asarray(image >= math.ceil(self._full_scale))  # 7x faster than comparing with a float
-        return np.asarray(image >= self._full_scale)
-
 
 def _why_lost(outcome: Outcomes) -> str:
     """Probable cause, if nearly all lenslets are lost."""
@@ -309,26 +279,3 @@ def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:
 def _variance(displacement: Displacement) -> Floats:
     """Mean variance of each lenslet's coefficients and their systematic error, px^2, (L,)."""
     return np.asarray(displacement.mean_variance.ravel() + SYSTEMATIC_PX**2)
-
-
-def _check(image: Counts, name: str, shape: tuple[int, ...]) -> None:
-    """Raise if an image has the wrong shape or does not hold numbers."""
-    if image.ndim != 2 or image.shape != shape:
-        raise ReconstructionError(
-            f"the {name} has {_size(image.shape)} pixels, but the reference has {_size(shape)}", image=name
-        )
-    if not (np.issubdtype(image.dtype, np.integer) or np.issubdtype(image.dtype, np.floating)):
-        raise ReconstructionError(f"the {name} holds {image.dtype} values: grey counts are needed", image=name)
-
-
-def _finite(image: Counts, name: str) -> Image:
-    """Copy an image to float32; raise if a value is not finite."""
-    with np.errstate(over="ignore"):  # overflow becomes infinite, which is rejected below
-        light = image.astype(np.float32)
-    if not np.issubdtype(image.dtype, np.integer) and not np.isfinite(light).all():
-        raise ReconstructionError(f"the {name} holds values that are not finite", image=name)
-    return light
-
-
-def _size(shape: tuple[int, ...]) -> str:
-    return " x ".join(str(length) for length in shape)

@@ -5,14 +5,16 @@ from collections.abc import Callable
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QMouseEvent
+from PyQt6.QtGui import QMouseEvent
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
+from app.gui.camera_image import CameraImage
 from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
 from app.gui.plot import Canvas
 from app.gui.presentation import percent
+from app.gui.segments import Segments
 from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics
@@ -77,17 +79,15 @@ class CameraPanel(QWidget):
         self._graphics.setCentralItem(self._view)
         self._graphics.setMinimumSize(220, 120)
         unfocused(self._graphics)
-        self._image = pg.ImageItem(axisOrder="row-major")  # pyqtgraph's default is column-major
-        self._lines = _curve(self._view, theme.ACCENT_ON_IMAGE, alpha=110)
-        self._boxes = _curve(self._view, theme.RED_ON_IMAGE, width=2)
-        self._proposed_lines = _curve(self._view, theme.GREEN_ON_IMAGE, width=2)
-        self._proposed_boxes = _curve(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
-        self._arrows = _curve(self._view, theme.AMBER_ON_IMAGE)
-        self._arrows.setShadowPen(pg.mkPen((0, 0, 0, 200), width=3))  # visible on black and on white
-        self._inspected_box = _curve(self._view, theme.ACCENT_ON_IMAGE, width=2)
+        self._image = CameraImage(self._view)
+        self._lines = Segments(self._view, theme.ACCENT_ON_IMAGE, alpha=110)
+        self._boxes = Segments(self._view, theme.RED_ON_IMAGE, width=2)
+        self._proposed_lines = Segments(self._view, theme.GREEN_ON_IMAGE, width=2)
+        self._proposed_boxes = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
+        self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
+        self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
         self._clipped = _clipped_item()
-        for item in (self._image, self._clipped):
-            self._view.addItem(item)
+        self._view.addItem(self._clipped)
         self._view.sigRangeChanged.connect(self._place_legend)
         self._view.sigResized.connect(self._place_legend)
         scene = self._graphics.scene()
@@ -117,8 +117,8 @@ class CameraPanel(QWidget):
         for item in (self._proposed_lines, self._proposed_boxes):
             item.setVisible(survey is not None)
         if survey is not None:
-            _draw(self._proposed_lines, lattice_lines(survey.lattice, *survey.illuminated.shape))
-            _draw(self._proposed_boxes, lost_boxes(survey.lattice, ~survey.illuminated))
+            self._proposed_lines.draw(lattice_lines(survey.lattice, *survey.illuminated.shape))
+            self._proposed_boxes.draw(lost_boxes(survey.lattice, ~survey.illuminated))
 
     def show_frame(self, frame: Frame, displacement: Displacement | None) -> None:
         """Show a frame and, if known, the displacement of its lenslets."""
@@ -128,10 +128,9 @@ class CameraPanel(QWidget):
         choice = self.contrast.currentText()
         if choice != _FROZEN or is_first:
             self._levels.follow(frame, self.full_scale, is_automatic=choice != _FULL)
-        self._image.setImage(frame.pixels, autoLevels=False, levels=self._levels.levels)
+        self._image.show_counts(frame.pixels, *self._levels.levels)
         if is_new_shape:
             self._placeholder.hide()
-            self._image.setRect(self._area(frame))
             self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
             self.reset_zoom()
         self._show_clipped(frame)
@@ -170,7 +169,9 @@ class CameraPanel(QWidget):
             self.show_frame(self._frame, self._displacement)
 
     def _show_colours(self, name: str) -> None:
-        self._image.setLookupTable(pg.colormap.get(name).getLookupTable(nPts=256) if name != "grey" else None)
+        self._image.use_colours(name)
+        if self._frame is not None:
+            self.show_frame(self._frame, self._displacement)
 
     def _show_clipped(self, frame: Frame) -> None:
         """Paint clipped pixels red, if there were any when the statistics were taken."""
@@ -202,19 +203,18 @@ class CameraPanel(QWidget):
         self._arrows.setVisible(has_arrows)
         self.legend.setVisible(has_arrows)
         if has_lattice and lattice is not None and sensor is not None:
-            _draw(self._lines, lattice_lines(lattice, sensor.lenslet_rows, sensor.lenslet_columns))
+            self._lines.draw(lattice_lines(lattice, sensor.lenslet_rows, sensor.lenslet_columns))
             is_lost = np.zeros((1, 1), np.bool_) if displacement is None else ~displacement.valid
-            _draw(self._boxes, lost_boxes(lattice, is_lost))
+            self._boxes.draw(lost_boxes(lattice, is_lost))
         self._inspected_box.setVisible(lattice is not None and self._inspected is not None)
         if lattice is not None and sensor is not None and self._inspected is not None:
-            _draw(
-                self._inspected_box,
-                cell_border(lattice, (sensor.lenslet_rows, sensor.lenslet_columns), self._inspected),
+            self._inspected_box.draw(
+                cell_border(lattice, (sensor.lenslet_rows, sensor.lenslet_columns), self._inspected)
             )
         if has_arrows and lattice is not None and displacement is not None:
             room_px = _ARROW_REACH * lattice.pitch_px
             magnification = 1 / self._reach.follow(arrow_length_px(displacement) / room_px)
-            _draw(self._arrows, arrows(lattice, displacement.mean, magnification))
+            self._arrows.draw(arrows(lattice, displacement.mean, magnification))
             self.legend.setText(f"displacement \N{MULTIPLICATION SIGN} {magnification:g}")
             self.legend.adjustSize()
 
@@ -274,23 +274,7 @@ class CameraPanel(QWidget):
 
 def _clipped_item() -> pg.ImageItem:
     """Make an image of 1 where a pixel is clipped: red, and transparent elsewhere."""
-    item = pg.ImageItem(axisOrder="row-major")
+    item = pg.ImageItem(axisOrder="row-major")  # pyqtgraph's default is column-major
     item.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
     item.setZValue(0.5)
     return item
-
-
-def _curve(view: pg.ViewBox, colour: QColor, alpha: int = 255, width: int = 1) -> pg.PlotCurveItem:
-    """Add an item that draws many separate line segments."""
-    pen = pg.mkPen((colour.red(), colour.green(), colour.blue(), alpha), width=width)
-    item = pg.PlotCurveItem(pen=pen, connect="pairs", skipFiniteCheck=True, antialias=False)
-    item.setZValue(1)
-    view.addItem(item, ignoreBounds=True)
-    return item
-
-
-def _draw(item: pg.PlotCurveItem, ends: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> None:
-    """Set the ends of an item's segments; the same ends are not made into a path again."""
-    x, y = item.getData()
-    if x is None or not (np.array_equal(x, ends[:, 0]) and np.array_equal(y, ends[:, 1])):
-        item.setData(x=ends[:, 0], y=ends[:, 1])

@@ -8,9 +8,8 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 
+from app.results.shades import Pixels
 from reconstruction.arrays import Floats
-
-Pixels = NDArray[np.uint32]  # ARGB; 0 is transparent
 
 _HALVES, _FIFTHS = (0.0, 0.25, 0.5, 0.75, 1.0), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 _ROOTS = (0.0, 0.1, 0.25, 0.5, 1.0)  # well apart on a square-root scale
@@ -37,13 +36,13 @@ class ColourScale:
         """Return the colours of values, the same shape; NaN is transparent."""
         known = np.isfinite(values)
         fraction = np.clip((np.where(known, values, self.low) - self.low) / (self.high - self.low), 0, 1) ** self.power
-        table = _table(self.colours)
+        table = colour_table(self.colours)
         return np.where(known, table[np.rint(fraction * (len(table) - 1)).astype(np.intp)], np.uint32(0))
 
     @property
     def bar(self) -> Pixels:
         """The colours from low to high, (colour,)."""
-        return _table(self.colours)
+        return colour_table(self.colours)
 
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:
@@ -73,7 +72,9 @@ def bright(limit: float, _: str = "") -> ColourScale:
 
 
 @lru_cache
-def _table(colours: str) -> Pixels:
-    """Colours of a map from low to high, (colour,)."""
-    rgb: NDArray[np.uint8] = pg.colormap.get(colours).getLookupTable(nPts=255)[:, :3]
+def colour_table(colours: str, count: int = 255) -> Pixels:
+    """Colours from low to high, (colour,), of "grey" or a map of pyqtgraph."""
+    rgb: NDArray[np.uint8] = np.repeat(np.linspace(0, 255, count).round().astype(np.uint8), 3).reshape(-1, 3)
+    if colours != "grey":
+        rgb = pg.colormap.get(colours).getLookupTable(nPts=count)[:, :3]
     return np.uint32(0xFF000000) | (rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))

@@ -1,7 +1,10 @@
 """Line segments drawn over the camera image, in camera pixels.
 
-Each function returns pairs of rows (end, xy), so that one curve item draws all its segments.
+Each function returns pairs of rows (end, xy), so that one item draws all its segments.
 """
+
+import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +15,12 @@ from reconstruction.geometry import Lattice, centered_steps, lenslet_centers
 
 _AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of a cell's four borders
 _INSET = 0.88  # size of a lost lenslet's box over that of its cell
+_USUAL = 0.98  # share of the arrows that are not the longest few
 _HEAD = 0.35  # length of an arrow's head, in arrow lengths
 _BARBS = np.array([[[-0.9, 0.45], [-0.45, -0.9]], [[-0.9, -0.45], [0.45, -0.9]]])  # turn and shorten the shaft
 
 
+@lru_cache(maxsize=4)
 def lattice_lines(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> Floats:
     """Return the borders of all cells; a square lattice has each line once."""
     if lattice.arrangement == "hexagonal":
@@ -30,6 +35,8 @@ def lattice_lines(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> 
 
 def lost_boxes(lattice: Lattice, is_lost: NDArray[np.bool_]) -> Floats:
     """Return a crossed box in the cell of every lost lenslet (lenslet_row, lenslet_column)."""
+    if not is_lost.any():
+        return np.zeros((0, 2))
     middle = lenslet_centers(lattice.arrangement, *is_lost.shape)[is_lost]
     box = lattice.cell_corners[[*_AROUND, 0, 2, 1, 3]] * _INSET
     return lattice.to_camera_px((middle[:, None] + box).reshape(-1, 2) * lattice.pitch_px)
@@ -44,9 +51,9 @@ def cell_border(lattice: Lattice, lenslets: tuple[int, int], at: tuple[int, int]
 def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> Floats:
     """Return an arrow from every lenslet's centre along its displacement (lenslet_row, lenslet_column, xy), px.
 
-    Lenslets without a displacement (NaN) have no arrow.
+    Lenslets without a displacement (NaN), or with one of 0, have no arrow.
     """
-    known = np.isfinite(displacement_px).all(axis=-1)
+    known = np.isfinite(displacement_px).all(axis=-1) & displacement_px.any(axis=-1)
     tail = lenslet_centers(lattice.arrangement, *displacement_px.shape[:2])[known] * lattice.pitch_px
     shaft = displacement_px[known] * magnification
     tip = tail + shaft
@@ -56,8 +63,8 @@ def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> F
 
 def arrow_length_px(displacement: Displacement) -> float:
     """Return the length of all but the longest few mean displacements; NaN if no lenslet is valid."""
-    length_px = np.linalg.norm(displacement.mean[displacement.valid], axis=-1)
-    return float(np.percentile(length_px, 98)) if length_px.size else float("nan")
+    length_px = np.sort(np.linalg.norm(displacement.mean[displacement.valid], axis=-1))
+    return float(length_px[math.ceil(_USUAL * (length_px.size - 1))]) if length_px.size else float("nan")
 
 
 def lenslet_at(lattice: Lattice, shape: tuple[int, int], x_px: float, y_px: float) -> tuple[int, int] | None:

@@ -43,6 +43,9 @@ from app.timing import Timings
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _REFRESH_INTERVAL_MS = 40
+_LATE = 1.5  # times between two frames until a result: beyond, frames are waiting
+_REFRESHES_PER_GIVING_WAY = 3
+_TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 _MIN_WIDTH = 900  # px; captions and plots need it
 
@@ -69,7 +72,8 @@ class MainWindow(QMainWindow):
         self._measurement: Measurement | None = None
         self._status: Status | None = None
         self._failure, self._activity = "", Activity()
-        self._is_closing, self._refreshes = False, 0
+        self._is_closing, self._refreshes, self._gave_way = False, 0, 0
+        self._times_due_s = -math.inf
         self._conditions: tuple[object, ...] = ()  # of the frames
         self._changed_s = -math.inf  # time of their last change
         self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
@@ -112,6 +116,10 @@ class MainWindow(QMainWindow):
         self._timer = QTimer(self)
         self._timer.setInterval(_REFRESH_INTERVAL_MS)
         self._timer.timeout.connect(self.refresh)
+        self._text_timer = QTimer(self)  # between two frames: together they would hold up the measurement
+        self._text_timer.setInterval(_REFRESH_INTERVAL_MS // 2)
+        self._text_timer.setSingleShot(True)
+        self._text_timer.timeout.connect(self.update_text)
         self.recording_panel.setEnabled(False)
         self.update_text()
 
@@ -129,6 +137,7 @@ class MainWindow(QMainWindow):
 
         def connect() -> None:
             self._timer.stop()
+            self._text_timer.stop()
             self.controller.use(make_acquisition, begin, self._show_closing)
             self.replay.use(player)
             self.connect_devices()
@@ -157,13 +166,29 @@ class MainWindow(QMainWindow):
         self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
         self.messages.show_activity(self._activity, may_cancel=is_ready)
         measurement = acquisition.newest
-        if measurement is not None and measurement is not self._measurement and not self.isMinimized():
+        is_new = measurement is not self._measurement and not self.isMinimized()
+        if measurement is not None and is_new and not self._gives_way(measurement):
             start_s = time.perf_counter()
             self.show_measurement(measurement)
             self._unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
         self._refreshes += 1
-        if self._refreshes % _REFRESHES_PER_TEXT == 0 or self._failure:
+        if self._failure:
             self.update_text()
+        elif self._refreshes % _REFRESHES_PER_TEXT == 0:
+            self._text_timer.start()
+
+    def _gives_way(self, measurement: Measurement) -> bool:
+        """Return whether to leave the processor to a measurement that is late, for one refresh of three at most."""
+        before = self._measurement
+        if before is None or measurement.counts.acquired <= before.counts.acquired:
+            return False
+        frames = measurement.counts.acquired - before.counts.acquired
+        between_s = (measurement.frame.host_time_s - before.frame.host_time_s) / frames
+        is_late = measurement.latency_s > _LATE * max(between_s, measurement.frame.exposure_s)
+        if is_late and self._refreshes >= self._gave_way + _REFRESHES_PER_GIVING_WAY:
+            self._gave_way = self._refreshes
+            return True
+        return False
 
     def show_measurement(self, measurement: Measurement) -> None:
         """Show a frame and its wavefront, live or recorded."""
@@ -208,7 +233,10 @@ class MainWindow(QMainWindow):
             self.tabs.record(measurement, full_scale=full_scale, temperature_c=temperature_c)
         self.controller.show_recordings()
         self.recording_bar.refresh()
-        self.status_line.update_text(status, None if acquisition is None else acquisition.timings.summary())
+        is_due = time.monotonic() > self._times_due_s or self.status_line.timing_row.isVisible()
+        if is_due:
+            self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
+        self.status_line.update_text(status, acquisition.timings.summary() if acquisition and is_due else None)
         is_live = status is not None and status.is_running and not self._activity.text
         is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
         live = measurement if is_live and is_present else None  # what is wrong with earlier frames is over
@@ -252,6 +280,7 @@ class MainWindow(QMainWindow):
         if self._settings is not None:
             save_state(self._settings, self)
         self._timer.stop()
+        self._text_timer.stop()
         self._analysis.close()
         self.recording_bar.commands.close()
         self.region_dialog.close()

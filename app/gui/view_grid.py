@@ -6,11 +6,12 @@ from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QRegion
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
-from app.gui.colours import ColourScale, Pixels
+from app.gui.colours import ColourScale
+from app.results.shades import Pixels
 from reconstruction.arrays import Floats
 
 _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
@@ -45,6 +46,7 @@ class _Places:
     step: QSize  # from one to the next
     bar_space: int  # width of the colour bar and its numbers; 0 if the views need it: tool tips have the values
     has_captions: bool
+    tiles: QRegion  # of all views
 
     def tile(self, view_row: int, view_column: int) -> QRect:
         """Return the rectangle of a view without its caption."""
@@ -62,6 +64,7 @@ class ViewGrid(QWidget):
         self.maps: Maps | None = None
         self.empty = "no wavefront"  # shown without maps
         self._pixels: Pixels = np.zeros((0, 0, 0, 0), np.uint32)
+        self._shown_scale: ColourScale | None = None
         self._number_width = 0  # px
         self._laid_out_for: tuple[int, ...] = ()
         self._bar_key: tuple[str, QSize] | None = None  # colours and size of the pixmap
@@ -75,8 +78,13 @@ class ViewGrid(QWidget):
     def show_maps(self, maps: Maps | None) -> None:
         """Show a map of every view, or that there is no wavefront."""
         self.maps = maps
-        if maps is not None:
-            self._pixels = self._scale(maps).pixels(maps.values)
+        scale = None if maps is None else self._scale(maps)
+        before, self._shown_scale = self._shown_scale, scale
+        if maps is not None and scale is not None:
+            self._pixels = scale.pixels(maps.values)
+            if scale == before and not self._is_moved:
+                self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
+                return
             self._number_width = max(self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks) + 1
         self.update()
 
@@ -87,8 +95,9 @@ class ViewGrid(QWidget):
 
     def select(self, view: tuple[int, int] | None) -> None:
         """Frame the view (view_row, view_column), or none."""
-        self.selection = view
-        self.update()
+        if view != self.selection:
+            self.selection = view
+            self.update()
 
     def set_captions(self, captions: Mapping[tuple[int, int], Caption]) -> None:
         """Show captions by (view_row, view_column), in the longest wording that fits."""
@@ -100,8 +109,8 @@ class ViewGrid(QWidget):
         """Return the rectangle of a view without its caption."""
         return self.places.tile(view_row, view_column)
 
-    def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Paint all views."""
+    def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint all views, and what is around them if it must be painted."""
         painter = QPainter(self)
         maps = self.maps
         if maps is None:
@@ -130,10 +139,11 @@ class ViewGrid(QWidget):
         ]
         painter.drawPixmapFragments(fragments, pixmap)  # type: ignore[arg-type] # it takes a list
         painter.setOpacity(1.0)
-        places = self.places
+        self._paint_selection(painter)
+        if event is not None and event.region().subtracted(places.tiles).isEmpty():
+            return
         if places.has_captions:
             self._paint_captions(painter)
-        self._paint_selection(painter)
         if places.bar_space:
             self._paint_color_bar(painter, maps)
 
@@ -189,11 +199,9 @@ class ViewGrid(QWidget):
     @property
     def places(self) -> "_Places":
         """Return the places of the views, computed again when something that they depend on has changed."""
-        shape = (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
-        line = self.fontMetrics().height()
-        key = (self.width(), self.height(), line, self._number_width, *shape)
-        if key != self._laid_out_for:
-            self._laid_out_for = key
+        if self._is_moved:
+            self._laid_out_for = self._layout_key
+            shape, line = self._shape, self.fontMetrics().height()
             space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
             has_bar = self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line
             arrange = partial(_arrange, self.size(), shape, bar_space=space if has_bar else 0)
@@ -201,6 +209,19 @@ class ViewGrid(QWidget):
             has_captions = captioned.size.width() >= _SMALLEST_CAPTIONED
             self._places = captioned if has_captions else arrange(below=0, gap=_NARROW_GAP)
         return self._places
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return (0, 0, 0, 0) if self.maps is None else self.maps.values.shape
+
+    @property
+    def _layout_key(self) -> tuple[int, ...]:
+        return (self.width(), self.height(), self.fontMetrics().height(), self._number_width, *self._shape)
+
+    @property
+    def _is_moved(self) -> bool:
+        """Whether something that the places depend on has changed since they were computed."""
+        return self._layout_key != self._laid_out_for
 
     def _paint_captions(self, painter: QPainter) -> None:
         line = self.fontMetrics().height()
@@ -270,7 +291,7 @@ def _arrange(room: QSize, shape: tuple[int, ...], *, bar_space: int, below: int,
     """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them."""
     view_rows, view_columns, rows, columns = shape
     if not min(shape):
-        return _Places(QPoint(), QSize(), QSize(), 0, has_captions=False)
+        return _Places(QPoint(), QSize(), QSize(), 0, has_captions=False, tiles=QRegion())
     width = (room.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
     height = (room.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
@@ -279,7 +300,10 @@ def _arrange(room: QSize, shape: tuple[int, ...], *, bar_space: int, below: int,
     used = QSize(view_columns * step.width() - gap + bar_space, view_rows * step.height() - gap)
     left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
     first = QPoint(max(left, _MARGIN), max(top, _MARGIN))
-    return _Places(first, size, step, bar_space, has_captions=bool(below))
+    tiles = QRegion()
+    for row, column in np.ndindex(view_rows, view_columns):
+        tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
+    return _Places(first, size, step, bar_space, has_captions=bool(below), tiles=tiles)
 
 
 def _image(pixels: Pixels) -> QImage:

@@ -52,7 +52,7 @@ def warning(
     own = "" if status.warning in quality.sentence else status.warning
     if quality.reasons and not keys:
         return "; ".join(filter(None, (quality.sentence, own)))
-    if not status.warning and wavefront is not None:
+    if not status.warning and wavefront is not None and status.bench.registration.rotation:
         rotation = rotation_of(wavefront)
         return ROTATES if rotation is not None and rotation.contradicts_layers else ""
     return f"{status.warning}  ({keys})" if status.warning and keys else status.warning

@@ -1,14 +1,15 @@
 """Statistics of a camera frame: histogram, brightest pixel, and pixels that are clipped."""
 
-import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
-from reconstruction.quality.clipping import clip_level
+from reconstruction.quality.clipping import is_piled_up
+from reconstruction.runtime.compilation import compiled
 
 NEARLY_FULL = 0.95  # of the level at which pixels clip
 _BINS = 128
@@ -38,21 +39,38 @@ def frame_statistics(pixels: NDArray[np.integer[Any]], full_scale: int) -> Frame
     A full well below full scale shows by many pixels at the highest count and few just below. Full scale 0 is unknown:
     then the bins end at the highest count, and nothing is clipped.
     """
-    by_count = np.bincount(pixels.ravel(), minlength=1)
-    peak = len(by_count) - 1
+    if pixels.dtype.kind != "u":
+        raise ValueError(f"{pixels.dtype} may be negative: no counts of a camera")
+    peak = int(pixels.max())
     top = full_scale or peak
-    edges = np.unique(np.linspace(0, max(top, peak) + 1, _BINS + 1).astype(np.intp))
-    of_bins = np.add.reduceat(np.append(by_count, np.zeros(edges[-1] - len(by_count), by_count.dtype)), edges[:-1])
-    clip_level = _clip_level(pixels, peak, full_scale) if full_scale else peak + 1
+    edges = _edges(max(top, peak) + 1)
+    by_count = np.zeros(edges[-1], np.intp)
+    _count(np.ascontiguousarray(pixels), by_count)
+    of_bins = np.add.reduceat(by_count, edges[:-1])
+    clip_level = _clip_level(by_count, peak, full_scale) if full_scale else peak + 1
     share = float(by_count[clip_level:].sum() / pixels.size)
     return FrameStatistics(edges.astype(np.float64), of_bins, peak, clip_level, share)
 
 
-def _clip_level(pixels: NDArray[np.integer[Any]], peak: int, full_scale: int) -> int:
+@compiled
+def _count(pixels: NDArray[np.integer[Any]], by_count: NDArray[np.intp]) -> None:
+    """Count the pixels (row, column) with each count."""
+    for row in range(pixels.shape[0]):
+        for column in range(pixels.shape[1]):
+            by_count[pixels[row, column]] += 1
+
+
+@lru_cache(maxsize=4)
+def _edges(end: int) -> NDArray[np.intp]:
+    """Lower edges of the bins from 0 to an end, and the end."""
+    return np.unique(np.linspace(0, end, _BINS + 1).astype(np.intp))
+
+
+def _clip_level(by_count: NDArray[np.intp], peak: int, full_scale: int) -> int:
+    """Count from which pixels are clipped, from the number with each count; full scale if no full well shows."""
     if peak >= full_scale:
         return full_scale
-    level = clip_level(pixels, max(round(_STEP * peak), 1))
-    if level is None:
-        return full_scale
-    lowest = math.floor(level) + 1
-    return lowest if _LEAST_SHARE < np.count_nonzero(pixels >= lowest) / pixels.size < _MOST_SHARE else full_scale
+    lowest = peak - max(round(_STEP * peak), 1) + 1
+    piled, below = by_count[lowest : peak + 1].sum(), by_count[max(2 * lowest - peak - 1, 0) : lowest].sum()
+    is_full_well = is_piled_up(int(piled), int(below)) and _LEAST_SHARE < piled / by_count.sum() < _MOST_SHARE
+    return lowest if is_full_well else full_scale

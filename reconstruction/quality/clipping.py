@@ -28,9 +28,14 @@ def clip_level(counts: Counts, scatter: float = 0.0, read_noise: float = 0.0) ->
     top = float(counts.max())
     edge = min(_EDGE * read_noise, _MOST_EDGE * scatter)
     step = max(scatter, edge, 1.0 if np.issubdtype(counts.dtype, np.integer) else 0.0, _FINEST * abs(top))
-    piled = np.count_nonzero(counts > top - step)
-    below = np.count_nonzero(counts > top - 2 * step) - piled
-    return top - step if piled > _PILED_UP * (below + _BY_CHANCE) else None
+    piled = int(np.count_nonzero(counts > top - step))
+    below = int(np.count_nonzero(counts > top - 2 * step)) - piled
+    return top - step if is_piled_up(piled, below) else None
+
+
+def is_piled_up(piled: int, below: int) -> bool:
+    """Return whether so many pixels within one step of the highest count are clipped, by those within the next one."""
+    return bool(piled > _PILED_UP * (below + _BY_CHANCE))
 
 
 def clipped_fraction(counts: Counts, scatter: float = 0.0, read_noise: float = 0.0) -> float:

@@ -12,9 +12,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import Counts, Floats, Mask
 from reconstruction.displacement import Displacement, Outcome
@@ -23,6 +24,7 @@ from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.clipping import clipped_fraction
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.runtime.compilation import compiled
 from reconstruction.settings import RegistrationSettings, Warp
 
 
@@ -56,6 +58,7 @@ _BACKGROUND_PERCENT = 1.0  # of the pixels, without a dark
 _STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
 _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which deformation is taken
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
+_COMPILED = ("uint8", "uint16", "int32", "uint32", "float32", "float64")  # kinds of counts that Numba knows
 _TILE = 16  # lenslets a side whose slopes are judged together
 
 
@@ -90,6 +93,7 @@ class FrameJudge:
         nearest = np.rint(reference.position_px[reference.lit]).astype(np.intp) @ (1, columns)
         self._sampled = nearest.reshape(window)[:, ::step, ::step].reshape(len(nearest), -1)  # (lit lenslet, sample)
         self._is_good = ~reference.bad.ravel()[self._sampled]
+        self._good = np.count_nonzero(self._is_good)
         light = reference.light[reference.lit].reshape(window)[:, ::step, ::step].reshape(self._sampled.shape)
         self._light = np.sum(light * self._is_good, axis=1)
         self._grid = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)
@@ -97,11 +101,20 @@ class FrameJudge:
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
         self._tiles = list(_tiles(reference.lenslets))
         self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
+        # Compile now instead of at the first frame.
+        camera_frame = np.zeros(1, np.uint16)
+        camera_frame.setflags(write=False)
+        _sum_up(
+            camera_frame, self._sampled[:0], self._is_good[:0], np.empty((0, 0)), np.empty(0), np.empty(0, np.uint16)
+        )
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
         reasons = dict(self._of_matches(displacement))
-        reasons |= self._of_pixels(frame.ravel()[self._sampled])
+        native = frame.dtype.newbyteorder("=")
+        pixels: Any = frame.ravel().astype(native if native.name in _COMPILED else np.float64, copy=False).view()
+        pixels.setflags(write=False)  # as frames are: so that one kind is compiled
+        reasons |= self._of_pixels(pixels)
         return Quality(reasons, self._unjudged) | self.of_reference
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
@@ -137,11 +150,14 @@ class FrameJudge:
                 f"{dark} of {count} lenslets are dark, but lit in the reference: what blocks the light?",
             )
 
-    def _of_pixels(self, counts: Counts) -> Iterator[tuple[Fault, str]]:
-        """Faults seen in some pixels (lit lenslet, sample), counts."""
-        level = np.percentile(counts, _BACKGROUND_PERCENT) if self._dark is None else self._dark
-        above = np.subtract(counts, level, dtype=np.float64)  # 16-bit counts would wrap
-        light = np.sum(above * self._is_good, axis=1)
+    def _of_pixels(self, frame: Counts) -> Iterator[tuple[Fault, str]]:
+        """Faults seen in some pixels of a frame (pixel,), counts."""
+        level = self._dark
+        if level is None:
+            level = np.full(self._sampled.shape, np.percentile(frame[self._sampled], _BACKGROUND_PERCENT))
+        light = np.empty(len(level))
+        counts: NDArray[Any] = np.empty(self._good, frame.dtype)
+        brightest = _sum_up(frame, self._sampled, self._is_good, level, light, counts)
         whole = max(float(light.sum()), np.finfo(np.float64).tiny)
         ratio = light * (self._light.sum() / whole) / self._light
         uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))
@@ -154,9 +170,9 @@ class FrameJudge:
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
         scatter = read_noise = 0.0
         if self._noise is not None:
-            scatter = math.sqrt(self._noise.variance(above.max(keepdims=True)).item())
+            scatter = math.sqrt(self._noise.variance(np.array(brightest)).item())
             read_noise = self._noise.read_noise_counts
-        clipped = clipped_fraction(counts[self._is_good], scatter, read_noise)
+        clipped = clipped_fraction(counts, scatter, read_noise)
         if clipped > _CLIPPED:
             yield (
                 Fault.CLIPPED,
@@ -189,6 +205,29 @@ class FrameJudge:
                 square += float(misfit @ misfit) - _NOISE_SLOPES * free * float(np.mean(variance[tile][valid]))
                 freedom += free
         return math.sqrt(max(square / freedom, 0.0)) if freedom else 0.0
+
+
+@compiled
+def _sum_up(
+    frame: Counts, sampled: NDArray[np.intp], is_good: Mask, level: Floats, light: Floats, counts: Counts
+) -> float:
+    """Sum the good samples above their level for each lenslet, (L,), and collect their counts; the most of any sample.
+
+    `sampled`, `is_good` and `level` are (lenslet, sample).
+    """
+    brightest, good = -np.inf, 0
+    for lenslet in range(sampled.shape[0]):
+        total = 0.0
+        for sample in range(sampled.shape[1]):
+            count = frame[sampled[lenslet, sample]]
+            above = float(count) - level[lenslet, sample]  # 16-bit counts would wrap
+            brightest = max(brightest, above)
+            if is_good[lenslet, sample]:
+                total += above
+                counts[good] = count
+                good += 1
+        light[lenslet] = total
+    return brightest
 
 
 _LOOK = "another mask, focus, motion, a ghost or wrong grey values?"

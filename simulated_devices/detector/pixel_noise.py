@@ -20,10 +20,13 @@ _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _30, _27, _31, _32 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(32)
 _LOW = np.uint64(0xFFFFFFFF)
+_ONE = np.uint64(1)
 
 _CELLS = 4096
 _TAIL = 16
 """Cells at either end of the table in which the quantile is not linear enough."""
+_IN_CELL, _CELL_MASK = np.uint64(20), np.uint64(0xFFFFF)  # bits that place a 32-bit number in its cell
+_FIRST, _LAST = np.uint64(_TAIL), np.uint64(_CELLS - _TAIL)
 _QUANTILE = special.ndtri(np.concatenate([[0.5 / _CELLS], np.arange(1, _CELLS) / _CELLS, [1 - 0.5 / _CELLS]])).astype(
     np.float32
 )
@@ -74,17 +77,23 @@ def _tail_normal(probability: float) -> float:
 
 
 @compiled
-def _fill_normal(bits: NDArray[np.uint64], deviates: NDArray[np.float64]) -> None:
-    """Fill with `normal` of each; the first loop has no branch, so that it runs on several numbers at a time."""
+def _fill_normal(bits: NDArray[np.uint64], deviates: NDArray[np.float64], in_tail: NDArray[np.uint8]) -> None:
+    """Fill with `normal` of each; the first loop has no branch, so that it runs on several numbers at a time.
+
+    `in_tail` is scratch for a multiple of 8 numbers, at least as many.
+    """
     for index in range(len(bits)):
-        position = uniform(bits[index]) * _CELLS
-        cell = int(position)
+        cell = (bits[index] & _LOW) >> _IN_CELL
         low = _QUANTILE[cell]
-        deviates[index] = low + (position - cell) * (_QUANTILE[cell + 1] - low)
-    for index in range(len(bits)):
-        cell = int(uniform(bits[index]) * _CELLS)
-        if cell < _TAIL or cell >= _CELLS - _TAIL:
-            deviates[index] = _tail_normal(uniform(bits[index]))
+        fraction = (float(bits[index] & _CELL_MASK) + 0.5) * 2.0**-20
+        deviates[index] = low + fraction * (_QUANTILE[cell + _ONE] - low)
+        in_tail[index] = (cell < _FIRST) | (cell >= _LAST)
+    words = in_tail.view(np.uint64)
+    for word in range(len(words)):
+        if words[word]:
+            for index in range(8 * word, min(8 * word + 8, len(bits))):
+                if in_tail[index]:
+                    deviates[index] = _tail_normal(uniform(bits[index]))
 
 
 @compiled
@@ -153,11 +162,12 @@ def expose_rows(
     columns = photons.shape[1]
     bits, means = np.empty(columns, np.uint64), np.empty(columns, np.float32)
     deviates, electrons = np.empty(columns), np.empty(columns)
+    in_tail = np.zeros(-(-columns // 8) * 8, np.uint8)
     for row in range(start, end):
         for column in range(columns):
             bits[column] = splitmix64(key ^ (np.uint64(row * columns + column) * _MIX_2))
             means[column] = photons[row, column] * efficiency + background
-        _fill_normal(bits, deviates)
+        _fill_normal(bits, deviates, in_tail)
         if em_gain > 1:
             _fill_many_multiplied(means, em_gain, deviates, electrons)
         for column in range(columns):
@@ -168,7 +178,7 @@ def expose_rows(
             electrons[column] = multiplied(few, em_gain, splitmix64(bits[column])) if em_gain > 1 and few > 0 else few
         for column in range(columns):
             bits[column] >>= _32
-        _fill_normal(bits, deviates)
+        _fill_normal(bits, deviates, in_tail)
         well = register_well if em_gain > 1 else full_well
         for column in range(columns):
             value = (min(electrons[column], well) + read_noise * deviates[column]) * per_electron + offset

@@ -22,6 +22,7 @@ from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fit
 from reconstruction.registration.gauss_newton.template import prepare_template, respond
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.shared_work import new_ledger
 from reconstruction.runtime.threads import worker_pool
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp
@@ -147,15 +148,16 @@ class GaussNewton:
             half_cell_px=np.float32(reference.cell_height_px / 2),
         )
 
-        threads = self._threads
+        ledger = new_ledger()
 
-        def part(first: int) -> None:
-            fit_lenslets(frame, self._start.grid, grid, self._search, self._limits, self._power, fits, first, threads)
+        def share() -> bool:
+            return fit_lenslets(frame, self._start.grid, grid, self._search, self._limits, self._power, fits, ledger)
 
-        others = [worker_pool(threads - 1).submit(part, first) for first in range(1, threads)]
-        part(0)
+        others = [worker_pool(self._threads - 1).submit(share) for _ in range(1, self._threads)]
+        is_finished = share()
         for other in others:
-            other.result()
+            if not other.cancel() and not is_finished:
+                other.result()
         return fits
 
     def _begin(self, start: Displacement | None) -> Image:

@@ -25,6 +25,7 @@ class FitCovariance:
     variance: Floats  # of every pixel, counts^2, and per count of light, counts; (lenslet_row, lenslet_column, 2)
     per_pixel: Floats  # covariance of the parameters for a variance of 1 in every pixel, (L, P, P)
     per_light: Floats  # the same for one that is the light
+    traces: Floats  # of both, (2, L)
     basis: Floats  # coefficients (x modes, y modes) of the parameters, (P, 2Q)
 
     def kept(self, lenslets: Mask) -> Self:
@@ -39,10 +40,8 @@ class FitCovariance:
 
     def trace(self) -> Floats:
         """Sum of the variances, px^2, (lenslet_row, lenslet_column); the basis is orthonormal."""
-        traces = [
-            np.einsum("lpp->l", each).reshape(self.variance.shape[:2]) for each in (self.per_pixel, self.per_light)
-        ]
-        return np.asarray(self.variance[..., 0] * traces[0] + self.variance[..., 1] * traces[1])
+        of_pixels, of_light = self.traces.reshape(2, *self.variance.shape[:2])
+        return np.asarray(self.variance[..., 0] * of_pixels + self.variance[..., 1] * of_light)
 
 
 class FitErrors(NamedTuple):
@@ -83,9 +82,9 @@ class ErrorPropagation:
         """RMS standard error of the parameters in a frame as bright as the reference, (L,); 0 if unknown."""
         if self._noise is None:
             return np.zeros(len(self._template.contrast))
-        shot = self._noise.counts_per_light * self._template.per_light.covariance
-        read = self._noise.read_noise_counts**2 * self._template.per_pixel.covariance
-        return np.asarray(np.sqrt(np.einsum("lpp->l", shot + read) / self._template.grid.basis.shape[0]))
+        shot = self._noise.counts_per_light * self._template.per_light.trace
+        read = self._noise.read_noise_counts**2 * self._template.per_pixel.trace
+        return np.asarray(np.sqrt((shot + read) / self._template.grid.basis.shape[0]))
 
     def __call__(self, fits: Fits) -> FitErrors:
         """Errors of the fits; arbitrary for lost ones."""
@@ -99,13 +98,15 @@ class ErrorPropagation:
         per_pixel, per_light = template.per_pixel, template.per_light
         _propagate(fits, np.arange(lenslets), per_pixel, per_light, *prepared)
         covariances = per_pixel.covariance, per_light.covariance
+        traces = np.stack([per_pixel.trace, per_light.trace])
         partial = np.flatnonzero(fits.is_partial)
         if partial.size:
             per_pixel, per_light, known[partial] = template.without(partial, fits.excluded[partial])
             _propagate(fits, partial, per_pixel, per_light, *prepared)
             covariances = covariances[0].copy(), covariances[1].copy()
             covariances[0][partial], covariances[1][partial] = per_pixel.covariance, per_light.covariance
-        covariance = FitCovariance(variance.reshape(*self._lattice, 2), *covariances, self._basis)
+            traces[:, partial] = per_pixel.trace, per_light.trace
+        covariance = FitCovariance(variance.reshape(*self._lattice, 2), *covariances, traces, self._basis)
         return FitErrors(covariance, *of_residual, known)
 
 

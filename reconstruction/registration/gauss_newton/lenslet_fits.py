@@ -10,6 +10,7 @@ from reconstruction.registration.gauss_newton.alignment import LOST_PX, FrameDat
 from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS, Scratch, new_scratch, sample_warped
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.shared_work import Ledger, finish, is_finished, take
 
 _NOISE_STRIDE = 7  # pixels between samples of the interpolation noise; no divisor of a window's width
 
@@ -48,7 +49,7 @@ class Fits(NamedTuple):
 
 
 @compiled
-def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by their place
+def fit_lenslets(  # noqa: PLR0917 - compiled code takes its arguments by their place
     frame: FrameData,
     start: Grid,
     warp: Grid,
@@ -56,10 +57,9 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     limits: FitLimits,
     power: Floats,
     fits: Fits,
-    first: int,
-    step: int,
-) -> None:
-    """Fit every `step`-th lenslet, starting with `first`.
+    ledger: Ledger,
+) -> bool:
+    """Fit lenslets, shared with the threads that have the same ledger; False if others have not finished theirs.
 
     `start` is the reference for translations on a coarse grid, `warp` that for the warps. If these fail, the
     whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
@@ -67,42 +67,67 @@ def fit_lenslets(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments 
     scratch = new_scratch(warp.steps.size)
     coarse = new_scratch(start.steps.size)
     patch = new_scratch(search.steps.size)
-    cell = frame.half_cell_px
-    for lenslet in range(first, fits.gain.size, step):
-        if not np.any(warp.weight[lenslet]):
+    while True:
+        lenslet = take(ledger)
+        if lenslet >= fits.gain.size:
+            return is_finished(ledger, fits.gain.size)
+        if np.any(warp.weight[lenslet]):
+            _fit_lenslet(frame, start, warp, search, limits, fits, lenslet, scratch, coarse, patch)
+            light, weight = warp.light[lenslet], warp.weight[lenslet]
+            _interpolated_noise(weight, light, power, scratch, fits.noise_power[lenslet])
+        else:
             fits.step_px[lenslet] = LOST_PX
-            continue
-        displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
-        state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
-        poor = True
-        if np.all(np.isfinite(displacement)):
+        finish(ledger)
+
+
+@compiled
+def _fit_lenslet(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by their place
+    frame: FrameData,
+    start: Grid,
+    warp: Grid,
+    search: WholePixelSearch,
+    limits: FitLimits,
+    fits: Fits,
+    lenslet: int,
+    scratch: Scratch,
+    coarse: Scratch,
+    patch: Scratch,
+) -> None:
+    """Fit one lenslet from its given start, from a translation, or from the whole-pixel search; fill in all but noise.
+
+    Each grid has its scratch: `scratch` that of the warp, `coarse` that of the start, `patch` that of the search.
+    """
+    cell = frame.half_cell_px
+    displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
+    state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
+    poor = True
+    if np.all(np.isfinite(displacement)):
+        state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
+        poor = _is_poor(state, limits, lenslet)
+    if poor:
+        translation = np.zeros(2, np.float32)
+        fit_warp(frame, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse)
+        displacement[:] = 0
+        if max(abs(translation[0]), abs(translation[1])) < cell:
+            _translate(displacement, translation[0], translation[1], warp)
+        state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
+        poor = _is_poor(state, limits, lenslet)
+    if poor and search.reach > 0:
+        again = np.zeros_like(displacement)
+        x, y = _best_shift(frame, search, lenslet, patch)
+        _translate(again, x, y, warp)
+        other = fit_warp(frame, warp, lenslet, again, settled, scratch)
+        better = other.square < state.square if state.step_px < limits.converged_px else True
+        if other.step_px < limits.converged_px and better:
+            displacement[:] = again
+            state = other
+        elif state.step_px < limits.converged_px:  # repeat, to restore the excluded pixels
             state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
-            poor = _is_poor(state, limits, lenslet)
-        if poor:
-            translation = np.zeros(2, np.float32)
-            fit_warp(frame, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse)
-            displacement[:] = 0
-            if max(abs(translation[0]), abs(translation[1])) < cell:
-                _translate(displacement, translation[0], translation[1], warp)
-            state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
-            poor = _is_poor(state, limits, lenslet)
-        if poor and search.reach > 0:
-            again = np.zeros_like(displacement)
-            x, y = _best_shift(frame, search, lenslet, patch)
-            _translate(again, x, y, warp)
-            other = fit_warp(frame, warp, lenslet, again, settled, scratch)
-            better = other.square < state.square if state.step_px < limits.converged_px else True
-            if other.step_px < limits.converged_px and better:
-                displacement[:] = again
-                state = other
-            elif state.step_px < limits.converged_px:  # repeat, to restore the excluded pixels
-                state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
-        fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
-        fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
-        fits.is_partial[lenslet] = state.is_partial
-        if state.is_partial:
-            fits.excluded[lenslet] = scratch.excluded
-        _interpolated_noise(warp.weight[lenslet], warp.light[lenslet], power, scratch, fits.noise_power[lenslet])
+    fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
+    fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
+    fits.is_partial[lenslet] = state.is_partial
+    if state.is_partial:
+        fits.excluded[lenslet] = scratch.excluded
 
 
 @compiled

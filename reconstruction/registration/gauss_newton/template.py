@@ -37,6 +37,7 @@ class Propagated(NamedTuple):
     covariance: Floats  # of the parameters, (L, P - 2, P - 2)
     square: Floats  # expected weighted sum of its squares, (L,)
     fitted: Floats  # part of `square` absorbed by the fit, (L,)
+    trace: Floats  # sum of the parameters' variances, (L,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,10 +215,12 @@ def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floa
     """Propagate noise of independent pixels, (L, N), through A = `inverse` (L, P, N), J = `descent`."""
     warp = inverse[:, :-2]
     leverage = np.einsum("lkn,lkn->ln", inverse, descent)
+    covariance = (warp * variance[:, None]) @ np.swapaxes(warp, 1, 2)
     return Propagated(
-        covariance=(warp * variance[:, None]) @ np.swapaxes(warp, 1, 2),
+        covariance,
         square=np.sum(weight * variance, axis=1),
         fitted=np.sum(weight * variance * leverage, axis=1),
+        trace=np.einsum("lpp->l", covariance),
     )
 
 

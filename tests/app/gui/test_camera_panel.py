@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QApplication
 from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
+from app.gui.lattice_overlay import arrow_length_px
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Arrangement
 
@@ -53,6 +54,37 @@ def test_lost_lenslet_is_crossed_out_with_its_reason(make_window: MakeWindow, ar
     assert panel.caption.text().endswith("lenslet row 1, column 11")
 
 
+def test_colours_reach_from_the_black_to_the_white_level(make_window: MakeWindow) -> None:
+    window = make_window()
+    panel = window.camera_panel
+    panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
+    panel.contrast.setCurrentText("full range")
+    pixels = dim_frame()
+    pixels[0, :3] = 0, FULL_SCALE // 2, FULL_SCALE
+    window.show_measurement(make_measurement(pixels, views()))
+    for name, expected in (("grey", (0x000000, 0x7F7F7F, 0xFFFFFF)), ("inferno", (0x000003, 0xBB3754, 0xFCFEA4))):
+        panel.colours.setCurrentText(name)
+        shown = panel._image.pixels[0, :3] & 0xFFFFFF
+        for colour, other in zip(shown.tolist(), expected, strict=True):
+            channels = [(colour >> shift & 0xFF) - (other >> shift & 0xFF) for shift in (0, 8, 16)]
+            assert np.abs(channels).max() <= 3, (name, hex(colour))
+
+
+def test_few_arrows_are_as_long_as_the_longest_needs() -> None:
+    moved = np.zeros((*LENSLETS, 2))
+    outcome = np.full(LENSLETS, Outcome.DARK, np.int8)
+    moved[4, 6], moved[2, 2], outcome[4, 6], outcome[2, 2] = (3.0, 4.0), (0.1, 0.0), 0, 0
+    wavefront = make_measurement(dim_frame(), views(), outcome=outcome, displacement_px=moved).wavefront
+    assert wavefront is not None
+    assert arrow_length_px(wavefront.displacement) == pytest.approx(5.0)
+    many = np.zeros((*LENSLETS, 2))
+    many[..., 0] = 1.0
+    many[0, 0, 0] = 50.0  # one of 117
+    wavefront = make_measurement(dim_frame(), views(), displacement_px=many).wavefront
+    assert wavefront is not None
+    assert arrow_length_px(wavefront.displacement) == pytest.approx(1.0)
+
+
 def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     window = make_window()
     panel = window.camera_panel
@@ -61,7 +93,7 @@ def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     outcome = np.full(LENSLETS, Outcome.DARK, np.int8)
     moved[4, 6], outcome[4, 6] = (1.2, 0.3), Outcome.CONVERGED
     window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome, displacement_px=moved))
-    x, y = panel._arrows.getData()
+    x, y = panel._arrows.ends.T
     magnification = float(panel.legend.text().rpartition(" ")[2])
     assert magnification == 20
     np.testing.assert_allclose([x[0], y[0]], [215.0, 150.5])  # the lattice's middle

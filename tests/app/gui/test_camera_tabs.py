@@ -122,7 +122,7 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     assert back is not None
     middle = reference.values.shape[2] // 2
     assert back.values[0, 0, middle, middle] == pytest.approx(reference.values[0, 0, middle, middle], rel=0.01)
-    outline = window.camera_panel._inspected_box.getData()
+    outline = window.camera_panel._inspected_box.ends.T
     centre = LATTICE.lenslet_centers_px(*LENSLETS)[4, 7]
     np.testing.assert_allclose([outline[0].mean(), outline[1].mean()], centre)
 

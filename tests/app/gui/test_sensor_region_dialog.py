@@ -106,7 +106,7 @@ def test_region_without_most_lenslets_is_to_be_enlarged(window: MainWindow, qtbo
     window.messages.clear_notice()
     assert text(window) == advice  # and no advice to take a reference, which could not be used
     window.controls.reference.click()
-    qtbot.waitUntil(window.controller.pending.poll)
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     window.messages.clear_notice()
     qtbot.waitUntil(lambda: text(window) == advice)
 

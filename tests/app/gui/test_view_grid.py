@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint
+from PyQt6.QtGui import QPaintEvent
+from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture
@@ -66,6 +70,47 @@ def test_positive_is_red_and_negative_is_blue(make_window: MakeWindow) -> None:
     assert left[2] > left[0] + 100
     assert right[0] > right[2] + 100
     assert abs(middle[0] - middle[2]) < 20
+
+
+def test_only_what_has_changed_is_painted_again(
+    make_window: MakeWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The captions and the colour bar cost as much as the maps, which change with every frame."""
+    window = make_window()
+    window._timer.stop()
+    window._analysis.close()
+    shown = np.zeros((3, 3, *LENSLETS))
+    window.show_measurement(make_measurement(dim_frame(), shown))
+    grid = window.wavefront_panel.grid
+    show(grid, shown, 2.0)
+    around: list[bool] = []
+    paint = ViewGrid.paintEvent
+
+    def paint_and_note(self: ViewGrid, event: QPaintEvent) -> None:
+        around.append(not event.region().subtracted(self.places.tiles).isEmpty())
+        paint(self, event)
+
+    monkeypatch.setattr(ViewGrid, "paintEvent", paint_and_note)
+    captions: list[str] = []
+    monkeypatch.setattr(ViewGrid, "_paint_captions", lambda *_: captions.append("painted"))
+
+    def painted(change: Callable[[], object]) -> tuple[bool, int]:
+        """Whether more than the maps was painted, and how often the captions were."""
+        QApplication.processEvents()
+        around.clear()
+        captions.clear()
+        change()
+        qtbot.waitUntil(lambda: bool(around))
+        QApplication.processEvents()
+        return any(around), len(captions)
+
+    assert painted(lambda: show(grid, shown + 1, 2.0)) == (False, 0)
+    assert painted(lambda: show(grid, shown, 3.0)) == (True, 1)  # other numbers at the colour bar
+    assert painted(lambda: grid.select((0, 0))) == (True, 1)
+    assert painted(lambda: grid.show_stale(is_stale=True)) == (True, 1)
+    assert painted(lambda: grid.show_stale(is_stale=False)) == (True, 1)
+    assert painted(lambda: show(grid, shown + 1, 3.0)) == (False, 0)
+    assert painted(lambda: grid.set_captions({(0, 0): (("other",), ("",))})) == (True, 1)
 
 
 def test_lost_lenslet_is_hatched_not_zero(make_window: MakeWindow) -> None:

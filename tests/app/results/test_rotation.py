@@ -107,6 +107,7 @@ class Good:
 
     warning, dark, reference, is_light_on = "", "good", "good", True
     area, capabilities = SimpleNamespace(region=None), SimpleNamespace(sensor=None)
+    bench = SimpleNamespace(registration=SimpleNamespace(rotation=True))
 
 
 class NoDark(Good):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -145,8 +144,8 @@ def test_uneven_dimming_is_found_but_even_dimming_is_not() -> None:
     assert verdict("cubic", 1e4, uneven).faults == Fault.ILLUMINATION
 
 
-@pytest.mark.parametrize("form", [np.uint16, np.int32, np.float32])
-def test_light_is_judged_without_a_dark_in_each_form(form: type[np.number[Any]]) -> None:
+@pytest.mark.parametrize("form", ["<u2", ">u2", "i4", "i8", "f4", "g"])
+def test_light_is_judged_without_a_dark_in_each_form(form: str) -> None:
     light, offset = aberrated(1.0), 400.0
     reference = np.rint(BENCH.reference / BENCH.reference.max() * 2e4 + offset).astype(form)
     reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, noise=NOISE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -21,6 +22,7 @@ from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.runtime.threads import worker_pool
 from reconstruction.settings import RegistrationSettings
 
 ROWS, COLUMNS = 4, 5
@@ -59,6 +61,20 @@ def estimate(bench: SmallBench) -> RegistrationMethod:
 @pytest.fixture(scope="module")
 def plain(estimate: RegistrationMethod, frame: Image) -> Displacement:
     return _compare(estimate, frame)
+
+
+def test_busy_worker_threads_change_and_delay_nothing(
+    estimate: RegistrationMethod, frame: Image, plain: Displacement
+) -> None:
+    """The caller fits every lenslet itself; the queued work is cancelled."""
+    free = threading.Event()
+    busy = worker_pool(RegistrationSettings().threads - 1).submit(free.wait, 60.0)
+    try:
+        found = _compare(estimate, frame)
+        assert not busy.done()
+    finally:
+        free.set()
+    np.testing.assert_array_equal(found.coefficients, plain.coefficients)
 
 
 @FEW

@@ -1,0 +1,48 @@
+"""Sharing of a compiled loop's items among threads."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.shared_work import Ledger, finish, is_finished, new_ledger, take
+
+
+@compiled
+def count_items(times: NDArray[np.int64], ledger: Ledger) -> bool:
+    """Count how often each item is taken."""
+    while True:
+        item = take(ledger)
+        if item >= times.size:
+            return is_finished(ledger, times.size)
+        times[item] += 1
+        finish(ledger)
+
+
+def test_every_item_is_taken_once() -> None:
+    times, ledger = np.zeros(200_000, np.int64), new_ledger()
+    count_items(np.zeros(1, np.int64), new_ledger())  # compiled before the threads race
+    ready = threading.Barrier(4)
+
+    def work() -> None:
+        ready.wait()
+        count_items(times, ledger)
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (times == 1).all()
+    assert is_finished(ledger, times.size)
+
+
+def test_item_of_another_thread_is_waited_for() -> None:
+    ledger = new_ledger()
+    assert take(ledger) == 0  # by another thread, which has not finished it
+    assert not count_items(np.zeros(3, np.int64), ledger)
+    finish(ledger)
+    assert is_finished(ledger, 3)
