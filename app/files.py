@@ -10,6 +10,7 @@ from pathlib import Path
 from app.errors import InputError, RunError
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
+_PARTIAL = ".partial"  # in the name of a file that is being written
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
 _SUFFIXES = {".csv", ".fits", ".json", ".nc", ".npy", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".toml"}
 
@@ -117,7 +118,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     """
     if not path.name or (path.exists() and not path.is_file()):
         raise RunError(f"{path}: not a file that can be written")
-    temporary = path.with_name(f".{secrets.token_hex(8)}.partial{path.suffix}")
+    temporary = path.with_name(f".{secrets.token_hex(8)}{_PARTIAL}{path.suffix}")
     try:
         make_folder(path.parent)
         os.close(os.open(temporary, _NEW, 0o666))
@@ -130,6 +131,15 @@ def atomic_write(path: Path) -> Iterator[Path]:
         sync(path.parent)
     except OSError as error:
         raise RunError(f"{path}: cannot be written: {in_words(error)}") from error
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove what processes killed in `atomic_write` left in a folder and those in it; nobody may be writing there."""
+    for left in folder.rglob(f".*{_PARTIAL}*"):
+        try:
+            left.unlink(missing_ok=True)
+        except OSError as error:
+            raise RunError(f"{left}: cannot be removed: {in_words(error)}") from error
 
 
 def sync(path: Path) -> None:

@@ -14,7 +14,7 @@ from app.batch.sources import Source, find_sources
 from app.batch.store import ResultStore, check_free, is_store, only_writer
 from app.batch.work import Block, DoneBlock, first_result, reconstruct_block
 from app.errors import InputError, Interrupted, RunError
-from app.files import in_words
+from app.files import in_words, remove_partial
 from app.progress import Progress
 from app.tasks import Evaluate
 
@@ -91,6 +91,7 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
             raise RunError(f"{error}; {state()} are in {out}, the same command does the rest") from error
         except Interrupted:
             raise Interrupted(f"interrupted: {state()} are in {out}, the same command does the rest") from None
+        remove_partial(out)  # of workers that were killed
         filling.count()
     return batch
 
