@@ -21,9 +21,11 @@ _CONNECT_S = 20
 _LEAST_WAITING = 16  # tasks at the scheduler; more would only delay Ctrl-C
 _CLOSE_S = 30
 _ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
-_MALLOC = {
+_CONFIGURATION = {
     f"{_ENVIRONMENT}.MALLOC_TRIM_THRESHOLD_": None,  # Dask's maps every array of a frame anew: half the speed
     f"{_ENVIRONMENT}.MALLOC_ARENA_MAX": 1,  # an arena for each thread takes a hundred megabytes more
+    # Dask gives up a worker that is missing this long after it died, also if it is starting again or has died again.
+    "distributed.deploy.lost-worker-timeout": "365 days",
 }
 
 
@@ -105,7 +107,7 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
         raise InputError('workers need Dask: pip install "svwfs[batch]"') from error
     with ExitStack() as stack:
         if scheduler is None:
-            stack.enter_context(dask.config.set(_MALLOC))
+            stack.enter_context(dask.config.set(_CONFIGURATION))
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
