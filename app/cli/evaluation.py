@@ -137,7 +137,9 @@ def benchmark(
         Path | None, typer.Option(metavar=FOLDER, help="With --live: folder of the temporary recording.")
     ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="With --live: do not record.")] = False,
-    panels: Annotated[bool, typer.Option("--panels", help="With --live: open all panels of the analysis.")] = False,
+    panels: Annotated[
+        bool, typer.Option("--panels", help="With --live: open coefficients, history and histogram, too.")
+    ] = False,
     bench: Annotated[
         str | None,
         typer.Option("--bench", "-b", metavar="TOML", help=f"With --live: simulated bench [default: {_LIVE_BENCH}]."),

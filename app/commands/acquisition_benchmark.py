@@ -58,7 +58,8 @@ def _run_in_window(course: Course, *, with_panels: bool) -> None:
 
     def open_course(window: MainWindow) -> None:
         if with_panels:
-            window.docks.float_analysis()
+            tabs = window.tabs
+            window.docks.float_panels(tabs.coefficients, tabs.history, tabs.histogram)
         window.open(lambda: course.acquisition, lambda _: course.begin())
 
     run_window(None, until=course.poll, open_first=open_course, remembers=False)

@@ -125,11 +125,12 @@ class PanelDocks:
                 dock.show()
                 dock.raise_()
 
-    def float_analysis(self) -> None:
-        """Make each panel of the analysis a window of its own, so that all are visible."""
-        for dock in self._analysis:
-            dock.setFloating(True)
-            dock.show()
+    def float_panels(self, *panels: QWidget) -> None:
+        """Make each of these panels a window of its own, so that all are visible."""
+        for dock in self.docks:
+            if dock.panel in panels:
+                dock.setFloating(True)
+                dock.show()
 
     def menu(self) -> QMenu:
         """Return a menu that opens and closes the panels."""

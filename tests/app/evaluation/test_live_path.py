@@ -260,7 +260,7 @@ def test_each_limit_is_missed_alone(name: str, window: Span) -> None:
     assert [line.split()[0] for line in figures_of(window).missed()] == [name]
 
 
-def test_redraw_with_all_panels_has_no_limit_of_its_own() -> None:
+def test_redraw_with_panels_has_no_limit_of_its_own() -> None:
     assert figures_of(span_of(draw_s=0.03), with_panels=True).missed() == []
 
 

@@ -124,12 +124,15 @@ def test_header_floats_and_docks_a_panel(window: MainWindow, title: str) -> None
     check_same(layout(window), before)
 
 
-def test_all_panels_of_the_analysis_float_visibly(window: MainWindow) -> None:
-    window.docks.float_analysis()
+def test_chosen_panels_float_visibly(window: MainWindow) -> None:
+    window.docks.float_panels(window.tabs.history, window.tabs.histogram)
     QApplication.processEvents()
-    for panel in window.tabs.panels.values():
-        assert panel.isVisible()
-        assert panel.window() is not window
+    for title, panel in window.tabs.panels.items():
+        if title in {"History", "Histogram"}:
+            assert panel.isVisible()
+            assert panel.window() is not window
+        else:
+            assert panel.window() is window
 
 
 def test_closed_panel_returns_from_the_menu(window: MainWindow) -> None:

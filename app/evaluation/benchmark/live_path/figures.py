@@ -135,7 +135,7 @@ def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
         ("camera to result", _milliseconds(times["to_result"]), "to_result_p99_s"),
         ("camera to screen", _milliseconds(times["to_screen"]), ""),
         ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),
-        ("redraw, all panels" if figures.plan.with_panels else "redraw", _milliseconds(times["draw"]), "draw_p50_s"),
+        ("redraw, with panels" if figures.plan.with_panels else "redraw", _milliseconds(times["draw"]), "draw_p50_s"),
         *recorded,
         (f"memory, last {figures.plan.memory_s:.0f} s", _memory(figures), "memory_growth"),
         (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", ""),

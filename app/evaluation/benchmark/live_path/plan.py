@@ -30,7 +30,7 @@ class LivePlan:
     bench: Bench
     seconds: float
     record_in: Path | None  # folder of the temporary recording; None for none
-    with_panels: bool = False  # all panels of the analysis are open beside the window
+    with_panels: bool = False  # coefficients, history and histogram are open beside the window
     warm_up_s: float = RECENT_S + 2.0  # until the memory is full of recent frames
 
     def __post_init__(self) -> None:
