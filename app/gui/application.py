@@ -13,9 +13,10 @@ from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError
 from app.gui.controller import CLOSING_S
-from app.gui.main_window import WINDOW_SIZE, MainWindow
+from app.gui.main_window import MainWindow
 from app.gui.theme import apply_theme
 from app.gui.tour import offer_tour
+from app.gui.window_layout import WINDOW_SIZE
 from app.gui.window_state import settings_file
 from app.gui.wording import left_behind
 from app.signals import ended_by

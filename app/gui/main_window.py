@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QEventLoop, QSettings, QSize, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QEventLoop, QSettings, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
+from PyQt6.QtWidgets import QApplication, QMainWindow
 
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, acquisition_of, start_up
@@ -22,18 +22,18 @@ from app.gui.controller import Begin, Controller
 from app.gui.controls_panel import ControlsPanel
 from app.gui.file_drop import FileDrop
 from app.gui.help_menu import help_entries
+from app.gui.late_measurements import LateMeasurements
 from app.gui.menu import fill_menus
 from app.gui.message_log import MessageLog
 from app.gui.message_strip import MessageStrip
 from app.gui.number_field import NumberField
-from app.gui.panel_docks import Dock, PanelDocks
 from app.gui.recording_bar import RecordingBar
 from app.gui.recording_panel import RecordingPanel
 from app.gui.replay_bar import ReplayBar
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.status_line import StatusLine
 from app.gui.wavefront_panel import WavefrontPanel
-from app.gui.widgets import column
+from app.gui.window_layout import lay_out
 from app.gui.window_menus import window_menus
 from app.gui.window_state import fit_to_screen, restore_state, save_state
 from app.gui.wording import advice, conditions_of, is_replay, light_when_closing, stale, warning, way_out
@@ -41,13 +41,8 @@ from app.results.frame_statistics import frame_statistics
 from app.results.replay.player import Player
 from app.timing import Timings
 
-WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _REFRESH_INTERVAL_MS = 40
-_LATE = 1.5  # times between two frames until a result: beyond, frames are waiting
-_REFRESHES_PER_GIVING_WAY = 3
-_TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
-_MIN_WIDTH = 900  # px; captions and plots need it
 
 
 class MainWindow(QMainWindow):
@@ -72,8 +67,8 @@ class MainWindow(QMainWindow):
         self._measurement: Measurement | None = None
         self._status: Status | None = None
         self._failure, self._activity = "", Activity()
-        self._is_closing, self._refreshes, self._gave_way = False, 0, 0
-        self._times_due_s = -math.inf
+        self._is_closing, self._refreshes = False, 0
+        self._late = LateMeasurements()
         self._conditions: tuple[object, ...] = ()  # of the frames
         self._changed_s = -math.inf  # time of their last change
         self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
@@ -104,7 +99,7 @@ class MainWindow(QMainWindow):
             failed.connect(self.messages.warn)
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
         self.recording_bar = RecordingBar(self.controller, self.messages, settings)
-        self._lay_out()
+        self.docks = lay_out(self)
         for field in self.findChildren(NumberField):
             field.refused.connect(self.messages.refuse)
         self.benches = BenchFiles(self, lambda bench: self.open(lambda: make_for(bench)), self.controller, settings)
@@ -167,7 +162,7 @@ class MainWindow(QMainWindow):
         self.messages.show_activity(self._activity, may_cancel=is_ready)
         measurement = acquisition.newest
         is_new = measurement is not self._measurement and not self.isMinimized()
-        if measurement is not None and is_new and not self._gives_way(measurement):
+        if measurement is not None and is_new and not self._late.leave_out(measurement, self._measurement):
             start_s = time.perf_counter()
             self.show_measurement(measurement)
             self._unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
@@ -176,19 +171,6 @@ class MainWindow(QMainWindow):
             self.update_text()
         elif self._refreshes % _REFRESHES_PER_TEXT == 0:
             self._text_timer.start()
-
-    def _gives_way(self, measurement: Measurement) -> bool:
-        """Return whether to leave the processor to a measurement that is late, for one refresh of three at most."""
-        before = self._measurement
-        if before is None or measurement.counts.acquired <= before.counts.acquired:
-            return False
-        frames = measurement.counts.acquired - before.counts.acquired
-        between_s = (measurement.frame.host_time_s - before.frame.host_time_s) / frames
-        is_late = measurement.latency_s > _LATE * max(between_s, measurement.frame.exposure_s)
-        if is_late and self._refreshes >= self._gave_way + _REFRESHES_PER_GIVING_WAY:
-            self._gave_way = self._refreshes
-            return True
-        return False
 
     def show_measurement(self, measurement: Measurement) -> None:
         """Show a frame and its wavefront, live or recorded."""
@@ -233,10 +215,7 @@ class MainWindow(QMainWindow):
             self.tabs.record(measurement, full_scale=full_scale, temperature_c=temperature_c)
         self.controller.show_recordings()
         self.recording_bar.refresh()
-        is_due = time.monotonic() > self._times_due_s or self.status_line.timing_row.isVisible()
-        if is_due:
-            self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
-        self.status_line.update_text(status, acquisition.timings.summary() if acquisition and is_due else None)
+        self.status_line.update_text(status, acquisition.timings if acquisition else None)
         is_live = status is not None and status.is_running and not self._activity.text
         is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
         live = measurement if is_live and is_present else None  # what is wrong with earlier frames is over
@@ -297,27 +276,6 @@ class MainWindow(QMainWindow):
             self.show_status(replace(acquisition.status, is_running=False))
             self.messages.show_closing(light_when_closing(acquisition.status))
         QApplication.processEvents(QEventLoop.ProcessEventsFlag.ExcludeUserInputEvents)
-
-    def _lay_out(self) -> None:
-        self.setWindowTitle("svwfs")
-        self.resize(WINDOW_SIZE)
-        below = QWidget()
-        column(self.replay, self.recording_bar, self.messages, self.status_line, spacing=4, parent=below)
-        if (status_bar := self.statusBar()) is not None:
-            status_bar.setSizeGripEnabled(False)
-            status_bar.addPermanentWidget(below, 1)
-            status_bar.setMinimumWidth(_MIN_WIDTH)  # the controls may need more
-        self.docks = PanelDocks(
-            self,
-            Dock("Camera", self.camera_panel, self.camera_panel.header),
-            Dock("Wavefronts", self.wavefront_panel, self.wavefront_panel.header),
-            self.tabs.panels,
-            Dock("Controls", self.controls, is_strip=True),
-        )
-        self.tabs.panel_requested.connect(self.docks.show_panel)
-        if (bar := self.menuBar()) is not None:
-            bar.setNativeMenuBar(False)  # a native one has no corner
-            bar.setCornerWidget(self.recording_panel)
 
     def quit(self) -> None:
         """Close the window; if a person switches the light, ask for that first."""

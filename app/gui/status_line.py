@@ -1,5 +1,6 @@
 """The status line: frame counts, rate, delays and valid lenslets; the least important are hidden when it is narrow."""
 
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -14,10 +15,11 @@ from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
 from app.gui import theme
-from app.gui.timing_row import Summaries, TimingRow, timing_table
+from app.gui.timing_row import TimingRow, timing_table
 from app.gui.widgets import colour_text, column, label, row
 from app.gui.wording import lenslet_summary
 from app.measurement.live_refinement import RefinementState
+from app.timing import Timings
 from reconstruction.displacement import Displacement
 
 _VALID = "Lenslets whose subimage matches the reference"
@@ -25,6 +27,7 @@ _CORRECTION = "Age of the correction of systematic errors"
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
 _SHOWN = "Frames drawn in this window: the newest one, up to 25 times a second"
 _WINDOW_S = 1.0  # over which rate and delay are taken
+_TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
 _GAP = 14  # px between two parts
 _WITHIN = 4  # px between a name and its value
 
@@ -37,6 +40,7 @@ class StatusLine(QWidget):
         self._newest: Measurement | None = None
         self._recent: deque[tuple[float, int, float]] = deque()  # time, frames acquired, delay: measurements are large
         self.shown = 0
+        self._times_due_s = -math.inf
         self.timing_row = TimingRow()
         self.row = line = FittingRow()
         self.devices = label("", "dim")
@@ -71,11 +75,13 @@ class StatusLine(QWidget):
         self._recent.clear()
         self.shown = 0
 
-    def update_text(self, status: Status | None, timings: Summaries | None = None) -> None:
-        """Update the numbers."""
-        if timings is not None:
-            self.timing_row.update_text(timings)
-            self.delay.setToolTip(f"<p>{_DELAY}.</p>{timing_table(timings)}")
+    def update_text(self, status: Status | None, timings: Timings | None) -> None:
+        """Update the numbers, those of the tool tip once a second."""
+        if timings is not None and (time.monotonic() > self._times_due_s or self.timing_row.isVisible()):
+            self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
+            summary = timings.summary()
+            self.timing_row.update_text(summary)
+            self.delay.setToolTip(f"<p>{_DELAY}.</p>{timing_table(summary)}")
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
             self.devices.setText("running" if status.is_running else "stopped")

@@ -6,11 +6,12 @@ from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QRegion
+from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
 from app.gui.colours import ColourScale
+from app.gui.view_places import Places, arrange_views
 from app.results.shades import Pixels
 from reconstruction.arrays import Floats
 
@@ -18,7 +19,6 @@ _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
 _LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
 _SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
-_MARGIN = 3  # px around all views, for the selection frame
 _STALE_OPACITY = 0.5
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 
@@ -35,22 +35,6 @@ class Maps:
     is_smooth: bool = False  # whether to interpolate: samples of a function, not lenslets
     reach: tuple[float, float] = (1.0, 1.0)  # x and y of the last column's and row's middle, about the map's middle
     reach_unit: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class _Places:
-    """Places of the views in the widget."""
-
-    first: QPoint  # corner of the first view
-    size: QSize  # of each
-    step: QSize  # from one to the next
-    bar_space: int  # width of the colour bar and its numbers; 0 if the views need it: tool tips have the values
-    has_captions: bool
-    tiles: QRegion  # of all views
-
-    def tile(self, view_row: int, view_column: int) -> QRect:
-        """Return the rectangle of a view without its caption."""
-        return QRect(self.first + QPoint(view_column * self.step.width(), view_row * self.step.height()), self.size)
 
 
 class ViewGrid(QWidget):
@@ -197,14 +181,14 @@ class ViewGrid(QWidget):
         return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
 
     @property
-    def places(self) -> "_Places":
+    def places(self) -> Places:
         """Return the places of the views, computed again when something that they depend on has changed."""
         if self._is_moved:
             self._laid_out_for = self._layout_key
             shape, line = self._shape, self.fontMetrics().height()
             space = _BAR_MARGIN + _BAR_WIDTH + _BAR_TICK + self._number_width
             has_bar = self.width() >= 2 * space + line and self.height() >= _LEAST_LINES * line
-            arrange = partial(_arrange, self.size(), shape, bar_space=space if has_bar else 0)
+            arrange = partial(arrange_views, self.size(), shape, bar_space=space if has_bar else 0)
             captioned = arrange(below=2 * line + 4, gap=_GAP)
             has_captions = captioned.size.width() >= _SMALLEST_CAPTIONED
             self._places = captioned if has_captions else arrange(below=0, gap=_NARROW_GAP)
@@ -285,25 +269,6 @@ class ViewGrid(QWidget):
         if len(ticks) > most:
             ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]
         return ticks[:: len(ticks) - 1] if len(ticks) > most else ticks
-
-
-def _arrange(room: QSize, shape: tuple[int, ...], *, bar_space: int, below: int, gap: int) -> _Places:
-    """Arrange maps (view_row, view_column, row, column) in a room, with so many pixels below and between them."""
-    view_rows, view_columns, rows, columns = shape
-    if not min(shape):
-        return _Places(QPoint(), QSize(), QSize(), 0, has_captions=False, tiles=QRegion())
-    width = (room.width() - 2 * _MARGIN - bar_space - (view_columns - 1) * gap) / view_columns
-    height = (room.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
-    scale = max(min(width / columns, height / rows), 0)
-    size = QSize(int(scale * columns), int(scale * rows))
-    step = QSize(size.width() + gap, size.height() + below + gap)
-    used = QSize(view_columns * step.width() - gap + bar_space, view_rows * step.height() - gap)
-    left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
-    first = QPoint(max(left, _MARGIN), max(top, _MARGIN))
-    tiles = QRegion()
-    for row, column in np.ndindex(view_rows, view_columns):
-        tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
-    return _Places(first, size, step, bar_space, has_captions=bool(below), tiles=tiles)
 
 
 def _image(pixels: Pixels) -> QImage:

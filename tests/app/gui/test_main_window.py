@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -267,26 +266,3 @@ def test_drawing_is_timed_and_key_shows_every_stage(live: tuple[MainWindow, Fake
     summary = timings.summary()
     assert summary["draw"].count <= window.status_line.shown
     assert summary["to_screen"].p50_s > summary["draw"].p50_s
-
-
-def test_late_measurement_goes_first_but_the_window_lives_on(make_window: MakeWindow) -> None:
-    """While results are late, one redraw of three is left out."""
-    window = make_window()
-    first = make_measurement(dim_frame(), views())
-    window.show_measurement(first)
-    window._refreshes = 100
-
-    def drawn(latency_s: float, between_s: float) -> list[bool]:
-        """Whether each of the next refreshes draws, with that time from frame to frame."""
-        found = []
-        for frames in range(1, 10):
-            frame = replace(first.frame, exposure_s=0.001, host_time_s=first.frame.host_time_s + frames * between_s)
-            counts = replace(first.counts, acquired=first.counts.acquired + frames)
-            late = replace(first, frame=frame, counts=counts, latency_s=latency_s)
-            found.append(not window._gives_way(late))
-            window._refreshes += 1
-        return found
-
-    assert drawn(0.013, 0.014) == 9 * [True]
-    assert drawn(0.042, 0.014) == 3 * [False, True, True]
-    assert drawn(0.042, 0.040) == 9 * [True]  # a short exposure, and time enough until the next

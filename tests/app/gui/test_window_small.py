@@ -160,7 +160,7 @@ def test_least_important_numbers_are_hidden_first(qtbot: QtBot) -> None:
     qtbot.addWidget(line)
     line.show()
     line.count(replace(make_measurement(dim_frame(), views()), counts=FrameTotals(1234567, 1204567, 30123)))
-    line.update_text(None)
+    line.update_text(None, None)
     row = line.row
     order = ["shown", "acquired", "reconstructed", "frame age", "delay", "correction", "lost", "frames/s", "valid"]
     seen = set()
