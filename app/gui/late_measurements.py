@@ -1,4 +1,4 @@
-"""Which redraws the window leaves out, so that a late measurement gets the processor."""
+"""Redraws that the window leaves out, so that a late measurement gets the processor."""
 
 from app.acquisition.worker import Measurement
 

@@ -1,4 +1,4 @@
-"""The main window: lays out the views and refreshes them from the acquisition 25 times a second."""
+"""The main window: lays out the views and refreshes them from the acquisition up to 25 times a second."""
 
 import math
 import time

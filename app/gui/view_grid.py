@@ -204,7 +204,7 @@ class ViewGrid(QWidget):
 
     @property
     def _is_moved(self) -> bool:
-        """Whether something that the places depend on has changed since they were computed."""
+        """True if size, font, numbers or shape have changed since the places were computed."""
         return self._layout_key != self._laid_out_for
 
     def _paint_captions(self, painter: QPainter) -> None:

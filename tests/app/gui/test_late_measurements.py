@@ -18,7 +18,7 @@ def test_one_redraw_of_three_is_left_out_while_results_are_late() -> None:
     late = LateMeasurements()
 
     def drawn(latency_s: float, between_s: float) -> list[bool]:
-        """Whether each of the next measurements is drawn, with that time from frame to frame."""
+        """True for each of the next measurements that is drawn; `between_s` is the time from frame to frame."""
         found = []
         for frames in range(1, 10):
             frame = replace(first.frame, exposure_s=0.001, host_time_s=first.frame.host_time_s + frames * between_s)

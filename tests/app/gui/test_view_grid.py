@@ -95,7 +95,7 @@ def test_only_what_has_changed_is_painted_again(
     monkeypatch.setattr(ViewGrid, "_paint_captions", lambda *_: captions.append("painted"))
 
     def painted(change: Callable[[], object]) -> tuple[bool, int]:
-        """Whether more than the maps was painted, and how often the captions were."""
+        """True if more than the maps was painted, and the number of times that the captions were."""
         QApplication.processEvents()
         around.clear()
         captions.clear()
