@@ -2,7 +2,7 @@
 
 import math
 
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from app.gui import theme
@@ -31,26 +31,36 @@ class RecordingPanel(QWidget):
         )
         self.text = ElidedLabel("dim")
         self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-        # A menu bar never updates the width of its corner.
-        self.text.setFixedWidth(self.text.fontMetrics().horizontalAdvance(_WIDEST))
+        # A menu bar never updates the width of its corner; with a fixed height, too, a new text is not laid out.
+        self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         row(self.text, self.keep, self.record, parent=self).setContentsMargins(10, 3, 6, 3)
-        self.record.setText(_STOP)
-        self.record.setIcon(theme.start_or_stop(is_running=True))
+        self._show_button(is_recording=True)
         self.record.setMinimumWidth(self.record.sizeHint().width())  # of the longer of its two texts
+        self._show_button(is_recording=False)
         self.show_state(None)
 
     def show_state(self, state: RecordingState | None, free_minutes: float = math.inf) -> None:
         """Show the current or last recording and the recording time that the disk has space for."""
         is_recording = state is not None and state.stage == "recording"
         self.record.setChecked(is_recording)
-        self.record.setText(_STOP if is_recording else "Record")
-        self.record.setIcon(theme.start_or_stop(is_running=True) if is_recording else theme.lamp(theme.RED))
+        if (self.record.text() == _STOP) != is_recording:
+            self._show_button(is_recording=is_recording)
         self.record.setEnabled(state is None or state.stage != "finishing")
         room = () if math.isinf(free_minutes) else (f"disk space for {_duration(free_minutes)}",)
         text = "   ".join((*_progress(state), *room))
         self.text.setText(text)
         self.text.setToolTip(text if state is None else f"{text}\n{state.folder}")
+
+    def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            self._show_button(is_recording=self.record.text() == _STOP)
+
+    def _show_button(self, *, is_recording: bool) -> None:
+        self.record.setText(_STOP if is_recording else "Record")
+        self.record.setIcon(theme.start_or_stop(is_running=True) if is_recording else theme.lamp(theme.RED))
 
 
 def _progress(state: RecordingState | None) -> tuple[str, ...]:

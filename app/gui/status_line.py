@@ -167,9 +167,13 @@ class FittingRow(QWidget):
         return tuple(part.name for part in self._parts if part.shown.isHidden())
 
     def fit(self) -> None:
-        """Show the values that fit; the room of a value never shrinks."""
+        """Show the values that fit; the room of a value never shrinks.
+
+        Its size is fixed: else each new text has Qt lay out and paint the whole status bar.
+        """
         for part in self._parts:
-            part.value.setMinimumWidth(max(part.value.minimumWidth(), part.value.sizeHint().width()))
+            needed = part.value.sizeHint()
+            part.value.setFixedSize(max(part.value.minimumWidth(), needed.width()), needed.height())
         whole = "\n".join(f"{part.name} {part.value.text()}" for part in self._parts)
         for widget in (self, self._more):
             widget.setToolTip(whole)

@@ -1,18 +1,20 @@
 """Grid of maps, one for each view, with a colour bar."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap
+from PyQt6.QtGui import QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPixmap, QRegion
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
 from app.gui.colours import ColourScale
 from app.gui.view_places import Places, arrange_views
-from app.results.shades import Pixels
+from app.results.shades import Pixels, enlarged
 from reconstruction.arrays import Floats
 
 _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
@@ -87,7 +89,7 @@ class ViewGrid(QWidget):
         """Show captions by (view_row, view_column), in the longest wording that fits."""
         if captions != self.captions:
             self.captions = captions
-            self.update()
+            self.update(QRegion(self.rect()).subtracted(self.places.tiles))
 
     def tile(self, view_row: int, view_column: int) -> QRect:
         """Return the rectangle of a view without its caption."""
@@ -101,30 +103,11 @@ class ViewGrid(QWidget):
             painter.setPen(theme.DIM)
             painter.drawText(self.rect(), Qt.AlignmentFlag.AlignCenter, self.empty)
             return
-        places, hatching = self.places, theme.hatching()
-        view_rows, view_columns, rows, columns = self._pixels.shape
-        is_known = self._pixels.all()  # unknown pixels are transparent
-        if not is_known:
-            for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
-                painter.fillRect(places.tile(row, column), theme.RAISED)
-                painter.fillRect(places.tile(row, column), hatching)
-        whole = self._pixels.swapaxes(1, 2).reshape(view_rows * rows, view_columns * columns)
-        painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, maps.is_smooth and bool(is_known))
-        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
-        pixmap = QPixmap.fromImage(_image(whole))
-        fragments = [
-            QPainter.PixmapFragment.create(
-                QRectF(places.tile(row, column)).center(),
-                QRectF(column * columns, row * rows, columns, rows),
-                places.size.width() / columns,
-                places.size.height() / rows,
-            )
-            for row, column in np.ndindex(view_rows, view_columns)
-        ]
-        painter.drawPixmapFragments(fragments, pixmap)  # type: ignore[arg-type] # it takes a list
-        painter.setOpacity(1.0)
+        places, painted = self.places, QRegion(self.rect()) if event is None else event.region()
+        if painted.intersects(places.tiles):
+            self._paint_maps(painter, maps)
         self._paint_selection(painter)
-        if event is not None and event.region().subtracted(places.tiles).isEmpty():
+        if painted.subtracted(places.tiles).isEmpty():
             return
         if places.has_captions:
             self._paint_captions(painter)
@@ -207,6 +190,22 @@ class ViewGrid(QWidget):
         """True if size, font, numbers or shape have changed since the places were computed."""
         return self._layout_key != self._laid_out_for
 
+    def _paint_maps(self, painter: QPainter, maps: Maps) -> None:
+        """Paint all maps; unknown pixels, which are transparent, are hatched."""
+        places, hatching, is_known = self.places, theme.hatching(), bool(self._pixels.all())
+        if not is_known:
+            for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
+                painter.fillRect(places.tile(row, column), theme.RAISED)
+                painter.fillRect(places.tile(row, column), hatching)
+        ratio = self.devicePixelRatioF()
+        width, height = math.ceil(places.size.width() * ratio), math.ceil(places.size.height() * ratio)
+        shown = enlarged(self._pixels, height, width, is_smooth=maps.is_smooth and is_known)
+        image = _image(shown.reshape(-1, width))  # one below the other; it refers to their memory
+        painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
+        for index, view in enumerate(np.ndindex(shown.shape[:2])):
+            painter.drawImage(QRectF(places.tile(*view)), image, QRectF(0, index * height, width, height))
+        painter.setOpacity(1.0)
+
     def _paint_captions(self, painter: QPainter) -> None:
         line = self.fontMetrics().height()
         for index, colour in enumerate((theme.TEXT, theme.DIM)):
@@ -272,6 +271,7 @@ class ViewGrid(QWidget):
 
 
 def _image(pixels: Pixels) -> QImage:
-    """Convert pixels (row, column) to an image."""
+    """Return an image that refers to the memory of pixels (row, column)."""
     rows, columns = pixels.shape
-    return QImage(np.ascontiguousarray(pixels).tobytes(), columns, rows, 4 * columns, QImage.Format.Format_ARGB32)
+    memory: Any = pixels.data
+    return QImage(memory, columns, rows, 4 * columns, QImage.Format.Format_ARGB32_Premultiplied)

@@ -1,7 +1,8 @@
-"""Pixels of a camera picture: counts between a black and a white level."""
+"""Pixels of pictures: counts between a black and a white level, and maps enlarged."""
 
 from typing import Any, TypeAlias
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +16,20 @@ def shaded(counts: NDArray[np.integer[Any]], black: float, white: float, table: 
     found = np.empty(counts.shape, np.uint32)
     last = np.float32(len(table) - 1)
     _fill(np.ascontiguousarray(counts), np.float32(black), last / np.float32(white - black), table, found)
+    return found
+
+
+def enlarged(maps: Pixels, rows: int, columns: int, *, is_smooth: bool) -> Pixels:
+    """Enlarge each map (view_row, view_column, row, column), by linear interpolation if smooth.
+
+    Qt would do it in threads of its own, and keep Python's lock until they have had a core.
+    """
+    maps = np.ascontiguousarray(maps)
+    found = np.empty((*maps.shape[:2], rows, columns), np.uint32)
+    how = cv2.INTER_LINEAR if is_smooth else cv2.INTER_NEAREST_EXACT
+    for view in np.ndindex(maps.shape[:2]):
+        small, large = (each[view][..., None].view(np.uint8) for each in (maps, found))
+        cv2.resize(small, (columns, rows), dst=large, interpolation=how)
     return found
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
@@ -18,6 +20,8 @@ from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Activity
 from app.gui import theme
 from app.gui.main_window import MainWindow
+from app.measurement.measurement import FrameTotals
+from app.recording.recorder import RecordingState
 from drivers.interface import Disconnected
 from reconstruction.displacement import Outcome
 
@@ -59,6 +63,37 @@ def test_lost_lenslets_are_counted_by_reason(make_window: MakeWindow) -> None:
         assert shown.text() == text
         assert shown.property("tone") == theme.tone(colour)
         assert (f"{12 * lost_rows} lost: no light\n{lost_rows} lost: saturated" in shown.toolTip()) == (lost_rows > 0)
+
+
+def test_new_numbers_lay_nothing_out(make_window: MakeWindow, qapp: QApplication) -> None:
+    """A status bar that is laid out is painted whole, and the recording's text is in the menu bar."""
+    window = make_window()
+    window._timer.stop()
+    measurement = make_measurement(dim_frame(), views())
+    laid_out: list[str] = []
+
+    class Filter(QObject):
+        def eventFilter(self, of: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+            if event is not None and event.type() == QEvent.Type.LayoutRequest:
+                laid_out.append(type(of).__name__)
+            return False
+
+    def show(number: int) -> None:
+        window.show_measurement(replace(measurement, counts=FrameTotals(number, number - 1, 0)))
+        window.update_text()
+        window.recording_panel.show_state(RecordingState(Path("r"), "recording", number, 0, 9.0, 60.0, ""))
+        for _ in range(3):  # one layout triggers others
+            QApplication.processEvents()
+
+    show(1000)
+    show(1001)  # the first texts made room for themselves
+    watch = Filter()
+    qapp.installEventFilter(watch)
+    show(1002)
+    qapp.removeEventFilter(watch)
+    assert window.status_line.acquired.text() == "1002"
+    assert "1002" in window.recording_panel.text.text()
+    assert not laid_out
 
 
 def test_small_window_stays_readable(make_window: MakeWindow) -> None:
