@@ -46,20 +46,29 @@ def colour_text(shown: QLabel, colour: QColor) -> None:
 
 
 class ElidedLabel(QLabel):
-    """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all."""
+    """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
+
+    Qt's label does not know the text: it would have the window laid out again for each.
+    """
 
     def __init__(self, role: str = "", parent: QWidget | None = None) -> None:
         """Start empty; for `role` see `label`."""
         super().__init__(parent)
+        self._text = ""
         self.setProperty("role", role)
-        self.setTextFormat(Qt.TextFormat.PlainText)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setMinimumHeight(self.fontMetrics().height())  # also when empty, so that nothing moves
 
     def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
         """Show a text, also in the tool tip."""
-        super().setText(text)
+        self._text = text or ""
         self.setToolTip(text)
+        self.setAccessibleName(text)
+        self.update()
+
+    def text(self) -> str:
+        """Return the whole text."""
+        return self._text
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint the text, elided to the width."""
