@@ -111,9 +111,9 @@ class GigeCamera:
                 is_running = self.start_address >= 0 and self.register(self.start_address) != 0
                 if poll.select(max(0.0, due_s - time.monotonic()) if is_running else 0.02):
                     self._answer(*self._socket.recvfrom(2048))
-                if is_running and time.monotonic() >= due_s:
-                    due_s = time.monotonic() + _INTERVAL_S
-                    self._send(self.image(self))
+                if is_running and (time_s := time.monotonic()) >= due_s:
+                    due_s = time_s + _INTERVAL_S
+                    self._send(self.image(self), time_s)
 
     def _answer(self, packet: bytes, sender: tuple[str, int]) -> None:
         command, _, identifier = struct.unpack_from(">HHH", packet, 2)
@@ -146,14 +146,15 @@ class GigeCamera:
         self.after_write(self)
         return 0
 
-    def _send(self, image: Image) -> None:
+    def _send(self, image: Image, time_s: float) -> None:
+        """Send a frame taken at a time, which delays of this thread do not change."""
         host, port = socket.inet_ntoa(self.stored(_STREAM_HOST, 4)), self.register(_STREAM_PORT) & 0xFFFF
         if port == 0:
             return
         self._frame_id = self._frame_id % 65535 + 1
         size = (self.register(_PACKET_SIZE) & 0xFFFF) - _OVERHEAD_BYTES
         shape = (image.pixel_format, image.columns, image.rows, 0, 0, image.row_padding_bytes, 0)
-        packets = [(1, struct.pack(">HHQIIIIIHH", 0, 1, time.monotonic_ns(), *shape))]  # leader
+        packets = [(1, struct.pack(">HHQIIIIIHH", 0, 1, round(1e9 * time_s), *shape))]  # leader
         packets += [(3, image.stored[i : i + size]) for i in range(0, len(image.stored), size)]
         packets += [(2, struct.pack(">II", 1, image.rows))]  # trailer
         for index, (content, body) in enumerate(packets):
