@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Protocol, Self
 
 import numpy as np
@@ -70,7 +70,7 @@ class Displacement:
     chi_square: Floats  # reduced; NaN where not converged and where the camera's noise is unknown
     range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
 
-    @property
+    @cached_property
     def valid(self) -> Mask:
         """True for converged lenslets, (lenslet_row, lenslet_column)."""
         return np.asarray(self.outcome == Outcome.CONVERGED)

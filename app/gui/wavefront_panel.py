@@ -122,10 +122,13 @@ class WavefrontPanel(QWidget):
         quantity, maps = self._maps
         presentation, field = PRESENTATIONS[quantity], self.shown.field
         if maps.shape[:2] == (field.view_rows, field.view_columns):
-            places = {
-                (i, j): place(float(field.view_x_m[j]), float(field.view_y_m[i])) for i, j in np.ndindex(maps.shape[:2])
-            }
-            self.grid.set_captions({at: (presentation.caption(maps[at]), words) for at, words in places.items()})
+            numbers = iter(presentation.captions(maps.reshape(-1, *maps.shape[2:])))
+            self.grid.set_captions(
+                {
+                    (i, j): (next(numbers), place(float(field.view_x_m[j]), float(field.view_y_m[i])))
+                    for i, j in np.ndindex(maps.shape[:2])
+                }
+            )
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         parts = (self.menu.options.in_words, reach, presentation.summary(maps, self.menu.unit))
         self._summary.setText("; ".join(filter(None, parts)))
