@@ -212,9 +212,9 @@ class CameraPanel(QWidget):
                 cell_border(lattice, (sensor.lenslet_rows, sensor.lenslet_columns), self._inspected)
             )
         if has_arrows and lattice is not None and displacement is not None:
-            room_px = _ARROW_REACH * lattice.pitch_px
-            magnification = 1 / self._reach.follow(arrow_length_px(displacement) / room_px)
-            self._arrows.draw(arrows(lattice, displacement.mean, magnification))
+            room_px, mean_px = _ARROW_REACH * lattice.pitch_px, displacement.mean
+            magnification = 1 / self._reach.follow(arrow_length_px(mean_px) / room_px)
+            self._arrows.draw(arrows(lattice, mean_px, magnification))
             self.legend.setText(f"displacement \N{MULTIPLICATION SIGN} {magnification:g}")
             self.legend.adjustSize()
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Displacement
 from reconstruction.geometry import Lattice, centered_steps, lenslet_centers
 
 _AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of a cell's four borders
@@ -54,16 +53,23 @@ def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> F
     Lenslets without a displacement (NaN), or with one of 0, have no arrow.
     """
     known = np.isfinite(displacement_px).all(axis=-1) & displacement_px.any(axis=-1)
-    tail = lenslet_centers(lattice.arrangement, *displacement_px.shape[:2])[known] * lattice.pitch_px
+    tail = _middles(lattice, *displacement_px.shape[:2])[known]
     shaft = displacement_px[known] * magnification
     tip = tail + shaft
     barbs = tip + _HEAD * shaft @ _BARBS
     return lattice.to_camera_px(np.stack([tail, tip, tip, barbs[0], tip, barbs[1]], axis=1).reshape(-1, 2))
 
 
-def arrow_length_px(displacement: Displacement) -> float:
-    """Return the length of all but the longest few mean displacements; NaN if no lenslet is valid."""
-    length_px = np.sort(np.linalg.norm(displacement.mean[displacement.valid], axis=-1))
+@lru_cache(maxsize=4)
+def _middles(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> Floats:
+    """Return the lenslets' centres (lenslet_row, lenslet_column, xy) along the lattice, px."""
+    return lenslet_centers(lattice.arrangement, lenslet_rows, lenslet_columns) * lattice.pitch_px
+
+
+def arrow_length_px(displacement_px: Floats) -> float:
+    """Return the length of all but the longest few displacements (lenslet_row, lenslet_column, xy); NaN if none."""
+    length_px = np.hypot(*displacement_px[np.isfinite(displacement_px).all(axis=-1)].T)
+    length_px.sort()
     return float(length_px[math.ceil(_USUAL * (length_px.size - 1))]) if length_px.size else float("nan")
 
 
