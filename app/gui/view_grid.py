@@ -191,7 +191,10 @@ class ViewGrid(QWidget):
         return self._layout_key != self._laid_out_for
 
     def _paint_maps(self, painter: QPainter, maps: Maps) -> None:
-        """Paint all maps; unknown pixels, which are transparent, are hatched."""
+        """Paint all maps; unknown pixels, which are transparent, are hatched.
+
+        Each is clipped to a rectangle: all else Qt fills in threads of its own, and keeps Python's lock until they end.
+        """
         places, hatching, is_known = self.places, theme.hatching(), bool(self._pixels.all())
         if not is_known:
             for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
@@ -203,7 +206,9 @@ class ViewGrid(QWidget):
         image = _image(shown.reshape(-1, width))  # one below the other; it refers to their memory
         painter.setOpacity(_STALE_OPACITY if self.is_stale else 1.0)
         for index, view in enumerate(np.ndindex(shown.shape[:2])):
+            painter.setClipRect(places.tile(*view))
             painter.drawImage(QRectF(places.tile(*view)), image, QRectF(0, index * height, width, height))
+        painter.setClipping(False)
         painter.setOpacity(1.0)
 
     def _paint_captions(self, painter: QPainter) -> None:

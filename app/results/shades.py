@@ -22,7 +22,7 @@ def shaded(counts: NDArray[np.integer[Any]], black: float, white: float, table: 
 def enlarged(maps: Pixels, rows: int, columns: int, *, is_smooth: bool) -> Pixels:
     """Enlarge each map (view_row, view_column, row, column), by linear interpolation if smooth.
 
-    Qt would do it in threads of its own, and keep Python's lock until they have had a core.
+    Qt would do it in threads of its own, and keep Python's lock until they end.
     """
     maps = np.ascontiguousarray(maps)
     found = np.empty((*maps.shape[:2], rows, columns), np.uint32)
