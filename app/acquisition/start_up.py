@@ -28,9 +28,13 @@ def start_up(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: boo
             acquisition.submit(_turn_light_on),
             *([acquisition.auto_expose()] if auto_expose else []),
             acquisition.take_dark(frames),
-            acquisition.submit(lambda instrument: instrument.devices.camera.start()),
+            start_camera(acquisition),
         )
-    return (*calibrate(acquisition, frames, auto_expose=auto_expose), watch_sample(acquisition))
+    return (
+        *calibrate(acquisition, frames, auto_expose=auto_expose),
+        move_sample_in(acquisition),
+        start_camera(acquisition),
+    )
 
 
 def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bool = False) -> tuple[Future[Any], ...]:
@@ -44,14 +48,14 @@ def calibrate(acquisition: Acquisition, frames: int = FRAMES, *, auto_expose: bo
     return (*steps, acquisition.take_dark(frames), acquisition.take_reference(frames))
 
 
-def watch_sample(acquisition: Acquisition) -> Future[None]:
-    """Move the sample in (a manual stage has done so) and start the camera."""
+def move_sample_in(acquisition: Acquisition) -> Future[None]:
+    """Move the sample in; with a manual stage, note that the user has done so."""
+    return acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True))
 
-    def watch(instrument: Instrument) -> None:
-        instrument.devices.stage.note_sample(True)
-        instrument.devices.camera.start()
 
-    return acquisition.submit(watch)
+def start_camera(acquisition: Acquisition) -> Future[None]:
+    """Start the camera: frames are measured from now on."""
+    return acquisition.submit(lambda instrument: instrument.devices.camera.start())
 
 
 def _turn_light_on(instrument: Instrument) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
-from app.acquisition.start_up import FRAMES, calibrate, watch_sample
+from app.acquisition.start_up import FRAMES, calibrate, move_sample_in, start_camera
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
@@ -129,13 +129,15 @@ def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, prog
     def begin() -> Future[None]:
         return acquisition.start_recording(out, command="measure", limit=Limit(frames=frames))
 
-    watched = watch_sample(acquisition)
-    _wait([watched, *([] if bench.reconstruction.refine else [begin()])], acquisition, progress)
+    moved = move_sample_in(acquisition)
     if bench.reconstruction.refine:
+        _wait([moved, start_camera(acquisition)], acquisition, progress)
         while acquisition.is_alive and not _is_refined(acquisition):
             progress("waiting for the first refinement", 0.0)
             time.sleep(_POLL_S)
         _wait([begin()], acquisition, progress)
+    else:
+        _wait([moved, begin(), start_camera(acquisition)], acquisition, progress)  # no frame comes before it records
     while acquisition.is_alive and (state := acquisition.recording) is not None and state.stage == "recording":
         progress(f"recording {counted(frames)}", state.frames / frames)
         time.sleep(_POLL_S)

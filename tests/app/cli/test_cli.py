@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from support.pictures import assert_drawn
 
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
+from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench, write_bench
 from app.bench.device_settings import CameraSettings, LightSettings
 from app.bench.presets import PRESETS
@@ -100,6 +102,7 @@ def test_noise_free_images_are_float_photons(monkeypatch: pytest.MonkeyPatch, tm
     assert tifffile.imread(tmp_path / "dark.tif").max() == 0
 
 
+@pytest.mark.usefixtures("no_hurry")
 def test_measure_writes_results(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
@@ -117,6 +120,23 @@ def test_measure_writes_results(
     assert 0 < record["timings"]["register"]["p50_s"] <= record["timings"]["to_result"]["max_s"]
     assert record["timings"]["draw"] == {"count": 0, "p50_s": None, "p99_s": None, "max_s": None}
     assert {"python", "numpy", "numba"} <= set(record["versions"])
+
+
+@pytest.mark.usefixtures("no_hurry")
+def test_late_start_of_the_recording_costs_no_frame(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
+) -> None:
+    start = Acquisition.start_recording
+
+    def start_late(acquisition: Acquisition, *arguments: Any, **how: Any) -> Future[None]:
+        acquisition.submit(lambda _: None).result(HANG_S)  # what was asked for before is done
+        time.sleep(0.3)
+        return start(acquisition, *arguments, **how)
+
+    monkeypatch.setattr(Acquisition, "start_recording", start_late)
+    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 0
+    with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
+        assert results["frame_index"].to_numpy().tolist() == [0, 1, 2]
 
 
 @pytest.mark.usefixtures("no_hurry")
