@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -222,23 +222,33 @@ def test_real_driver_uses_configured_area() -> None:
 
 @pytest.fixture
 def live_small(small_toml: Path) -> Iterator[tuple[Acquisition, list[Measurement]]]:
-    """Acquisition on the simulated bench with wavefronts."""
+    """Acquisition on the simulated bench with measurements."""
     measurements: list[Measurement] = []
     bench = load_bench(small_toml, ("reconstruction.pupil_modes=6",))  # few enough for a part of the lenslets
     acquisition = Acquisition(bench, open_devices, sinks=(measurements.append,))
     acquisition.start()
     for step in start_up(acquisition, 5):
         step.result(HANG_S)
-    wait_until(lambda: any(each.wavefront is not None for each in measurements))
+    wait_until(lambda: measurements)
     yield acquisition, measurements
     acquisition.close()
+
+
+def newest(measurements: list[Measurement], since: int, holds: Callable[[Measurement], bool]) -> Measurement:
+    """Wait for a measurement number `since` or later that is so, and return the newest; others may be passed over."""
+    wait_until(lambda: any(map(holds, measurements[since:])))
+    return next(each for each in reversed(measurements) if holds(each))
+
+
+def has_wavefront(measurement: Measurement) -> bool:
+    return measurement.wavefront is not None
 
 
 def test_smaller_area_shows_same_lenslets_after_recalibration(
     live_small: tuple[Acquisition, list[Measurement]],
 ) -> None:
     acquisition, measurements = live_small
-    before = measurements[-1].wavefront
+    before = newest(measurements, 0, has_wavefront).wavefront
     assert before is not None
     whole = acquisition.submit(lambda instrument: SensorArea.of(instrument.devices.camera)).result(HANG_S)
     taken = acquisition.set_area(SensorArea(Region(17, 20, 140, 230), 1)).result(HANG_S)
@@ -248,19 +258,19 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
     assert status.area == taken
     assert (status.dark, status.reference) == ("doubtful", "doubtful")
     assert "of another part of the sensor" in status.warning
-    wait_until(lambda: measurements[-1].frame.pixels.shape == (144, 224))
-    assert "of another part of the sensor" in measurements[-1].problem
+    problem = "of another part of the sensor"
+    newest(measurements, 0, lambda each: each.frame.pixels.shape == (144, 224) and problem in each.problem)
     with pytest.raises(WrongState, match="another part"):
         acquisition.submit(lambda instrument: instrument.survey_lattice()).result(HANG_S)
 
+    seen = len(measurements)
     acquisition.take_reference(5).result(HANG_S)  # the dark, still of the whole sensor, must not be used
-    wait_until(lambda: measurements[-1].wavefront is not None)
+    newest(measurements, seen, has_wavefront)
     assert acquisition.status is not None
     assert "dark was taken of another part" in acquisition.status.warning
     acquisition.take_dark(5).result(HANG_S)
     assert acquisition.status.warning == ""
-    wait_until(lambda: measurements[-1].wavefront is not None)
-    now = measurements[-1].wavefront
+    now = newest(measurements, len(measurements), has_wavefront).wavefront
     assert now is not None
     # Cells begin at 121.3 - 3.5 * 31.25 = 11.9 and 84.6 - 2.5 * 31.25 = 6.5, and end at 230.7 and 162.7.
     inside = np.zeros((5, 7), np.bool_)
@@ -280,7 +290,7 @@ def test_restored_area_makes_dark_and_reference_valid_again(live_small: tuple[Ac
     acquisition.set_area(whole).result(HANG_S)
     assert acquisition.status is not None
     assert acquisition.status.warning == ""
-    wait_until(lambda: measurements[-1].wavefront is not None)
+    newest(measurements, len(measurements), has_wavefront)
 
 
 def test_camera_area_is_restored_if_bench_rejects_it(
@@ -294,9 +304,7 @@ def test_camera_area_is_restored_if_bench_rejects_it(
     with pytest.raises(BadValue, match="too few"):
         acquisition.set_area(SensorArea(Region(0, 0, 160, 160), 1)).result(HANG_S)
     seen = len(measurements)
-    wait_until(lambda: len(measurements) > seen + 1)  # it runs again
-    assert measurements[-1].frame.pixels.shape == (172, 240)
-    assert measurements[-1].problem == ""
+    assert newest(measurements, seen + 1, lambda each: not each.problem).frame.pixels.shape == (172, 240)
 
 
 def test_lattice_outside_frame_is_reported(live_small: tuple[Acquisition, list[Measurement]]) -> None:
