@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import signal
 import threading
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.optics import FIELD, sensor_of
+from support.patience import HANG_S
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice
@@ -217,23 +219,46 @@ def test_progress_rises_to_one() -> None:
     assert heard[-1] == 1.0
 
 
-class SlowPhase:
-    """No screen at all, but 5 ms a point, and a call to `at_third` when the third point is asked for."""
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch) -> list[threading.Event]:
+    """The events by which renderings tell their threads to end, the newest last."""
+    made: list[threading.Event] = []
 
-    def __init__(self, at_third: Callable[[], object] = lambda: None) -> None:
+    class Kept(threading.Event):
+        def __init__(self) -> None:
+            super().__init__()
+            made.append(self)
+
+    monkeypatch.setattr("simulated_devices.optics.forward_model.Event", Kept)
+    return made
+
+
+class SlowPhase:
+    """No screen at all, but 5 ms a point; from the `last` one on, each waits until the threads are told to end."""
+
+    def __init__(self, told: list[threading.Event], cause: Callable[[], object], last: float = 3) -> None:
         self.points = 0
-        self._at_third = at_third
+        self._told, self._cause, self._last = told, cause, last
+        self._numbers = itertools.count(1)  # safe in threads
         self._phase = np.zeros((len(model().sample_y_m), len(model().sample_x_m)), np.float32)
 
     def __call__(self, _x_m: float, _y_m: float) -> NDArray[np.float32]:
-        self.points += 1
-        if self.points == 3:
-            self._at_third()
+        self.points = number = next(self._numbers)
+        if number == self._last:
+            self._cause()
+        if number >= self._last:
+            assert self._told[-1].wait(HANG_S)
         time.sleep(5e-3)
         return self._phase
 
+    def end(self, _: float) -> None:
+        """End the rendering at once; as a callback of its progress."""
+        if self._last:
+            self._last = 0
+            self._cause()
 
-def fail(_: float = 0.0) -> None:
+
+def fail() -> None:
     raise ArithmeticError("enough")
 
 
@@ -246,19 +271,21 @@ MANY = source.square(Source(), object_samples=31)
 
 @pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (interrupt, KeyboardInterrupt)])
-def test_exception_or_ctrl_c_ends_all_threads(end: Callable[[], object], error: type[BaseException]) -> None:
-    phase = SlowPhase(end)
+def test_exception_or_ctrl_c_ends_all_threads(
+    told: list[threading.Event], end: Callable[[], object], error: type[BaseException]
+) -> None:
+    phase = SlowPhase(told, end)
     with pytest.raises(error):
         model().irradiance(MANY, phase)
-    assert phase.points < 20
-    phase = SlowPhase(end)
+    assert phase.points <= 4
+    phase = SlowPhase(told, end)
     with pytest.raises(error):
         model().point_irradiances(MANY.position_m[:64], phase)
-    assert phase.points < 20
+    assert phase.points <= 4
 
 
-def test_exception_in_progress_ends_rendering() -> None:
-    phase = SlowPhase()
+def test_exception_in_progress_ends_rendering(told: list[threading.Event]) -> None:
+    phase = SlowPhase(told, fail, last=math.inf)
     with pytest.raises(ArithmeticError):
-        model().irradiance(MANY, phase, progress=fail)  # heard after one column of 31 points
-    assert phase.points < 3 * 31
+        model().irradiance(MANY, phase, progress=phase.end)  # heard after one column of 31 points
+    assert phase.points <= 2 * 31
