@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import threading
 import time
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.optics import SmallBench
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 from support.records import FACTS, make_chain, make_record, noisy_calibration, wait
 
 from app.measurement.calibration import Calibration
@@ -159,10 +160,15 @@ def test_failed_sync_ends_the_recording(
     recording = BackgroundRecording(tmp_path / "r", FACTS, Timings())
     monkeypatch.setattr(recorder, "_SYNC_S", 0.0)
     monkeypatch.setattr(RecordingWriter, "sync", fail)
-    for record in make_chain(calibration, 3):
-        recording.take(record)
-        time.sleep(0.05)
-    assert "Input/output error" in wait(recording, {"ended early"}).problem
+    records = itertools.cycle(make_chain(calibration, 3))
+
+    def has_ended() -> bool:  # a later frame finds out that the sync has failed
+        if not recording.state.waiting:
+            recording.take(next(records))
+        return recording.state.stage == "ended early"
+
+    wait_until(has_ended)
+    assert "Input/output error" in recording.state.problem
 
 
 def test_sync_calls_fsync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
