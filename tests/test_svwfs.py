@@ -6,6 +6,7 @@ import doctest
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -131,6 +132,18 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
     assert np.array_equal(frames[1:3, 5, ::-7].values, frames.values[1:3, 5, ::-7])
     assert frames[2:2].values.shape == (0, 240, 256)
     assert recording.results()["wavefront"].sizes["frame"] == 4
+
+
+def test_frame_passed_over_is_not_yielded(bench: Bench) -> None:
+    with svwfs.live(bench, average=2) as live:
+
+        def has_passed_over() -> bool:
+            live._acquisition.submit(lambda _: time.sleep(0.3))  # frames wait in the camera meanwhile
+            assert all(next(iter(live)).wavefront is not None for _ in range(5))
+            counts = live._acquisition.counts
+            return counts.acquired > counts.reconstructed + 1  # one may be on its way
+
+        wait_until(has_passed_over)
 
 
 def test_recording_needs_a_frame(bench: Bench, tmp_path: Path) -> None:

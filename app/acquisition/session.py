@@ -15,7 +15,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.bench_reconstructor import whole_number
-from app.measurement.measurement import Measurement
+from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.recorder import Limit
 from drivers.interface import WrongState
 
@@ -155,6 +155,8 @@ class LiveBench:
         self._newest = None
 
     def _take(self, measurement: Measurement) -> None:
+        if measurement.problem == SKIPPED:  # a newer frame follows
+            return
         with self._arrived:
             self._newest = measurement
             self._arrived.notify_all()
