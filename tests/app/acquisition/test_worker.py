@@ -73,13 +73,11 @@ def _is_dark(instrument: Instrument) -> bool:
 def test_start_up_yields_wavefronts(running: Running) -> None:
     running.begin()
     wait_until(lambda: len(running.measurements) >= 10)
+    measurements = list(running.measurements)  # the last frame after the close may be dark
     running.acquisition.close()
-    counts = running.measurements[-1].counts
-    assert counts.acquired == len(running.measurements)
-    skipped = [measurement.problem for measurement in running.measurements if measurement.wavefront is None]
-    assert skipped == [SKIPPED] * len(skipped)  # seen once, on a busy computer
-    assert counts.reconstructed == counts.acquired - len(skipped) > 0
-    assert [measurement.frame.index for measurement in running.measurements] == list(range(counts.acquired))
+    counts = measurements[-1].counts
+    assert counts.reconstructed == counts.acquired == len(measurements)
+    assert [measurement.frame.index for measurement in measurements] == list(range(counts.acquired))
     assert counts.lost == 0
     assert running.newest is running.measurements[-1]
     assert running.acquisition.failure == ""
