@@ -141,7 +141,7 @@ class CameraFaultContract(CameraContract):
             assert all(later.index > earlier.index for earlier, later in pairwise(frames))
             counted = frames[-1].index - frames[0].index
             taken_s = frames[-1].camera_time_s - frames[0].camera_time_s
-            assert (counted - 0.5) * period_s < taken_s  # no more than fit into that time
+            assert (counted - 1) * period_s < taken_s  # no more than fit into that time
             losses.append(counted - 8)
             if losses[-1] == 3:  # a busy computer may lose some more, but not each time
                 break
