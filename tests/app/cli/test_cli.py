@@ -231,8 +231,8 @@ def test_ctrl_c_saves_measured_frames(tmp_path: Path, small_toml: Path) -> None:
     process = subprocess.Popen(  # noqa: S603 - our own program
         [*command, "--frames", "100000", "--out", str(tmp_path / "m")], stderr=subprocess.PIPE, text=True
     )
-    wait_until((tmp_path / "m" / "frames.jsonl").exists)
-    time.sleep(1.0)
+    lines = tmp_path / "m" / "frames.jsonl"
+    wait_until(lambda: lines.exists() and lines.read_text().count("\n") >= 3)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
