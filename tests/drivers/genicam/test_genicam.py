@@ -29,7 +29,7 @@ from drivers.genicam.discovery import discover
 from drivers.genicam.library import load_aravis
 from drivers.genicam.settings import GenicamSettings
 
-NOTICED_S = 2.0  # until a loss must be noticed
+NOTICED_S = 10.0  # until a loss must be noticed; the proxy and the camera share the processor with the driver
 # The fake camera scales its pattern by 1 + log10(exposure / 10 ms): at 10 ms its pixels encode the frame number.
 NUMBERED = GenicamSettings(
     device=SERIAL, pixel_pitch_m=5e-6, exposure_s=0.01, frame_rate_hz=70.0, region=Region(8, 16, 96, 128), gain=0.0
@@ -111,6 +111,8 @@ OVER_THE_WIRE = replace(NUMBERED, device=HERE, exposure_s=1e-4, frame_rate_hz=25
 
 
 class TestContract(CameraFaultContract):
+    at_once_s = NOTICED_S
+
     @pytest.fixture
     def faults(self, wire: GigeWire) -> GigeWire:
         return wire
@@ -173,8 +175,7 @@ def test_frame_numbers_wrap_around_on_the_wire(peer: Peer) -> None:
         frames = whole_frames(camera, 150)
         assert_accounted(frames)
         numbers = [frame_number(frame) for frame in frames]
-        assert max(numbers) > 65500
-        assert min(numbers) < 100
+        assert numbers[-1] < numbers[0]
 
 
 def test_cable_cut_within_frame_is_a_loss(wire: GigeWire) -> None:
@@ -240,11 +241,13 @@ def test_lost_packets_lose_only_their_frames(peer: Peer) -> None:
 def test_slow_reader_sees_gap() -> None:
     with GenicamCamera(replace(NUMBERED, buffers=3)) as camera:
         camera.start()
-        first = whole_frames(camera, 1)
-        time.sleep(0.5)
-        frames = first + whole_frames(camera, 10)
+        frames = whole_frames(camera, 1)
+        deadline_s = time.monotonic() + HANG_S
+        while frames[-1].index - frames[0].index < len(frames):  # the camera's process may rest meanwhile
+            assert time.monotonic() < deadline_s
+            time.sleep(0.5)
+            frames += whole_frames(camera, 10)
         assert_accounted(frames)
-        assert frames[-1].index - frames[0].index > 10
 
 
 def test_loss_before_command_is_noticed(peer: Peer) -> None:
