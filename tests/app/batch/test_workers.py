@@ -201,13 +201,28 @@ def test_second_run_completes_what_a_killed_scheduler_left(
     assert all(files_of(out)[name][0] == left[name][0] for name in kept)  # not written again
 
 
+# `svwfs batch` with small blocks, of which all after the second take their time; its worker imports this, too.
+UNHURRIED = """
+import time
+from app.batch import store
+from app.cli import main
+
+store.BLOCK_FRAMES = 4
+write = store.ResultStore.write
+
+def write_late(self, number, frames, pieces):
+    time.sleep(3.0 if frames.start > 4 else 0.0)
+    return write(self, number, frames, pieces)
+
+store.ResultStore.write = write_late
+if __name__ == "__main__":
+    main()
+"""
+
+
 def test_ctrl_c_stops_cleanly(recording: Recording, alone: dict[str, bytes], tmp_path: Path) -> None:
     out = tmp_path / "r.zarr"
-    program = (
-        "from app.batch import store; store.BLOCK_FRAMES = 4; import sys; from app.cli import main\n"
-        "if __name__ == '__main__': main()"
-    )
-    (tmp_path / "program.py").write_text(program)
+    (tmp_path / "program.py").write_text(UNHURRIED)
     given = (tmp_path / "program.py", "batch", recording.folder, "--out", out, "--workers", "1")
     words = [sys.executable, *map(str, given)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
