@@ -22,6 +22,7 @@ class PtyServer:
         tty.setraw(self._master)
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
+        self.idle_s = 0.0  # that it has waited for commands: a clock that stands still while the thread does
         self._is_ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="stand-in", daemon=True)
         os.write(self._master, device.greeting())
@@ -51,6 +52,8 @@ class PtyServer:
                     for delay_s, answer in self._device.receive(os.read(self._master, 4096)):
                         earliest = pending[-1][0] if pending else 0.0
                         pending.append((max(earliest, time.monotonic() + delay_s), answer))
+                else:
+                    self.idle_s += _SLICE_S
                 while pending and pending[0][0] <= time.monotonic():
                     os.write(self._master, pending.popleft()[1])
         finally:

@@ -18,10 +18,14 @@ from simulated_devices.wires.pseudo_terminal import PtyServer
 # A command that keeps the light on; it runs as any other, but its terminal closes early.
 LIT = """
 import sys, time, typer
+from dataclasses import replace
 from app.cli import main
 from app.cli.application import cli
+from drivers.serial_lights import thorlabs_dc4100
 from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
+
+thorlabs_dc4100._DIALECT = replace(thorlabs_dc4100._DIALECT, timeout_s=60.0)
 
 @cli.command()
 def shine(port: str) -> None:

@@ -21,6 +21,11 @@ def wire_to(device: LineDevice, clock: ManualClock) -> Wire:
     return Wire(open_port=lambda _port, **_settings: MemoryPort(device, clock), clock=clock.now)
 
 
+def patient_wire(server: PtyServer) -> Wire:
+    """Ports of this computer, on a clock that stands still while the server's thread does."""
+    return Wire(clock=lambda: server.idle_s)
+
+
 class SerialFaults:
     """Faults of a light in memory."""
 
@@ -58,6 +63,11 @@ class PtyFaults(SerialFaults):
     def __init__(self, device: Any) -> None:
         super().__init__(device)
         self.server = PtyServer(device)
+
+    @property
+    def wire(self) -> Wire:
+        """Ports of this computer, on the clock of the present server."""
+        return patient_wire(self.server)
 
     def unplug(self) -> None:
         self.server.unplug()

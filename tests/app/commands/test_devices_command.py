@@ -28,6 +28,7 @@ from drivers.errors import BadValue, Disconnected, Unsupported
 from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Camera, Frame, LightSource
 from drivers.micro_manager.settings import MicroManagerSettings
+from drivers.serial_lights import thorlabs_dc4100
 from drivers.serial_lights.settings import DC4100Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
@@ -122,6 +123,13 @@ def test_report_names_versions_and_settings(capsys: pytest.CaptureFixture[str]) 
     assert third == "  port = 'COM7'"
 
 
+@pytest.fixture
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver waits a minute for an answer, because the thread of a stand-in may be late."""
+    monkeypatch.setattr(thorlabs_dc4100, "_DIALECT", replace(thorlabs_dc4100._DIALECT, timeout_s=60.0))
+
+
+@pytest.mark.usefixtures("patience")
 @pytest.mark.parametrize("shows", [False, True])
 def test_serial_numbers_are_hidden_unless_asked_for(capsys: pytest.CaptureFixture[str], *, shows: bool) -> None:
     lamp = DC4100Wire()
@@ -217,6 +225,7 @@ def test_good_light_passes_within_announced_current(
     assert not bench.condition.is_light_on
 
 
+@pytest.mark.usefixtures("patience")
 def test_device_is_checked_with_bench_settings(capsys: pytest.CaptureFixture[str]) -> None:
     lamp = DC4100Wire()  # at a port that is never discovered, using its second head (200 mA)
     with PtyServer(lamp) as server:

@@ -49,7 +49,7 @@ class TestContractOnAPort(LightFaultContract):
 
     @pytest.fixture
     def reopen(self, faults: PtyFaults) -> Callable[[], CoolLED]:
-        return lambda: CoolLED(CoolLEDSettings(port=faults.server.port, channel="C"))
+        return lambda: CoolLED(CoolLEDSettings(port=faults.server.port, channel="C"), wire=faults.wire)
 
 
 OPENING = [

@@ -14,7 +14,7 @@ import pytest
 import serial
 from support.light_contract import LightFaultContract
 from support.patience import own_time
-from support.serial_stand_in import PtyFaults
+from support.serial_stand_in import PtyFaults, patient_wire
 
 from drivers.errors import Busy, DeviceError, Disconnected
 from drivers.serial_lights.line import Wire
@@ -36,12 +36,12 @@ class TestContractOnAPort(LightFaultContract):
 
     @pytest.fixture
     def reopen(self, faults: PtyFaults) -> Callable[[], ThorlabsDC4100]:
-        return lambda: ThorlabsDC4100(DC4100Settings(port=faults.server.port))
+        return lambda: ThorlabsDC4100(DC4100Settings(port=faults.server.port), wire=faults.wire)
 
 
 def test_unplugged_port_between_commands_raises() -> None:
     with PtyServer(DC4100Wire()) as server:
-        light = ThorlabsDC4100(DC4100Settings(port=server.port))
+        light = ThorlabsDC4100(DC4100Settings(port=server.port), wire=patient_wire(server))
         server.unplug()
         with own_time() as elapsed_s:
             with pytest.raises(Disconnected):
@@ -53,13 +53,16 @@ def test_unplugged_port_between_commands_raises() -> None:
 def test_unplugged_port_during_command_reopens_when_plugged_in() -> None:
     device = DC4100Wire()
     with PtyServer(device) as server:
-        light = ThorlabsDC4100(DC4100Settings(port=server.port))
+        light = ThorlabsDC4100(DC4100Settings(port=server.port), wire=patient_wire(server))
         device.faults.append(LineFault("unplug"))
         with pytest.raises(Disconnected):
             _ = light.current_a
         light.close()
     device.is_unplugged = False
-    with PtyServer(device) as server, ThorlabsDC4100(DC4100Settings(port=server.port)) as light:
+    with (
+        PtyServer(device) as server,
+        ThorlabsDC4100(DC4100Settings(port=server.port), wire=patient_wire(server)) as light,
+    ):
         light.set_on(True)
         assert device.is_lit
     assert not device.is_lit
@@ -100,8 +103,11 @@ def test_open_error_states_reason(error: Exception, kind: type[DeviceError], wor
 
 LEAVING = """
 import signal, sys
+from dataclasses import replace
+from drivers.serial_lights import thorlabs_dc4100
 from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
+thorlabs_dc4100._DIALECT = replace(thorlabs_dc4100._DIALECT, timeout_s=60.0)
 signal.signal(signal.SIGINT, signal.default_int_handler)  # even if the tests ignore it
 light = ThorlabsDC4100(DC4100Settings(port=sys.argv[1]))
 light.set_on(True)
