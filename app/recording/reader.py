@@ -126,6 +126,8 @@ class Recording:
                 file.seek(self._ends[index])
                 text = file.read(self._ends[index + 1] - self._ends[index])
         except OSError as error:  # for example, the disk is gone
+            if self._follow_renaming():  # renamed just now
+                return self.line(index)
             raise self._unreadable(error) from error
         try:
             line = FrameLine.from_json(text)
@@ -195,7 +197,12 @@ class Recording:
 
     def calibration(self, number: int) -> Calibration:
         """Calibration by its number in the lines; cached."""
-        return self._calibrations(number)
+        try:
+            return self._calibrations(number)
+        except InputError:
+            if self._follow_renaming():
+                return self.calibration(number)
+            raise
 
     def bias(self, number: int) -> Floats:
         """Bias by its number in the lines, px, (lenslet_row, lenslet_column, field_mode, xy); cached."""
@@ -214,13 +221,18 @@ class Recording:
             f"{RESULTS.format(line.calibration)}/displacement", line.start
         )  # always of the same calibration
 
-    def _follow_renaming(self) -> None:
-        """Find the folder under its new name, if a person named the recording while it is replayed, say."""
+    def _follow_renaming(self) -> bool:
+        """Find the folder under its new name, if a person named the recording while it is replayed, say.
+
+        Return True if it has a new name.
+        """
+        before = self.folder
         with suppress(OSError):  # the disk is gone: what is read next tells
             if not self.folder.exists():
                 beside = (one for one in self.folder.parent.iterdir() if (one / RUN).is_file())
                 self.folder = next(filter(self._is_in, beside), self.folder)
                 self._arrays.clear()
+        return self.folder != before
 
     def _is_in(self, folder: Path) -> bool:
         try:
@@ -234,8 +246,9 @@ class Recording:
         return None if calibration is None else self._read(f"{RESULTS.format(calibration)}/{name}", index)
 
     def _read(self, name: str, index: int) -> NDArray[Any] | None:
-        values = self._array(name)
-        return None if values is None else values.read(index)
+        array = self._array(name)
+        values = None if array is None else array.read(index)
+        return self._read(name, index) if values is None and self._follow_renaming() else values
 
     def _array(self, name: str) -> FrameArray | None:
         if self._arrays.get(name) is None:  # it may have appeared since
