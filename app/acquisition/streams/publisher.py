@@ -82,9 +82,11 @@ class Publisher:
         poller = zmq.Poller()
         for each in (self._guard.monitor, self._socket, self._woken):
             poller.register(each, zmq.POLLIN)
-        while not self._closing.is_set():
+        is_last = False
+        while not is_last:
             if (self._woken.fileno(), zmq.POLLIN) in poller.poll():
                 self._woken.recv(_NOTIFICATIONS)
+            is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
             self._guard.watch()
             self._read_subscriptions()
             while self._waiting:

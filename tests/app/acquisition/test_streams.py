@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import asdict, replace
@@ -253,6 +254,13 @@ def test_publisher_drops_oldest_measurements(
     assert sequences == [1, 198, 199, 200, 201]
 
 
+@pytest.fixture
+def lingers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last messages are sent, however late ZeroMQ's own thread is."""
+    monkeypatch.setattr("app.acquisition.streams.publisher._LINGER_MS", int(1000 * HANG_S))
+
+
+@pytest.mark.usefixtures("lingers")
 def test_close_sends_waiting_messages(bench: Bench, port: int, measurement: Measurement) -> None:
     publisher = Publisher(replace(bench, streams=StreamSettings(port=port)))
     with closing(Subscriber(port, "slopes")) as subscriber:
@@ -263,6 +271,34 @@ def test_close_sends_waiting_messages(bench: Bench, port: int, measurement: Meas
     with socket.socket() as free:  # the port is free again
         free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         free.bind(("127.0.0.1", port))
+
+
+class LastMoment(deque[tuple[int, Measurement]]):
+    """A queue that is found empty just before a measurement comes and the publisher is closed."""
+
+    def __init__(self, publisher: Publisher, measurement: Measurement) -> None:
+        super().__init__()
+        self._publisher, self._measurement = publisher, measurement
+        self.closing = threading.Thread(target=publisher.close, name="closing")
+
+    def __bool__(self) -> bool:
+        is_filled = len(self) > 0
+        if not is_filled and not self._publisher._closing.is_set():
+            self._publisher.take(self._measurement)
+            self.closing.start()
+            wait_until(self._publisher._closing.is_set)
+        return is_filled
+
+
+@pytest.mark.usefixtures("lingers")
+def test_measurement_at_the_last_moment_is_sent(bench: Bench, port: int, measurement: Measurement) -> None:
+    publisher = Publisher(replace(bench, streams=StreamSettings(port=port)))
+    with closing(Subscriber(port, "slopes")) as subscriber:
+        before = _until_heard(publisher, subscriber, measurement)
+        publisher._waiting = last = LastMoment(publisher, measurement)
+        publisher._notify()
+        assert subscriber.hears()[1]["sequence"] == before + 1
+        last.closing.join(HANG_S)
 
 
 def test_without_port_no_socket_is_opened(bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -323,6 +359,7 @@ def test_streams_section_survives_write_and_read(small_toml: Path) -> None:
     assert load_bench(small_toml).streams.port is None
 
 
+@pytest.mark.usefixtures("lingers")
 def test_measure_publishes_what_it_records(
     port: int, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
