@@ -41,13 +41,7 @@ def test_line_is_found_under_the_new_name(recording: Recording, renamed: Recordi
     assert renamed.folder.name == "mouse 7"
 
 
-@pytest.mark.parametrize(
-    "read",
-    [
-        lambda of: of.pixels(1),
-        lambda of: of.calibration(0).reference.mean,
-    ],
-)
+@pytest.mark.parametrize("read", [lambda of: of.pixels(1), lambda of: of.calibration(0).reference.mean])
 def test_what_is_read_after_the_line_is_found_under_the_new_name(
     recording: Recording, tmp_path: Path, read: Callable[[Recording], NDArray[np.float32]]
 ) -> None:
