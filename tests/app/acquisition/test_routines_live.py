@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.optics import SmallBench, at_views
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument, Status
@@ -62,15 +62,18 @@ def started(live: Live) -> None:
     assert live.status.warning == ""
 
 
-def test_auto_expose_command_reaches_target_and_restores_state(live: Live) -> None:
+def test_auto_expose_command_reaches_target_and_restores_state(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
     started(live)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
     texts = set[str]()
-    future = live.acquisition.auto_expose()
-    while not future.done():
+    show = live.acquisition._path.show
+
+    def note(*arguments: Any) -> None:
         texts.add(live.acquisition.activity.text)
-        threading.Event().wait(0.005)
-    found = future.result()
+        show(*arguments)
+
+    monkeypatch.setattr(live.acquisition._path, "show", note)
+    found = live.acquisition.auto_expose().result(HANG_S)
     status = live.status
     assert "finding the exposure" in texts
     assert found.fill == pytest.approx(0.7, abs=0.05)
@@ -97,9 +100,8 @@ def test_auto_exposure_can_be_cancelled(small_toml: Path) -> None:
     live = Live(small_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
     try:
         future = live.acquisition.auto_expose()
-        while not live.acquisition.activity.text.startswith("finding"):
-            threading.Event().wait(0.005)
-        threading.Event().wait(0.3)
+        wait_until(lambda: live.acquisition.activity.text.startswith("finding"))
+        time.sleep(0.3)
         live.acquisition.cancel()
         with pytest.raises(Cancelled):
             future.result(HANG_S)
@@ -116,6 +118,7 @@ def test_camera_stalled_in_auto_exposure_ends_loop_dark(live: Live, monkeypatch:
     assert isinstance(camera, SimulatedCamera)
     was_off: list[bool] = []
     monkeypatch.setattr(light, "close", lambda: was_off.append(not light.is_on))
+    live.do(lambda instrument: instrument.devices.camera.stop())  # or the acquisition itself would miss the frames
     monkeypatch.setattr(camera, "read", _no_frame)
     with pytest.raises(DeviceTimeout):
         live.acquisition.auto_expose().result(HANG_S)
