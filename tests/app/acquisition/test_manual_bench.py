@@ -11,6 +11,7 @@ import pytest
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.light_contract import StageContract
 from support.manual_bench import MANUAL, Person
+from support.patience import HANG_S
 
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
@@ -154,15 +155,15 @@ def test_window_starts_without_reference(camera: FakeCamera) -> None:
     acquisition = Acquisition(MANUAL, opener(camera))
     acquisition.start()
     for step in start_up(acquisition, frames=3):
-        step.result(20)
-    assert acquisition.submit(lambda instrument: instrument.status()).result(20).reference == "missing"
+        step.result(HANG_S)
+    assert acquisition.submit(lambda instrument: instrument.status()).result(HANG_S).reference == "missing"
     assert camera.is_running
-    assert acquisition.submit(lambda instrument: instrument.darks.average is not None).result(20)
-    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)).result(20)
+    assert acquisition.submit(lambda instrument: instrument.darks.average is not None).result(HANG_S)
+    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)).result(HANG_S)
     with pytest.raises(WrongState, match="take the sample out"):
-        acquisition.take_reference(3).result(20)
+        acquisition.take_reference(3).result(HANG_S)
     assert acquisition.is_alive
-    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(False)).result(20)
-    acquisition.take_reference(3).result(20)
+    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(False)).result(HANG_S)
+    acquisition.take_reference(3).result(HANG_S)
     acquisition.close()
     assert acquisition.error is None

@@ -11,6 +11,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QFileDialog
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
+from support.patience import HANG_S
 from support.window_tools import press
 
 from app.acquisition.instrument import Instrument
@@ -34,7 +35,7 @@ def move_lattice(window: MainWindow, qtbot: QtBot, center_x_px: float) -> None:
         instrument.change_settings(move)
 
     assert window.controller.acquisition is not None
-    window.controller.acquisition.submit(command).result(10)
+    window.controller.acquisition.submit(command).result(HANG_S)
     qtbot.waitUntil(lambda: center_of(window) == center_x_px)
 
 
