@@ -145,9 +145,14 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
     unknown.solution.valid[:] = False  # type: ignore[attr-defined] # a zonal one
     unknown.displacement.outcome[:] = 3
     show(window, unknown)
+    thread = window._analysis._thread
+
+    def is_analysed(quantity: Quantity) -> bool:
+        return thread._future is None and thread._request is not None and thread._request.quantity is quantity
+
     for quantity in Quantity:
         window.wavefront_panel.choose(quantity)
-        qtbot.wait(100)
+        qtbot.waitUntil(partial(is_analysed, quantity))
         picture(window)
     assert window.analysis_panel.sentence.text() == "No lenslet is valid over the whole field"
 

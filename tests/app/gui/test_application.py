@@ -15,7 +15,7 @@ from PyQt6.QtCore import QTimer
 from PyQt6.QtGui import QColor, QImage
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition, Measurement
@@ -85,6 +85,14 @@ def test_slow_computation_raises_no_false_alarm_about_the_light(
 ) -> None:
     """The light goes off by its own path, whatever the worker does."""
     camera, release = FakeCamera(), threading.Event()
+    begin_close = Acquisition.begin_close
+
+    def begin_close_in_the_dark(acquisition: Acquisition) -> None:
+        """The time for closing begins when the light is off."""
+        begin_close(acquisition)
+        wait_until(lambda: acquisition.status is not None and not acquisition.status.is_light_on)
+
+    monkeypatch.setattr(Acquisition, "begin_close", begin_close_in_the_dark)
     monkeypatch.setattr("app.gui.controller.CLOSING_S", 0.5)
     monkeypatch.setattr(Instrument, "take_dark", lambda *_, **__: release.wait())
     acquisition = Acquisition(BENCH, opener(camera))

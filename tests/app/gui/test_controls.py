@@ -40,7 +40,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
         qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     assert camera.is_running
     qtbot.waitUntil(lambda: controls.exposure.value() == 30.0)  # as rounded by the camera
-    assert controls.light.text() == "Light off"
+    qtbot.waitUntil(lambda: controls.light.text() == "Light off")  # after "Switching off"
     assert controls.amplifier.currentText() == "normal"
     controls.light.click()
     qtbot.waitUntil(lambda: "was taken with another amplifier" in window.messages.text.text())
@@ -121,6 +121,7 @@ def test_changed_settings_reach_the_reconstruction(live: tuple[MainWindow, FakeC
         assert measurement is not None
         return measurement.wavefront is not None and measurement.wavefront.displacement.coefficients.shape[2] == 3
 
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     qtbot.waitUntil(is_changed)
     assert window._status is not None
     assert window._status.bench.reconstruction.pupil_modes == 15

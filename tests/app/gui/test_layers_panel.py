@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,14 +12,17 @@ import pytest
 from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_frame
+from support.patience import wait_until
 from support.window_tools import MakeWindow, click, press, tab
 
 from app.bench.config import load_bench
 from app.evaluation.simulated_frames import simulated_frames
+from app.gui import background_analysis
 from app.gui.main_window import MainWindow
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.averages import Average
+from app.results.layers.answers import FoundLayers, LayersRequest
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -141,11 +146,22 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
     assert (before, panel.map.empty) == ("", "no layer")
 
 
-def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot) -> None:
+def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, find = threading.Event(), background_analysis.find_shown_layers
+
+    def find_until_closed(request: LayersRequest, check: Callable[[], None]) -> FoundLayers:
+        def check_when_closing() -> None:
+            begun.set()
+            wait_until(lambda: window._analysis._is_closing)
+            check()
+
+        return find(request, check_when_closing)
+
+    monkeypatch.setattr(background_analysis, "find_shown_layers", find_until_closed)
     panel, thread = window.tabs.layers, window._analysis._layers
     panel.mode.setCurrentIndex(1)
     open_tab(qtbot, window, "Layers")
-    qtbot.waitUntil(lambda: thread._future is not None and thread._future.running())
+    qtbot.waitUntil(begun.is_set)
     window.close()
     assert not any(one.is_alive() for one in thread._executor._threads)
     assert not panel.sentence.text()

@@ -56,7 +56,7 @@ def test_single_frame_is_counted_in_the_singular(
     record(qtbot, window, tmp_path, frames=1)
     qtbot.waitUntil(lambda: "  Recorded 1 frame in " in window.log.text)
     assert window.recording_bar.text.text().startswith("1 frame in ")
-    assert window.recording_panel.text.text().startswith("1 frame   ")
+    qtbot.waitUntil(lambda: window.recording_panel.text.text().startswith("1 frame   "))
 
 
 def test_recording_ends_by_itself_with_name_and_note(

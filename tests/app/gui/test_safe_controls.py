@@ -15,6 +15,7 @@ from PyQt6.QtGui import QImage, QWheelEvent
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
+from support.patience import HANG_S
 from support.window_tools import part, picture, press
 
 from app.acquisition.instrument import Instrument, Reconstruction
@@ -186,8 +187,9 @@ def test_refused_number_is_explained_in_red_and_reaches_no_device(
 
 
 def test_refused_number_is_explained_while_a_proposal_is_open(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not expire
     window, _ = live
     window.activateWindow()
     messages, field = window.messages, window.controls.current
@@ -370,9 +372,9 @@ def test_indicators_show_the_state_during_a_routine(
     controls.frames.setValue(1000)
     indicator = controls.light if routine == "dark" else controls.sample
     getattr(controls, routine).click()
-    qtbot.waitUntil(lambda: indicator.text() == shown and not indicator.isChecked())
+    progress = window.messages.progress
+    qtbot.waitUntil(lambda: indicator.text() == shown and not indicator.isChecked() and progress.isVisible())
     assert camera.light.shines == (routine == "reference")
-    assert window.messages.progress.isVisible()
     press(qtbot, window, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: controls.light.text() == "Light on" and controls.sample.text() == "Sample in")
 
@@ -392,7 +394,7 @@ def test_light_off_ends_a_reference_and_stays_off(live: tuple[MainWindow, FakeCa
     qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     assert camera.is_running
     assert not camera.light.shines
-    assert controls.light.text() == "Light off"
+    qtbot.waitUntil(lambda: controls.light.text() == "Light off")  # after "Switching off"
 
 
 def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
@@ -418,7 +420,10 @@ def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtb
     qtbot.waitUntil(lambda: "taken with the mask square" in window.messages.text.text())
 
 
-def test_amplifier_change_says_what_else_it_changed(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_amplifier_change_says_what_else_it_changed(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.measurement.routines.frames._MARGIN_S", HANG_S)  # no frame comes after 421 ms
     window, camera = live
     choose = camera._set_amplifier
 

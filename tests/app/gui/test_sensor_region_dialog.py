@@ -66,7 +66,10 @@ def text(window: MainWindow) -> str:
     return window.messages.text.text()
 
 
-def test_region_is_applied_and_calibrated_again(window: MainWindow, qtbot: QtBot) -> None:
+def test_region_is_applied_and_calibrated_again(
+    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.gui.message_strip._NOTICE_S", 1e9)  # it does not expire
     press(qtbot, window, Qt.Key.Key_P)
     dialog = window.region_dialog
     assert dialog.isVisible()

@@ -42,6 +42,9 @@ def test_every_frame_between_start_and_stop_is_recorded(
 def test_last_seconds_are_saved(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
     window, _ = live
     window.controller.recordings_folder = tmp_path
+    acquisition = window.controller.acquisition
+    assert acquisition is not None
+    qtbot.waitUntil(lambda: acquisition.counts.acquired > 2)
     press(qtbot, window, Qt.Key.Key_K)
     qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text())
     assert len(only_recording(tmp_path, "-kept")) > 1
