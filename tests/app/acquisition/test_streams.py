@@ -379,7 +379,7 @@ def test_measure_publishes_what_it_records(
         assert run(monkeypatch, "measure", *arguments) == 0
         recording = Recording(tmp_path / "run")
         indexes = {recording.line(index).camera_time_s: index for index in range(len(recording))}
-        heard = {}
+        heard: dict[float, tuple[dict[str, Any], np.ndarray]] = {}
         while not heard.keys() & indexes or not subscriber.is_waiting():
             _, header, arrays = subscriber.hears()
             if arrays:

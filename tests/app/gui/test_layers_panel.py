@@ -17,12 +17,11 @@ from support.window_tools import MakeWindow, click, press, tab
 
 from app.bench.config import load_bench
 from app.evaluation.simulated_frames import simulated_frames
-from app.gui import background_analysis
 from app.gui.main_window import MainWindow
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.averages import Average
-from app.results.layers.answers import FoundLayers, LayersRequest
+from app.results.layers.answers import FoundLayers, LayersRequest, find_shown_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -147,7 +146,7 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
 
 
 def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun, find = threading.Event(), background_analysis.find_shown_layers
+    begun = threading.Event()
 
     def find_until_closed(request: LayersRequest, check: Callable[[], None]) -> FoundLayers:
         def check_when_closing() -> None:
@@ -155,9 +154,9 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
             wait_until(lambda: window._analysis._is_closing)
             check()
 
-        return find(request, check_when_closing)
+        return find_shown_layers(request, check_when_closing)
 
-    monkeypatch.setattr(background_analysis, "find_shown_layers", find_until_closed)
+    monkeypatch.setattr("app.gui.background_analysis.find_shown_layers", find_until_closed)
     panel, thread = window.tabs.layers, window._analysis._layers
     panel.mode.setCurrentIndex(1)
     open_tab(qtbot, window, "Layers")
