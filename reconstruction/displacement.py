@@ -1,6 +1,6 @@
 """Displacements of the subimages from the reference, the result of every registration method."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
 from typing import Protocol, Self
@@ -74,6 +74,10 @@ class Displacement:
     def valid(self) -> Mask:
         """True for converged lenslets, (lenslet_row, lenslet_column)."""
         return np.asarray(self.outcome == Outcome.CONVERGED)
+
+    def minus(self, bias: Floats) -> Self:
+        """Subtract a known error, px, of the shape of `coefficients`; the covariance stays, computed or not."""
+        return replace(self, coefficients=self.coefficients - bias, covariance=self.__dict__["covariance"])
 
     @property
     def mean_variance(self) -> Floats:

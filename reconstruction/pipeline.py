@@ -152,7 +152,7 @@ class Reconstructor:
         `bias` (lenslet_row, lenslet_column, field_mode, xy), px, a known systematic error, is subtracted first.
         """
         if bias is not None:
-            displacement = replace(displacement, coefficients=displacement.coefficients - bias)
+            displacement = displacement.minus(bias)
         weights = self.weights_of(displacement)
         solution: Solution
         if self._modal is None:
