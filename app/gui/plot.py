@@ -24,6 +24,16 @@ class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no typ
             self.setBackground(theme.BACKGROUND)
 
 
+class _Axis(pg.AxisItem):  # type: ignore[misc] # pyqtgraph declares no types
+    """An axis whose numbers have the minus sign of all other numbers."""
+
+    def tickStrings(  # noqa: N802 - pyqtgraph's name
+        self, values: list[float], scale: float, spacing: float
+    ) -> list[str]:
+        """Texts of the ticks."""
+        return [text.replace("-", "\N{MINUS SIGN}") for text in super().tickStrings(values, scale, spacing)]
+
+
 class Plot(QWidget):
     """A titled plot without zoom or pan."""
 
@@ -49,7 +59,7 @@ class Plot(QWidget):
         unfocused(self.graphics)
         self.view = pg.ViewBox(enableMenu=False, enableMouse=False, defaultPadding=0)
         sides = ("left",) if bottom is None else ("left", "bottom")
-        self.axes = axes = {side: pg.AxisItem(side, linkView=self.view) for side in sides}
+        self.axes = axes = {side: _Axis(side, linkView=self.view) for side in sides}
         for axis in axes.values():
             axis.enableAutoSIPrefix(enable=False)
             axis.setStyle(tickLength=4, tickTextOffset=3)

@@ -16,6 +16,7 @@ from support.window_tools import MakeWindow, click, part, picture, press
 
 from app.gui.enlarged_view import EnlargedView
 from app.gui.main_window import MainWindow
+from app.gui.plot import Plot
 from app.gui.presentation import number, signed
 from app.results.dataset import result_dataset, write_results
 from app.results.view_analysis import Quantity
@@ -131,6 +132,12 @@ def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) 
     np.testing.assert_array_equal(enlarged.map.values, shown(window)[2, 0])
     panel.show_wavefront(None)
     assert enlarged.text.text() == "no wavefront"
+
+
+def test_numbers_of_axes_have_the_minus_sign_of_other_numbers(qtbot: QtBot) -> None:
+    plot = Plot("Row 3", "x (mm)")
+    qtbot.addWidget(plot)
+    assert plot.axes["bottom"].tickStrings([-2.0, 0.0, 2.0], 1.0, 2.0) == ["\N{MINUS SIGN}2", "0", "2"]
 
 
 def test_enlarged_view_paints_contours_and_a_surface_that_turns(window: MainWindow, qtbot: QtBot) -> None:
