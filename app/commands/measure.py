@@ -16,7 +16,7 @@ from app.commands.prompt import LIGHT_BY_HAND, ask, remind
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_outputs
 from app.progress import Progress, counted
-from app.recording.folder import RUN, check_free
+from app.recording.folder import RUN, check_free, remove_empty
 from app.recording.reader import Recording
 from app.recording.recorder import Limit
 from app.results.recording_results import Measured, files_of, write_measured
@@ -62,9 +62,12 @@ def measure(
         raise acquisition.error
     state = acquisition.recording
     fault = fault or acquisition.failure or ("" if state is None else state.problem)
-    if not (out / RUN).exists():
-        raise Interrupted("stopped before the first frame") if is_stopped else RunError(fault)
-    recording = Recording(out)
+    recording = Recording(out) if (out / RUN).exists() else None
+    if not recording:
+        remove_empty(out)
+        raise (
+            Interrupted("stopped before the first frame") if is_stopped else RunError(fault or "no frame was recorded")
+        )
     try:
         measured = write_measured(recording, bench, progress)
     except (Interrupted, RunError) as error:

@@ -70,6 +70,14 @@ def check_free(folder: Path) -> None:
         raise _unusable(folder, error) from error
 
 
+def remove_empty(folder: Path) -> None:
+    """Remove the files of a recording without frames, so that another may begin in its folder."""
+    for name in (RUN, FRAME_LINES):
+        (folder / name).unlink(missing_ok=True)
+    with suppress(OSError):  # it holds other files, or never was
+        folder.rmdir()
+
+
 def new_folder(wanted: Path) -> Path:
     """Make a new folder, named with -2, -3, ... if the name is taken (also by another program at the same moment).
 

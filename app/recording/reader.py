@@ -1,10 +1,11 @@
 """Reader of recordings: finished, cut short, or still growing."""
 
 from array import array
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ from app.recording.frame_array import FrameArray, is_array
 from app.recording.frame_lines import FrameLine
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
+
+T = TypeVar("T")
 
 _PIECE_BYTES = 1 << 20
 _HINT = "svwfs recover lists the readable frames"
@@ -120,23 +123,7 @@ class Recording:
         """Times, exposure, light, calibration and outcome of a frame."""
         if not 0 <= index < len(self):
             raise InputError(f"{self.folder}: has no frame {index}; it has {len(self)}")
-        self._follow_renaming()
-        try:
-            with (self.folder / FRAME_LINES).open("rb") as file:
-                file.seek(self._ends[index])
-                text = file.read(self._ends[index + 1] - self._ends[index])
-        except OSError as error:  # for example, the disk is gone
-            if self._follow_renaming():  # renamed just now
-                return self.line(index)
-            raise self._unreadable(error) from error
-        try:
-            line = FrameLine.from_json(text)
-        except ValueError as error:
-            raise InputError(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
-        if line.index != index:
-            found = f"line {index + 1} is of frame {line.index} instead of {index}"
-            raise InputError(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
-        return line
+        return self._followed(lambda: self._line(index))
 
     def pixels(self, index: int) -> NDArray[np.uint16]:
         """Pixels of a frame (row, column), counts, read-only."""
@@ -197,16 +184,11 @@ class Recording:
 
     def calibration(self, number: int) -> Calibration:
         """Calibration by its number in the lines; cached."""
-        try:
-            return self._calibrations(number)
-        except InputError:
-            if self._follow_renaming():
-                return self.calibration(number)
-            raise
+        return self._followed(lambda: self._calibrations(number))
 
     def bias(self, number: int) -> Floats:
         """Bias by its number in the lines, px, (lenslet_row, lenslet_column, field_mode, xy); cached."""
-        return self._biases(number)
+        return self._followed(lambda: self._biases(number))
 
     def start(self, index: int) -> Floats | None:
         """Starting point of a frame's registration, px, as `displacement`; None if it had none."""
@@ -214,19 +196,28 @@ class Recording:
         if line.start is None:
             return None
         if line.start == BEFORE:
-            return read_array(self.folder / START)
+            return self._followed(lambda: read_array(self.folder / START))
         if line.calibration is None:
             return None
         return self._read(
             f"{RESULTS.format(line.calibration)}/displacement", line.start
         )  # always of the same calibration
 
-    def _follow_renaming(self) -> bool:
-        """Find the folder under its new name, if a person named the recording while it is replayed, say.
-
-        Return True if it has a new name.
-        """
+    def _followed(self, read: Callable[[], T]) -> T:
+        """Read, and once more if nothing is there because the folder has been renamed."""
         before = self.folder
+        try:
+            found = read()
+        except InputError:
+            if not self._is_renamed(before):
+                raise
+        else:
+            if found is not None or not self._is_renamed(before):
+                return found
+        return self._followed(read)
+
+    def _is_renamed(self, before: Path) -> bool:
+        """Find the folder if a person has named the recording meanwhile; True if it is no longer `before`."""
         with suppress(OSError):  # the disk is gone: what is read next tells
             if not self.folder.exists():
                 beside = (one for one in self.folder.parent.iterdir() if (one / RUN).is_file())
@@ -241,20 +232,39 @@ class Recording:
             return False
         return all(run.get(key) == self.run.get(key) for key in _UNCHANGED)
 
+    def _line(self, index: int) -> FrameLine:
+        try:
+            with (self.folder / FRAME_LINES).open("rb") as file:
+                file.seek(self._ends[index])
+                text = file.read(self._ends[index + 1] - self._ends[index])
+        except OSError as error:  # for example, the disk is gone
+            raise self._unreadable(error) from error
+        try:
+            line = FrameLine.from_json(text)
+        except ValueError as error:
+            raise InputError(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
+        if line.index != index:
+            found = f"line {index + 1} is of frame {line.index} instead of {index}"
+            raise InputError(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
+        return line
+
     def _result(self, name: str, index: int) -> Floats | None:
         calibration = self.line(index).calibration
         return None if calibration is None else self._read(f"{RESULTS.format(calibration)}/{name}", index)
 
     def _read(self, name: str, index: int) -> NDArray[Any] | None:
-        array = self._array(name)
-        values = None if array is None else array.read(index)
-        return self._read(name, index) if values is None and self._follow_renaming() else values
+        def read() -> NDArray[Any] | None:
+            array = self._array(name)
+            return None if array is None else array.read(index)
+
+        return self._followed(read)
 
     def _array(self, name: str) -> FrameArray | None:
-        if self._arrays.get(name) is None:  # it may have appeared since
+        found = self._arrays.get(name)
+        if found is None:  # it may have appeared since
             path = self.folder / STORE / name
-            self._arrays[name] = FrameArray(path) if is_array(path) else None
-        return self._arrays[name]
+            found = self._arrays[name] = FrameArray(path) if is_array(path) else None
+        return found
 
     def _unreadable(self, error: OSError) -> InputError:
         return InputError(f"{self.folder / FRAME_LINES}: cannot be read: {error.strerror or error}")

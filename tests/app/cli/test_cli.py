@@ -28,6 +28,7 @@ from support.pictures import assert_drawn
 
 from app.acquisition import start_up
 from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench, write_bench
 from app.bench.device_settings import CameraSettings, LightSettings
@@ -37,7 +38,7 @@ from app.errors import Interrupted, RunError
 from app.recording.writer import Record, RecordingWriter
 from drivers.dcam.settings import DcamSettings
 from drivers.genicam.settings import GenicamSettings
-from drivers.interface import Devices, Frame
+from drivers.interface import Devices, Disconnected, Frame
 from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights.settings import DC2200Settings
@@ -137,6 +138,22 @@ def test_late_start_of_the_recording_costs_no_frame(
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 0
     with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
         assert results["frame_index"].to_numpy().tolist() == [0, 1, 2]
+
+
+@pytest.mark.usefixtures("no_hurry")
+def test_measure_that_recorded_nothing_can_be_repeated(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
+) -> None:
+    def fail(_: Instrument) -> None:
+        raise Disconnected("the camera is gone")
+
+    command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
+    with monkeypatch.context() as unplugged:
+        unplugged.setattr("app.commands.measure.start_camera", lambda acquisition: acquisition.submit(fail))
+        assert run(monkeypatch, *command) == 1
+    assert "the camera is gone" in capsys.readouterr().err
+    assert not (tmp_path / "m").exists()
+    assert run(monkeypatch, *command) == 0
 
 
 @pytest.mark.usefixtures("no_hurry")

@@ -5,50 +5,61 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from support.recordings import record
 
 from app.errors import InputError
+from app.recording.calibration_files import write_array
+from app.recording.folder import BEFORE, BIAS
 from app.recording.reader import Recording
 
 
 @pytest.fixture(scope="module")
 def recording(small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=2)
+    """Its first frame starts from one before; its refinement has found something."""
+    made = record(small_toml, tmp_path_factory.mktemp("recording") / "run", frames=2, before=1)
+    write_array(made.folder / BIAS.format(0), np.full((7, 7, 3, 2), 0.25))
+    return made
 
 
-@pytest.fixture
-def renamed(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
-    """A copy that gets another name as soon as someone has seen that it has the old one."""
-    copy = Recording(shutil.copytree(recording.folder, tmp_path / "run"))
-    exists = Path.exists
-
-    def rename_after(path: Path) -> bool:
-        was_there = exists(path)
-        if was_there and path == tmp_path / "run":
-            path.rename(tmp_path / "mouse 7")
-        return was_there
-
-    monkeypatch.setattr(Path, "exists", rename_after)
-    return copy
-
-
-def test_line_is_found_under_the_new_name(recording: Recording, renamed: Recording) -> None:
-    assert renamed.line(1) == recording.line(1)
-    assert renamed.folder.name == "mouse 7"
-
-
-@pytest.mark.parametrize("read", [lambda of: of.pixels(1), lambda of: of.calibration(0).reference.mean])
-def test_what_is_read_after_the_line_is_found_under_the_new_name(
-    recording: Recording, tmp_path: Path, read: Callable[[Recording], NDArray[np.float32]]
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda of: of.line(1).host_time_s,
+        lambda of: of.pixels(1),
+        lambda of: of.displacement(1),
+        lambda of: of.calibration(0).reference.mean,
+        lambda of: of.bias(0),
+        lambda of: of.start(0),
+    ],
+)
+def test_everything_is_found_under_the_new_name(
+    recording: Recording, tmp_path: Path, read: Callable[[Recording], Any]
 ) -> None:
     copy = Recording(shutil.copytree(recording.folder, tmp_path / "run"))
     copy.pixels(0)  # the array is open
+    assert copy.line(0).start == BEFORE
     copy.folder.rename(tmp_path / "mouse 7")
     np.testing.assert_array_equal(read(copy), read(recording))
+    assert copy.folder.name == "mouse 7"
+
+
+def test_another_thread_may_find_the_new_name_first(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = Recording(shutil.copytree(recording.folder, tmp_path / "run"))
+    is_renamed = Recording._is_renamed
+
+    def is_renamed_second(copy: Recording, before: Path) -> bool:
+        is_renamed(copy, copy.folder)  # the other thread
+        return is_renamed(copy, before)
+
+    monkeypatch.setattr(Recording, "_is_renamed", is_renamed_second)
+    copy.folder.rename(tmp_path / "mouse 7")
+    assert copy.line(1) == recording.line(1)
 
 
 def test_removed_recording_is_an_error(recording: Recording, tmp_path: Path) -> None:
