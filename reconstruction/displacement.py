@@ -72,8 +72,10 @@ class Displacement:
 
     @cached_property
     def valid(self) -> Mask:
-        """True for converged lenslets, (lenslet_row, lenslet_column)."""
-        return np.asarray(self.outcome == Outcome.CONVERGED)
+        """True for converged lenslets, (lenslet_row, lenslet_column); read-only."""
+        valid = np.asarray(self.outcome == Outcome.CONVERGED)
+        valid.flags.writeable = False
+        return valid
 
     def minus(self, bias: Floats) -> Self:
         """Subtract a known error, px, of the shape of `coefficients`; the covariance stays, computed or not."""

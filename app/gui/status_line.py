@@ -169,7 +169,7 @@ class FittingRow(QWidget):
     def fit(self) -> None:
         """Show the values that fit; the room of a value never shrinks.
 
-        Its size is fixed: else each new text has Qt lay out and paint the whole status bar.
+        Each value has a fixed size; otherwise Qt lays out and paints the whole status bar for each new text.
         """
         for part in self._parts:
             needed = part.value.sizeHint()

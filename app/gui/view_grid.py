@@ -257,7 +257,7 @@ class ViewGrid(QWidget):
         if key != self._bar_key:
             at = np.linspace(len(scale.bar) - 1, 0, size.height()).round().astype(np.intp)
             self._bar_key = key
-            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(scale.bar[at, None], size.width(), axis=1)))
+            self._bar_pixmap = QPixmap.fromImage(_image(np.repeat(scale.bar[at, None], size.width(), axis=1)).copy())
         return self._bar_pixmap
 
     def _bar(self, maps: Maps) -> QRect:

@@ -48,7 +48,7 @@ def colour_text(shown: QLabel, colour: QColor) -> None:
 class ElidedLabel(QLabel):
     """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
 
-    Qt's label does not know the text: it would have the window laid out again for each.
+    The text is kept from QLabel, which would request a new layout for each change.
     """
 
     def __init__(self, role: str = "", parent: QWidget | None = None) -> None:

@@ -22,7 +22,7 @@ class PtyServer:
         tty.setraw(self._master)
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
-        self.idle_s = 0.0  # that it has waited for commands: a clock that stands still while the thread does
+        self.idle_s = 0.0  # time spent waiting for commands; stops while this thread is stalled
         self._is_ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="stand-in", daemon=True)
         os.write(self._master, device.greeting())

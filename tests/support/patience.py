@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-HANG_S: Final = 150.0  # longer than compiling everything on one slow core
+HANG_S: Final = 300.0  # longer than compiling everything in three processes on two slow cores
 _TICK_S: Final = 0.01
 
 

@@ -235,7 +235,7 @@ def live_small(small_toml: Path) -> Iterator[tuple[Acquisition, list[Measurement
 
 
 def newest(measurements: list[Measurement], since: int, holds: Callable[[Measurement], bool]) -> Measurement:
-    """Wait for a measurement number `since` or later that is so, and return the newest; others may be passed over."""
+    """Wait until a measurement from index `since` on satisfies `holds`, and return the newest such."""
     wait_until(lambda: any(map(holds, measurements[since:])))
     return next(each for each in reversed(measurements) if holds(each))
 

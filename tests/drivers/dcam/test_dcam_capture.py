@@ -254,7 +254,7 @@ def test_connection_is_not_polled_while_frames_come(stand_in: StandIn, camera: D
 
 # In real time: waits of another thread or a person.
 
-AT_ONCE_S = 100.0  # beside an exposure of ten minutes
+EARLY_S = 100.0  # in an exposure of ten minutes
 
 
 @pytest.fixture
@@ -282,7 +282,7 @@ def test_stop_interrupts_long_exposure(long_exposure: DcamCamera) -> None:
             long_exposure.read(0.1)
         long_exposure.stop()
 
-    assert duration_s(wait_and_stop) < AT_ONCE_S  # about 0.1 on a quiet machine
+    assert duration_s(wait_and_stop) < EARLY_S  # about 0.1 on a quiet machine
 
 
 @pytest.mark.parametrize("is_abort_refused", [False, True])
@@ -303,8 +303,8 @@ def test_close_ends_read_of_another_thread(
     reader.start()
     time.sleep(0.05)
     took_s = duration_s(long_exposure.close)
-    reader.join(AT_ONCE_S)
+    reader.join(EARLY_S)
     assert not reader.is_alive()
     assert isinstance(ended[0], WrongState)
-    assert took_s < AT_ONCE_S
+    assert took_s < EARLY_S
     assert in_real_time.calls("dcamwait_abort") == 1
