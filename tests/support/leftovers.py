@@ -9,9 +9,7 @@ import time
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 
-from support.patience import HANG_S
-
-_END_S = HANG_S  # for threads that are about to end
+_END_S = 5.0  # for threads that are about to end
 _LASTING = ("zarr_io", "asyncio_", "reconstruction_")  # Zarr's, and those of `worker_pool`, last as long as the process
 
 

@@ -34,12 +34,12 @@ def after_pause(happen: Callable[[], None], clock: Callable[[], float]) -> Calla
     return when
 
 
-def expect_within(kind: type[DeviceError], call: Callable[[], object], limit_s: float = AT_ONCE_S) -> None:
+def expect_within(kind: type[DeviceError], call: Callable[[], object]) -> None:
     """Expect the error in time."""
     with own_time() as elapsed_s:
         with pytest.raises(kind):
             call()
-        assert elapsed_s() < limit_s
+        assert elapsed_s() < AT_ONCE_S
 
 
 def repeat(call: Callable[[], object]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 from support.gui_bench import BENCH, FakeCamera, opener
-from support.patience import HANG_S, wait_until
+from support.patience import HANG_S, own_time, wait_until
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
@@ -32,10 +32,12 @@ def _turn_on(instrument: Instrument) -> None:
     instrument.devices.light.set_on(True)
 
 
-def test_light_goes_off_while_the_worker_is_busy(acquisition: Acquisition, camera: FakeCamera) -> None:
+def test_light_goes_off_within_its_time_while_the_worker_is_busy(acquisition: Acquisition, camera: FakeCamera) -> None:
     release = threading.Event()
     busy = acquisition.submit(lambda _: release.wait())
-    acquisition.switch_light_off().result(HANG_S)
+    with own_time() as elapsed_s:
+        acquisition.switch_light_off().result(HANG_S)
+        assert elapsed_s() < 0.3
     assert not camera.light.shines
     wait_until(lambda: acquisition.status is not None and not acquisition.status.is_light_on)
     assert not busy.done()

@@ -180,7 +180,7 @@ def test_stop_interrupts_long_exposure(small_toml: Path) -> None:
     time.sleep(0.2)
     with own_time() as elapsed_s:
         running.acquisition.close()
-        assert elapsed_s() < 10  # of an exposure of 30 s
+        assert elapsed_s() < 1.0
     assert running.devices is not None
     with pytest.raises(WrongState):  # closed after the light was turned off
         _ = running.devices.light.is_on

@@ -257,7 +257,8 @@ def test_slow_redraw_shows_the_newest_frame(
     monkeypatch.setattr(window.wavefront_panel, "show_wavefront", draw_slowly)
     qtbot.waitUntil(lambda: len(newest_before) >= 15)
     assert all(later >= newest for later, newest in zip(drawn[1:], newest_before, strict=False))
-    assert max(np.subtract(newest_before, drawn)) > 0  # frames were left out
+    behind = np.median(np.subtract(newest_before, drawn))  # counted in frames: a slow computer has fewer of them
+    assert 0 < behind < 0.3 / camera.period_s
     line = window.status_line  # it counts from another start: the two may meet, but not stay together
     qtbot.waitUntil(lambda: line.acquired.text() != line.shown_count.text())
 
