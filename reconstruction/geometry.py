@@ -216,6 +216,7 @@ class Field:
     view_rows: int = 3
     view_columns: int = 3
     view_spacing_m: float = 0.5e-3
+    neglect_propagation: bool = False  # true: the paper's simulation, uniform light on the lenslets, conserved flux
 
     def __post_init__(self) -> None:
         reach_m = (max(self.view_rows, self.view_columns) - 1) / 2 * self.view_spacing_m

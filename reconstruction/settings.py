@@ -7,6 +7,7 @@ from typing import Literal
 from reconstruction.geometry import require
 
 PupilBasis = Literal["legendre", "zernike"]
+SampleModel = Literal["automatic", "free", "layers"]
 Warp = Literal["translation", "affine", "quadratic", "cubic", "quartic"]
 Method = Literal[
     "gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine", "block_flow", "demons", "ffd"
@@ -21,7 +22,6 @@ class RegistrationSettings:
 
     method: Method = "gauss_newton"
     warp: Warp | None = None  # omitted: the one with the least expected error; quartic if the noise is unknown
-    conserve_flux: bool = True
     rotation: bool = False  # gauss_newton: whether subimages may rotate; layers cannot make them
     threads: int = 2  # of gauss_newton
     flow: Literal["views", "warp"] = "views"  # block_flow, demons, ffd: sampled at the views, or fitted by the warp
@@ -48,6 +48,7 @@ class ReconstructionSettings:
     basis: PupilBasis = "legendre"
     pupil_modes: int | None = None
     response: bool = True  # modal: with warps that do not rotate, the modelled response instead of mean gradients
+    sample: SampleModel = "automatic"  # modal: any wavefront, one or two layers, or the one that the evidence prefers
     refine: bool = False  # live: correct frames by the bias that a forward model finds in the background
 
     def __post_init__(self) -> None:

@@ -1,7 +1,8 @@
 r"""Exact image of an incoherent object through a phase screen and a lenslet array.
 
-For one object point x_o the field behind a lenslet is exp(i (phi(u) + k u.x_o / f1)), sampled at n x n cell centres u;
-its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2. Points add up by their area.
+For one object point x_o the field behind a lenslet is U(u) exp(i k u.x_o / f1), U that of the light behind the sample,
+sampled at n x n cell centres u; its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2. Points
+add up by their area.
 
 The image of n samples is exactly a trigonometric polynomial with 2n - 1 terms a side and period lambda f n / D, so
 that 2n positions a side define it. All object points are therefore summed on one grid, symmetric about the lenslet's
@@ -23,14 +24,15 @@ from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, requ
 from reconstruction.runtime.threads import one_blas_thread
 from simulated_devices.optics.aperture import lenslet_aperture
 from simulated_devices.optics.image_sum import ImageSum, unfold
-from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.pixel_grid import PixelGrid
-from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.optics.source import SourcePoints
 
 Images: TypeAlias = NDArray[np.float32]
-PointPhase: TypeAlias = Callable[[float, float], Images]
-"""Phase that the light of the object point (x_m, y_m) has at the pupil samples: (sample_row, sample_column), rad."""
+PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]
+"""Field at the pupil samples, (sample_row, sample_column), that the object point (x_m, y_m) has behind the sample.
+
+It has no tilt of its own, and is 1 without a sample.
+"""
 OnFraction: TypeAlias = Callable[[float], None]
 """Progress callback; receives the share that is done, 0 ... 1."""
 
@@ -63,7 +65,7 @@ class ForwardModel:
                 "pixel_fill_factor must lie between 0 and 1": 0 <= pixel_fill_factor <= 1,
             }
         )
-        self._sensor, self._field = sensor, field
+        self._sensor = sensor
         self._threads = threads
         self.camera_shape = rows, columns
         self._aperture = lenslet_aperture(sensor.arrangement, pupil_samples)
@@ -97,52 +99,28 @@ class ForwardModel:
         self.sample_x_m: Floats = (halves_m[:, None, :] + center_x_m[None, :, None]).ravel()
         self.sample_y_m: Floats = (halves_m[:, :, None] + center_y_m[None, None, :]).ravel()
 
-    def screen_phase(
-        self, screen: PhaseScreen, ray_map: RayMap, shift_m: tuple[float, float] = (0.0, 0.0)
-    ) -> PointPhase:
-        """Phase of each object point through `screen`, moved by `shift_m` (x, y), at this model's pupil samples.
-
-        Raises `ValueError` at once if a ray of the field's square would leave the screen.
-        """
-        reach = (-self._field.half_width_m, self._field.half_width_m)
-        for edge_m in reach:
-            screen.at(ray_map.pupil_scale * self.sample_x_m + ray_map.field_scale * edge_m - shift_m[0], 0.0)
-            screen.at(0.0, ray_map.pupil_scale * self.sample_y_m + ray_map.field_scale * edge_m - shift_m[1])
-        along_x: dict[float, Images] = {}  # object x -> spline coefficients contracted along x, shared by all object y
-
-        def phase(object_x_m: float, object_y_m: float) -> Images:
-            contracted = along_x.get(object_x_m)
-            if contracted is None:
-                x_m = ray_map.pupil_scale * self.sample_x_m + ray_map.field_scale * object_x_m - shift_m[0]
-                product = screen.basis_x(x_m) @ screen.coefficients.T.astype(np.float32)
-                contracted = along_x[object_x_m] = np.ascontiguousarray(product.T)
-            y_m = ray_map.pupil_scale * self.sample_y_m + ray_map.field_scale * object_y_m - shift_m[1]
-            return np.asarray(screen.basis_y(y_m) @ contracted, np.float32)
-
-        return phase
-
     def irradiance(
-        self, source: SourcePoints, phase: PointPhase | None = None, *, progress: OnFraction | None = None
+        self, source: SourcePoints, field: PointField | None = None, *, progress: OnFraction | None = None
     ) -> Images:
-        """Image of `source` on the camera, (row, column), float32, in m^2; without `phase` it is the reference.
+        """Image of `source` on the camera, (row, column), float32, in m^2; without `field` it is the reference.
 
         A pixel's value is the emitting area (m^2) whose light, collected by one lenslet, reaches that pixel: over one
         lenslet's diffraction pattern the values add up to `source.area_m2.sum()`. Multiplied by the photons that one
-        lenslet collects per second and m^2 of mask, it is photons per second. `phase` is any function of the object
-        point that returns the phase at `sample_y_m` x `sample_x_m`. `progress` receives 0 ... 1, from any thread but
+        lenslet collects per second and m^2 of mask, it is photons per second. `field` is any function of the object
+        point that returns the field at `sample_y_m` x `sample_x_m`. `progress` receives 0 ... 1, from any thread but
         one at a time; an exception that it raises ends the rendering and is raised here.
         """
-        alone = phase is None  # without a screen all lenslets see the same
-        folded = self._accumulate(source, phase, progress or (lambda _: None))
+        alone = field is None  # without a sample all lenslets see the same
+        folded = self._accumulate(source, field, progress or (lambda _: None))
         shape = (1, 1) if alone else (self._lenslet_rows, self._lenslet_columns)
         return self._pixels.evaluate(unfold(folded, *shape))
 
-    def point_irradiances(self, position_m: Floats, phase: PointPhase | None = None) -> Images:
+    def point_irradiances(self, position_m: Floats, field: PointField | None = None) -> Images:
         """Image of each object point (point, xy): (point, row, column), float32, `irradiance` for 1 m^2 of area each.
 
         One matrix product per lenslet evaluates all points; 16 points on 465 x 465 pixels take about 40 MB.
         """
-        lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
+        lenslets = (1, 1) if field is None else (self._lenslet_rows, self._lenslet_columns)
         n = self._samples
         waves = np.empty((lenslets[0] * lenslets[1], len(position_m), (2 * n - 1) ** 2), np.float32)
 
@@ -153,14 +131,14 @@ class ForwardModel:
                     return
                 x_m, y_m = (float(value) for value in position_m[point])
                 total.folded[:] = 0
-                total.add(self._field_phase(phase, x_m, y_m), 1.0)
+                total.add(self._tilted(field, x_m, y_m), 1.0)
                 waves[:, point] = self._pixels.waves(unfold(total.folded, *lenslets)).reshape(len(waves), -1)
 
         with one_blas_thread(), ThreadPoolExecutor(self._threads) as pool:
             self._share_out(work, pool)
             return self._pixels.evaluate_each(waves, pool.map)
 
-    def _accumulate(self, source: SourcePoints, phase: PointPhase | None, progress: OnFraction) -> Images:
+    def _accumulate(self, source: SourcePoints, field: PointField | None, progress: OnFraction) -> Images:
         # Points of one object column share the work along x: a thread takes whole columns.
         lit = np.flatnonzero(source.area_m2)  # grids of openings contain dark points
         order = lit[np.argsort(source.position_m[lit, 0], kind="stable")]
@@ -169,14 +147,14 @@ class ForwardModel:
 
         def work(first: int, ended: Event) -> Images:
             nonlocal done
-            lenslets = (1, 1) if phase is None else (self._lenslet_rows, self._lenslet_columns)
+            lenslets = (1, 1) if field is None else (self._lenslet_rows, self._lenslet_columns)
             total = ImageSum(self._aperture, *lenslets)
             for column in columns[first :: self._threads]:
                 for point in column:
                     if ended.is_set():
                         return total.folded
                     x_m, y_m = (float(value) for value in source.position_m[point])
-                    total.add(self._field_phase(phase, x_m, y_m), float(source.area_m2[point]))
+                    total.add(self._tilted(field, x_m, y_m), float(source.area_m2[point]))
                 with one_at_a_time:
                     done += len(column)
                     progress(done / max(1, len(order)))
@@ -203,14 +181,22 @@ class ForwardModel:
             ended.set()
             raise
 
-    def _field_phase(self, phase: PointPhase | None, x_m: float, y_m: float) -> Images:
-        """Screen phase plus the object point's tilt over each lenslet, at the pupil samples."""
+    def _tilted(self, field: PointField | None, x_m: float, y_m: float) -> NDArray[np.complex64]:
+        """Field behind the sample times the object point's tilt over each lenslet, at the pupil samples."""
         local_x_m, local_y_m = self._local_x_m, self._local_y_m
-        if phase is None:
+        if field is None:
             half = self._samples // 2
             local_x_m = local_x_m.reshape(2, -1, half)[:, 0].ravel()
             local_y_m = local_y_m.reshape(2, half, -1)[:, :, 0].ravel()
-        tilt_x = (self._tilt_per_m * x_m * local_x_m).astype(np.float32)
-        tilt_y = (self._tilt_per_m * y_m * local_y_m).astype(np.float32)
-        tilt: Images = np.add.outer(tilt_y, tilt_x)
-        return tilt if phase is None else tilt + phase(x_m, y_m)
+        tilt_x = np.exp(1j * self._tilt_per_m * x_m * local_x_m).astype(np.complex64)
+        tilt_y = np.exp(1j * self._tilt_per_m * y_m * local_y_m).astype(np.complex64)
+        if field is None:
+            return np.outer(tilt_y, tilt_x)
+        tilted = field(x_m, y_m) * tilt_x
+        tilted *= tilt_y[:, None]
+        return np.asarray(tilted, np.complex64)
+
+
+def phase_only(phase: Callable[[float, float], Images]) -> PointField:
+    """Field of uniform light with a phase at the pupil samples, (sample_row, sample_column), rad."""
+    return lambda x_m, y_m: np.exp(1j * phase(x_m, y_m)).astype(np.complex64)

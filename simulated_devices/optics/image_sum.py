@@ -43,11 +43,10 @@ class ImageSum:
         self._half_way = np.empty((2, 2, 2, half * lenslets, n), np.float32)  # (y parity, re|im, x parity, ...)
         self._transform = np.empty((2, 2, 2, n, lenslets * n), np.float32)
 
-    def add(self, phase: Images, weight: float) -> None:
-        """Add one object point's image, `weight` times; `phase` (row, column) in the order of `ForwardModel`."""
-        halves = phase.reshape(self._field.shape[1:])
-        np.cos(halves, out=self._field[0])
-        np.sin(halves, out=self._field[1])
+    def add(self, field: NDArray[np.complex64], weight: float) -> None:
+        """Add one object point's image, `weight` times; `field` (row, column) in the order of `ForwardModel`."""
+        halves = field.reshape(self._field.shape[1:])
+        self._field[0], self._field[1] = halves.real, halves.imag
         if self._amplitude is not None:
             self._field *= self._amplitude
         width = self._field.shape[-1] // 2

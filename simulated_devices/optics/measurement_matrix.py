@@ -18,7 +18,7 @@ from zarr.codecs import Crc32cCodec
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import require
-from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointPhase
+from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointField
 
 _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an efficient matrix product
 
@@ -59,11 +59,11 @@ class MeasurementMatrix:
         path: Path,
         model: ForwardModel,
         position_m: Floats,
-        phase: PointPhase | None = None,
+        field: PointField | None = None,
         *,
         progress: OnFraction | None = None,
     ) -> Self:
-        """Compute the matrix of `model` behind `phase` (None: the reference) for points (point, xy), and write it.
+        """Compute the matrix of `model` behind `field` (None: the reference) for points (point, xy), and write it.
 
         The folder `path` appears when it is complete and replaces an earlier matrix. `progress` receives 0 ... 1; an
         exception that it raises ends the computation and leaves nothing behind.
@@ -89,7 +89,7 @@ class MeasurementMatrix:
             )
             for start in range(0, points, _BLOCK_POINTS):
                 end = min(start + _BLOCK_POINTS, points)
-                array[start:end] = model.point_irradiances(position_m[start:end], phase)
+                array[start:end] = model.point_irradiances(position_m[start:end], field)
                 if progress is not None:
                     progress(end / points)
             old = part.with_suffix(".old")
