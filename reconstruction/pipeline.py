@@ -13,8 +13,10 @@ from reconstruction.frame.above_dark import AboveDark
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.layers.layer_fit import LayerFit
+from reconstruction.layers.layer_modes import LayerModes
+from reconstruction.layers.layer_search import find_layers
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
+from reconstruction.layers.layered_wavefront import FREE, LayeredWavefronts, Sample, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
@@ -23,9 +25,8 @@ from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp
-from reconstruction.solve.expected_errors import ExpectedErrors
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import Sensitivity, geometric_sensitivity, response_sensitivity
+from reconstruction.solve.sensitivity import MeanGradients, Response, Sensitivity
 from reconstruction.solve.weights import relative_weights
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.warp_choice import CHOSEN_WARPS, expected_error_rad2
@@ -114,10 +115,10 @@ class Reconstructor:
             self.solve(at_rest)  # fails early if the modes cannot be distinguished, and warms the caches
 
     def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
-        """Measure the wavefront of a frame: `register`, then `solve`."""
+        """Measure the wavefront of a frame: `register`, find the `sample`, then `solve`."""
         displacement = self.register(frame)
         try:
-            return self.solve(displacement, bias=bias)
+            return self.solve(displacement, bias=bias, sample=self.find_sample(displacement))
         except ReconstructionError as error:
             raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
@@ -146,7 +147,28 @@ class Reconstructor:
             )
         return displacement
 
-    def solve(self, displacement: Displacement, *, bias: Floats | None = None) -> Wavefront:
+    def find_sample(self, displacement: Displacement, check: Callable[[], None] = lambda: None) -> Sample:
+        """Find the layers of the sample, if they may be assumed and explain the displacements.
+
+        It takes some tenths of a second, or some seconds if one layer does not suffice. `check` is called often; its
+        exception ends the search.
+        """
+        if not self.may_be_layered:
+            return FREE
+        try:
+            search = find_layers(self.layers(displacement), None, check=check)
+        except ReconstructionError:  # too few lenslets, or nothing moves
+            return FREE
+        return most_probable(search, free=self._reconstruction.sample == "automatic")
+
+    @property
+    def may_be_layered(self) -> bool:
+        """True if layers may be assumed: modal reconstruction in all Legendre modes, of displacements that change."""
+        settings, modes = self._reconstruction, self._at_rest.modes
+        is_smooth = settings.method == "modal" and settings.basis == "legendre" and settings.pupil_modes is None
+        return is_smooth and settings.sample != "free" and modes.count > 1 and isinstance(self._register, GaussNewton)
+
+    def solve(self, displacement: Displacement, *, bias: Floats | None = None, sample: Sample = FREE) -> Wavefront:
         """Reconstruct the wavefront from displacements.
 
         `bias` (lenslet_row, lenslet_column, field_mode, xy), px, a known systematic error, is subtracted first.
@@ -155,7 +177,9 @@ class Reconstructor:
             displacement = displacement.minus(bias)
         weights = self.weights_of(displacement)
         solution: Solution
-        if self._modal is None:
+        if sample.ratios:
+            solution = self._layered(displacement, weights, sample)
+        elif self._modal is None:
             per_px = self.sensor.slope_per_px
             slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
             weights *= self._certainty
@@ -163,7 +187,7 @@ class Reconstructor:
             solution = ZonalSolution(slopes, displacement.valid, pitch_m, weights, covariance, arrangement)
         else:
             solution = self._modal(displacement, weights=weights)
-        return Wavefront.of(self.sensor, self.field, displacement, solution)
+        return Wavefront.of(self.sensor, self.field, displacement, solution, sample)
 
     def registration_for(self, reference: Image) -> RegistrationMethod:
         """Prepare the same registration for another reference (row, column), counts above the dark."""
@@ -182,18 +206,15 @@ class Reconstructor:
         return self._modal if self._modal is not None and has_them else self._solver("legendre", None)
 
     def layers(self, displacement: Displacement) -> FrameEquations:
-        """Normal equations of a frame's displacements for layers at any distance; the first takes about a second."""
-        return self._layers(displacement, self.weights_of(displacement))
-
-    def layer(self, displacement: Displacement, ratio: float) -> LayerFit:
-        """Fit one layer at a known ratio of field to pupil position; later frames take less than a millisecond."""
-        return self._layers.at(ratio)(displacement, self.weights_of(displacement))
+        """A frame's displacements, to which layers at any distance can be fitted."""
+        return self._layered.solver(displacement, self.weights_of(displacement))
 
     @cached_property
-    def _layers(self) -> LayerSolver:
-        parameters, at_rest = _parameters(self._register, self._at_rest), self._at_rest
-        errors = ExpectedErrors(self._sensitivity, parameters, at_rest.covariance, np.ones_like(at_rest.valid))
-        return LayerSolver(self.sensor, self.field, at_rest.modes, errors)
+    def _layered(self) -> LayeredWavefronts:
+        modes = self._at_rest.modes
+        solver = LayerSolver(self.sensor, self.field, modes, self.smooth)
+        parameters = _parameters(self._register, self._at_rest)
+        return LayeredWavefronts(solver, LayerModes(solver.degree, self.sensor, self.field, modes), parameters)
 
     def _prepare(
         self, light: Image, registration: RegistrationSettings
@@ -225,10 +246,10 @@ class Reconstructor:
             try:
                 model = lenslet_model(self.subimages)
                 response = linear_response(self._register, self.subimages, self._at_rest.modes, model)
-                return response_sensitivity(self.sensor, response)
+                return Response(self.sensor, response)
             except ReconstructionError as error:
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
-        return geometric_sensitivity(self.sensor, _parameters(self._register, self._at_rest))
+        return MeanGradients(self.sensor, _parameters(self._register, self._at_rest))
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
         """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""

@@ -8,18 +8,22 @@ be coarse. A round is kept if it brings the modelled displacements closer to the
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
-from reconstruction.modes.field_modes import FieldModes
-from reconstruction.modes.pupil_modes import PupilGrid, pupil_modes
+from reconstruction.layers.layered_wavefront import FREE, Sample
+from reconstruction.modes.field_modes import PolynomialModes
+from reconstruction.modes.pupil_modes import PupilGrid
 from reconstruction.pipeline import Reconstructor
+from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
-PointPhase: TypeAlias = Callable[[float, float], Image]
+PointField: TypeAlias = Callable[[float, float], NDArray[np.complex64]]
 
 _SETTLED_RAD = 1e-3  # stop below this change
 
@@ -30,10 +34,11 @@ class ImagingModel(Protocol):
     sample_x_m: Floats  # pupil positions of the phase samples: all combinations of these ...
     sample_y_m: Floats  # ... and these
 
-    def image(self, phase: PointPhase | None) -> Image:
-        """Image (row, column) of the source behind `phase`; the reference if it is None.
+    def image(self, field: PointField | None) -> Image:
+        """Image (row, column) of the source behind a sample; the reference if `field` is None.
 
-        phase(x_m, y_m) is the phase that the object point (x, y) sees at the pupil samples, (sample_y, sample_x), rad.
+        field(x_m, y_m) is the field of the object point (x, y) at the pupil samples, (sample_y, sample_x), without its
+        tilt: 1 without a sample.
         """
         ...
 
@@ -69,25 +74,23 @@ class Refinement:
         reference = model.image(None)
         self._register = reconstructor.registration_for(reference)
         self._unsaturated = np.zeros(reference.shape, np.bool_)
-        modes = pupil_modes(reconstructor.sensor, "legendre", None)
-        self._phase_at = PupilGrid(modes, reconstructor.sensor, model.sample_x_m, model.sample_y_m)
+        sample_m = model.sample_x_m, model.sample_y_m
+        self._grid = lru_cache(maxsize=2)(lambda modes: PupilGrid(modes, reconstructor.sensor, *sample_m))
 
     def bias(self, wavefront: Wavefront) -> Bias:
         """Find the bias at a wavefront: one rendered image and its registration."""
-        displacement, smooth = wavefront.displacement, self._reconstructor.smooth
-        coefficients = smooth(displacement, weights=self._reconstructor.weights_of(displacement)).coefficients
-        image = self._model.image(self._phase(coefficients, displacement.modes))
+        solution = self._smooth(wavefront)
+        image = self._model.image(self._field(solution, wavefront.displacement.modes))
         found = self._register(image, saturated=self._unsaturated)
-        expected = smooth.displacement(coefficients)
         # A lenslet lost in the model's image is left uncorrected.
-        bias = np.where(found.valid[..., None, None], found.coefficients - expected, 0.0)
+        bias = np.where(found.valid[..., None, None], found.coefficients - solution.displacement, 0.0)
         return Bias(bias, found.coefficients, wavefront.views)
 
-    def rounds(self, displacement: Displacement, most: int) -> Iterator[Round]:
+    def rounds(self, displacement: Displacement, most: int, sample: Sample = FREE) -> Iterator[Round]:
         """Refine displacements in at most `most` rounds; stop before a round that fits the measured ones worse."""
-        bias = self.bias(self._reconstructor.solve(displacement))
+        bias = self.bias(self._reconstructor.solve(displacement, sample=sample))
         for _ in range(most):
-            wavefront = self._reconstructor.solve(displacement, bias=bias.displacement)
+            wavefront = self._reconstructor.solve(displacement, bias=bias.displacement, sample=sample)
             following = self.bias(wavefront)
             common = _known(displacement, bias, following)
             misfit_px = _misfit_px(displacement, following, common)
@@ -99,14 +102,30 @@ class Refinement:
                 return
             bias = following
 
-    def _phase(self, coefficients: Floats, modes: FieldModes) -> PointPhase:
-        half_width_m = self._reconstructor.field.half_width_m
+    def _smooth(self, wavefront: Wavefront) -> ModalSolution:
+        """The wavefront in smooth modes."""
+        displacement = wavefront.displacement
+        if wavefront.sample.ratios and isinstance(wavefront.solution, ModalSolution):
+            return wavefront.solution
+        return self._reconstructor.smooth(displacement, weights=self._reconstructor.weights_of(displacement))
 
-        def phase(x_m: float, y_m: float) -> Image:
-            return self._phase_at(coefficients @ modes.values(x_m / half_width_m, y_m / half_width_m))
+    def _field(self, solution: ModalSolution, modes: PolynomialModes) -> PointField:
+        """Light of each object point on the pupil samples, gathered as the wavefront's change over the field tells."""
+        bench_field, coefficients = self._reconstructor.field, solution.coefficients
+        grid = self._grid(solution.modes)
+        half_width_m = bench_field.half_width_m
+        gathered = bench_field.collimator_focal_length_m / self._reconstructor.sensor.wavenumber_rad_per_m
 
-        return phase
+        def field(x_m: float, y_m: float) -> NDArray[np.complex64]:
+            x, y = x_m / half_width_m, y_m / half_width_m
+            wave = np.exp(1j * grid(coefficients @ modes.values(x, y)))
+            if not bench_field.neglect_propagation:
+                slopes = coefficients @ modes.gradients(x, y) * (gathered / half_width_m)  # (pupil_mode, xy)
+                (xu, xv), (yu, yv) = (grid.gradients(along) for along in slopes.T)
+                wave *= np.sqrt(np.maximum((1 + xu) * (1 + yv) - xv * yu, 0.0))
+            return wave.astype(np.complex64)
 
+        return field
 
 def _known(displacement: Displacement, *biases: Bias) -> Mask:
     """Lenslets whose measured and modelled displacements are all known, (lenslet_row, lenslet_column)."""

@@ -11,7 +11,7 @@ from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.settings import Warp
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import geometric_sensitivity
+from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.wavefront import Wavefront
 
 _PUPIL_MODES = 45  # for the predicted noise; a smooth wavefront needs about as many
@@ -48,7 +48,7 @@ def expected_error_rad2(
     modes = pupil_modes(sensor, "legendre", min(_PUPIL_MODES, lattice_count))
     solver = ModalSolver(
         modes,
-        geometric_sensitivity(sensor, parameters),
+        MeanGradients(sensor, parameters),
         parameters,
         everywhere.covariance,
         layered=layered_wavefronts(sensor, modes, at_rest.modes, parameters),

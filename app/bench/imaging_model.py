@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from app.bench.config import Bench
     from reconstruction.arrays import Floats, Image
     from reconstruction.pipeline import Reconstructor
-    from reconstruction.refinement import PointPhase
+    from reconstruction.refinement import PointField
     from reconstruction.registration.subimages import ReferenceSubimages
 
 _POINTS_PER_BLUR = 2.8  # source points per lambda f / D; fewer would be resolved
@@ -90,9 +90,9 @@ class BenchModel:
         self._light = by_pixel(light, lattice, rows, columns)  # counts, (row, column)
         self.sample_x_m, self.sample_y_m = self._model.sample_x_m, self._model.sample_y_m
 
-    def image(self, phase: PointPhase | None) -> Image:
+    def image(self, field: PointField | None) -> Image:
         """Image of the bench, counts above the dark, (row, column); see `refinement.ImagingModel`."""
-        return np.asarray(self._model.irradiance(self.source, phase) * self._light, np.float32)
+        return np.asarray(self._model.irradiance(self.source, field) * self._light, np.float32)
 
 
 def by_pixel(values: Floats, lattice: Lattice, rows: int, columns: int) -> Image:

@@ -13,7 +13,7 @@ from numpy.polynomial import legendre as series
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
 from reconstruction.modes.legendre import legendre_products
-from reconstruction.solve.evidence import log_evidence, maximize_evidence
+from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence
 
 _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 
@@ -24,11 +24,11 @@ Footprints = tuple[tuple[float, Floats], ...]  # ratio and half width (xy,), m, 
 class Layer:
     """Phase of one layer, in coordinates s = u + ratio x."""
 
-    ratio: float  # of field position to pupil position where rays meet the layer
+    ratio: float  # of field position to pupil position where rays meet the layer; negative before the lenslets
     ratio_sigma: float  # NaN if the ratio was given
     half_width_m: Floats  # of the footprint, (xy,)
     coefficients: Floats  # of the polynomials over the footprint, rad, (k,)
-    _root_covariance: Floats  # rad, (k, n)
+    root_covariance: Floats  # rad, (k, n); the components n are those of all layers of a fit
     _first: int  # the lowest polynomial of the map: 1, or 3 without tilt
 
     def phase(self, x_m: Floats, y_m: Floats, *, with_tilt: bool = False) -> Floats:
@@ -41,7 +41,7 @@ class Layer:
 
     def sigma(self, x_m: Floats, y_m: Floats) -> Floats:
         """Standard deviation of `phase`, rad."""
-        return np.asarray(np.linalg.norm(self._on(x_m, y_m, self._root_covariance, self._first), axis=-1))
+        return np.asarray(np.linalg.norm(self._on(x_m, y_m, self.root_covariance, self._first), axis=-1))
 
     def _on(self, x_m: Floats, y_m: Floats, coefficients: Floats, first: int) -> Floats:
         """Values at positions s of polynomials with coefficients (k, n), from the polynomial `first` on: (..., n)."""
@@ -62,9 +62,8 @@ class LayerFit:
     """Layers at given distances, and how well they explain the displacements."""
 
     layers: tuple[Layer, ...]
-    log_evidence: float  # of the displacements, up to a constant common to all fits of a frame
-    chi_square: float  # reduced, of the displacements about the fit, in units of their expected errors
-    misfit: float  # RMS of the displacements not explained over that of all, both in expected errors
+    quality: FitQuality
+    ratio_covariance: Floats  # of the layers' ratios, (layer, layer); 0 if they were given
 
     def wavefront(self, sensor: Sensor, x_m: float, y_m: float) -> Floats:
         """Wavefront of a field position at the lenslet centres, rad, without piston, (lenslet_row, lenslet_column)."""
@@ -91,27 +90,34 @@ class Spectrum:
         self._square = np.where(square > _UNSEEN * square[-1], square, 0.0)  # unseen ones keep the prior's variance
 
     def fit(self, moments: Moments, scale: Floats, footprints: Footprints) -> LayerFit:
-        """Fit layers with those footprints; `scale` (column,) is the prior's standard deviation over its strength.
-
-        Without footprints, the fit has no layers, only evidence and misfit.
-        """
+        """Fit layers with those footprints; `scale` (column,) is the prior's standard deviation over its strength."""
         square, vectors = self._square, self._vectors
-        seen, singular = square > 0, np.sqrt(square)
-        along = np.zeros_like(square)
-        along[seen] = (moments.columns @ vectors)[seen] / singular[seen]
-        relative = square / square[-1]
-        ratio, noise = maximize_evidence(relative, along, moments.total, moments.count)
-        evidence = log_evidence(ratio, relative, along, moments.total, moments.count)
-        kept = ratio * relative / (1 + ratio * relative)
-        left = moments.total - float(np.sum(along**2 * (1 - (1 - kept) ** 2)))
-        chi_square = left / max(moments.count - float(np.sum(kept)), 1.0)
+        ratio, noise, along = self._evidence(moments)
+        singular, relative = np.sqrt(square), square / square[-1]
         variance = noise * ratio / square[-1]  # of the prior
         found = scale * (vectors @ (variance / noise / (1 + ratio * relative) * singular * along))
         root = scale[:, None] * vectors * np.sqrt(variance / (1 + ratio * relative))
         first = 1 if len(footprints) == 1 else 3  # the tilts of two layers cannot be told apart
-        parts = (np.split(every, max(len(footprints), 1)) for every in (found, root))
+        parts = (np.split(every, len(footprints)) for every in (found, root))
         layers = tuple(
             Layer(at, math.nan, half_width_m, coefficients, covariance, first)
-            for (at, half_width_m), coefficients, covariance in zip(footprints, *parts, strict=False)
+            for (at, half_width_m), coefficients, covariance in zip(footprints, *parts, strict=True)
         )
-        return LayerFit(layers, evidence, chi_square, math.sqrt(left / moments.total))
+        return LayerFit(
+            layers,
+            fit_quality(ratio, relative, along, moments.total, moments.count),
+            np.zeros((len(layers), len(layers))),
+        )
+
+    def quality(self, moments: Moments) -> FitQuality:
+        """Quality of the fit alone."""
+        ratio, _, along = self._evidence(moments)
+        return fit_quality(ratio, self._square / self._square[-1], along, moments.total, moments.count)
+
+    def _evidence(self, moments: Moments) -> tuple[float, float, Floats]:
+        """Ratio of prior to noise variance, noise variance, and the data along the singular vectors."""
+        square, along = self._square, np.zeros_like(self._square)
+        seen = square > 0
+        along[seen] = (moments.columns @ self._vectors)[seen] / np.sqrt(square[seen])
+        ratio, noise = maximize_evidence(square / square[-1], along, moments.total, moments.count)
+        return ratio, noise, along

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.polynomial import legendre as series
 
 from reconstruction.arrays import Floats, Mask
-from reconstruction.geometry import Field
+from reconstruction.geometry import Field, Sensor
+from reconstruction.layers.layer_design import field_projection, layer_orders
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.modes.legendre import legendre_orders
-
-_NODES = 24  # along each axis of the field: exact on a square
+from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 
 
 class LayerModes:
@@ -22,30 +21,25 @@ class LayerModes:
     Both are Legendre polynomials P_i(x) P_j(y) without the constant, ordered as `legendre_orders`.
     """
 
-    def __init__(self, degree: int, field: Field, field_modes: FieldModes) -> None:
-        self.orders = np.array(legendre_orders((degree + 1) * (degree + 2) // 2))[1:]  # (k, xy)
-        self.degree = self.orders.sum(axis=1)  # (k,)
+    def __init__(self, degree: int, sensor: Sensor, field: Field, field_modes: FieldModes) -> None:
+        self._orders = layer_orders(degree)  # (k, xy)
         self._highest = degree
-        self._nodes, weights = series.leggauss(_NODES)
-        inside = field.contains(self._nodes, self._nodes[:, None])
-        values = field_modes.values(self._nodes, self._nodes[:, None]) * inside  # (field_mode, y, x)
-        weighted = values * np.outer(weights, weights)
-        gram = np.tensordot(weighted, values, axes=([1, 2], [1, 2]))
-        self._to_modes = np.tensordot(np.linalg.inv(gram), weighted, axes=1)  # (field_mode, y, x)
+        self._share = field.half_width_m / np.array(sensor.pupil_half_width_m)
+        self._nodes, self._to_modes = field_projection(field, field_modes)
+        self.pupil_modes: PupilModes = pupil_modes(sensor, "legendre", len(self._orders) + 1)
         # A layer's polynomial of degree k has no product of a higher degree in pupil and field together.
-        self.columns: Mask = self.degree[:, None] + field_modes.degree <= degree  # (pupil_mode - 1, field_mode)
+        within = self._orders.sum(axis=1)[:, None] + field_modes.degree <= degree
+        self.columns: Mask = np.asarray(within)  # (pupil_mode - 1, field_mode)
 
-    def __call__(self, ratio: Floats) -> Floats:
-        """Coefficients of every polynomial at `columns`, (column, k).
-
-        `ratio` (xy,) is the field's share of the footprint over the pupil's: ratio times the half width of the field
-        over that of the lattice.
-        """
-        along_x, along_y = (self._along(float(of_axis)) for of_axis in ratio)
+    def __call__(self, ratio: float) -> Floats:
+        """Coefficients of every polynomial at `columns`, rad, (column, k)."""
+        along_x, along_y = (self._along(float(of_axis)) for of_axis in ratio * self._share)
         half = np.tensordot(self._to_modes, along_x, axes=([2], [1]))  # (field_mode, y, i, m)
-        full = np.einsum("qyim,jyn->ijnmq", half, along_y, optimize=True)
-        i, j = self.orders.T
-        products = full[i, j][:, j, i]  # (k, pupil_mode - 1, field_mode)
+        i, j = self._orders.T
+        products = np.empty((len(i), *self.columns.shape))
+        for k, (i_k, j_k) in enumerate(self._orders):
+            full = np.tensordot(half[:, :, i_k], along_y[j_k], axes=([1], [0]))  # (field_mode, m, n)
+            products[k] = full[:, i, j].T
         return np.ascontiguousarray(products[:, self.columns].T)
 
     def _along(self, ratio: float) -> Floats:

@@ -1,13 +1,14 @@
 """Distance of one layer, or two, and whether layers explain a frame.
 
-The log evidence of the displacements is a smooth function of the distances. It is searched on a grid, then refined;
-its curvature at the maximum gives the error bars, to which systematic errors of the displacements are added.
+The log evidence of the displacements is a smooth function of the distances. It is searched on a coarse grid, then
+refined; its curvature at the maximum gives the error bars, to which systematic errors of the displacements are added.
+A layer before the lenslets has a negative ratio of field to pupil position; a relay can put one behind them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy import optimize
@@ -15,14 +16,17 @@ from scipy import optimize
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_fit import LayerFit
-from reconstruction.layers.layer_solver import FrameEquations
+from reconstruction.layers.layer_solver import SKETCH_DEGREE, FrameEquations
+from reconstruction.solve.evidence import FitQuality
 
 Verdict = Literal["one layer", "two layers", "not a single layer", "not one or two layers", "not the given layers"]
 
-# The search runs over t = ratio / (1 + ratio), even between layers near the lenslets (0) and near the source (1).
-_GRID, _GRID_OF_TWO = np.linspace(0.0, 0.96, 49), np.linspace(0.0, 0.95, 20)
+# The search runs over t = ratio / (1 + |ratio|), even between layers at the lenslets (0) and at the source (-1).
+_GRID, _GRID_OF_TWO = np.linspace(-0.96, 0.96, 49), np.linspace(-0.95, 0.95, 39)
 FARTHEST_RATIO = float(_GRID[-1] / (1 - _GRID[-1]))
+_FARTHEST = 0.998  # of |t|
 _TOLERANCE = 1e-5  # of t
+_SPACING = float(_GRID[1] - _GRID[0])
 _STEP = 2e-3  # of t, for the curvature
 # Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first it may
 # be that of the registration. Single screens leave 0.004, and 0.017 in noise; two taken for one, or ten, 0.03 to 0.4.
@@ -41,7 +45,7 @@ class LayerSearch:
     one: LayerFit  # best single layer
     two: LayerFit | None  # best pair, if it was searched
     given: LayerFit | None  # at given distances
-    any_wavefront: LayerFit
+    any_wavefront: FitQuality
 
     @property
     def fit(self) -> LayerFit:
@@ -51,7 +55,7 @@ class LayerSearch:
     @property
     def unexplained(self) -> float:
         """Misfit of `fit` beyond that of any wavefront, over all displacements."""
-        return _beyond(self.fit, self.any_wavefront)
+        return _beyond(self.fit.quality, self.any_wavefront)
 
     @property
     def verdict(self) -> Verdict:
@@ -77,75 +81,89 @@ class LayerSearch:
 
     def _explains(self, fit: LayerFit) -> bool:
         least, most = _UNEXPLAINED
-        beyond = _beyond(fit, self.any_wavefront)
-        is_noise = fit.chi_square < _CHI_SQUARE * max(self.any_wavefront.chi_square, 1.0)
+        beyond = _beyond(fit.quality, self.any_wavefront)
+        is_noise = fit.quality.chi_square < _CHI_SQUARE * max(self.any_wavefront.chi_square, 1.0)
         return beyond < least or (beyond < most and is_noise)
 
 
 def find_layers(
-    equations: FrameEquations, count: int = 1, *, at: tuple[float, ...] = (), check: Callable[[], None] = lambda: None
+    equations: FrameEquations, count: int | None = 1, *, at: tuple[float, ...] = (), check: Callable[[], None] = lambda: None
 ) -> LayerSearch:
     """Find the distance of one layer, or two, unless the ratios are given by `at`.
+
+    Without a `count`, two are searched for if one explains the displacements worse than any wavefront.
 
     `check` is called before each fit; its exception ends the search. Raises `ReconstructionError` for other than one or
     two layers.
     """
-    if count not in {1, 2} or len(at) > 2 or len(set(at)) < len(at):
+    if count not in {None, 1, 2} or len(at) > 2 or len(set(at)) < len(at):
         raise ReconstructionError("one layer can be found, or two, at different distances")
+
+    def sketch_at(*t: float) -> FitQuality:
+        check()
+        return equations.quality(*map(_ratio, t), degree=SKETCH_DEGREE)
 
     def fit_at(*t: float) -> LayerFit:
         check()
         return equations.fit(*map(_ratio, t))
 
-    tried = [fit_at(t) for t in _GRID]
-    best = _GRID[int(np.argmax([fit.log_evidence for fit in tried]))]
-    one = _refined(equations, fit_at, (float(best),))
+    tried = [sketch_at(t) for t in _GRID]
+    best = _GRID[int(np.argmax([quality.log_evidence for quality in tried]))]
+    one = _refined(equations, sketch_at, fit_at, (float(best),))
+    any_wavefront = equations.any_wavefront()
     two = None
-    if count == 2 and not at:
-        start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: fit_at(*pair).log_evidence)
-        two = _refined(equations, fit_at, tuple(map(float, start)))
+    if not at and (count == 2 or (count is None and one.quality.log_evidence < any_wavefront.log_evidence)):
+        start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: sketch_at(*pair).log_evidence)
+        two = _refined(equations, sketch_at, fit_at, tuple(map(float, start)))
     return LayerSearch(
         ratios=np.array([_ratio(t) for t in _GRID]),
-        misfits=np.array([fit.misfit for fit in tried]),
-        chi_squares=np.array([fit.chi_square for fit in tried]),
+        misfits=np.array([quality.misfit for quality in tried]),
+        chi_squares=np.array([quality.chi_square for quality in tried]),
         one=one,
         two=two,
         given=equations.fit(*sorted(at)) if at else None,
-        any_wavefront=equations.any_wavefront(),
+        any_wavefront=any_wavefront,
     )
 
 
 def _ratio(t: float) -> float:
-    return float(t / (1 - t))
+    t = min(max(t, -_FARTHEST), _FARTHEST)
+    return float(t / (1 - abs(t)))
 
 
-def _refined(equations: FrameEquations, fit_at: Callable[..., LayerFit], start: tuple[float, ...]) -> LayerFit:
+def _refined(
+    equations: FrameEquations,
+    sketch_at: Callable[..., FitQuality],
+    fit_at: Callable[..., LayerFit],
+    start: tuple[float, ...],
+) -> LayerFit:
     """Maximise the evidence over the distances, from a start in t, and find their error bars."""
 
-    def cost(t: Floats) -> float:
-        return -fit_at(*np.clip(t, -_STEP, 1 - _STEP)).log_evidence
+    def sketched(t: Floats) -> float:
+        return -sketch_at(*t).log_evidence
 
-    found = optimize.minimize(
-        cost,
-        start,
-        method="Nelder-Mead",
-        options={"initial_simplex": _simplex(start), "xatol": _TOLERANCE, "fatol": 1e-4, "maxiter": 200},
-    )
-    best = np.clip(found.x, 0.0, 1 - _STEP)
+    def cost(t: Floats) -> float:
+        return -fit_at(*t).quality.log_evidence
+
+    rough = optimize.minimize(sketched, start, method="Nelder-Mead", options=_options(start, _SPACING / 2, 1e-3))
+    found = optimize.minimize(cost, rough.x, method="Nelder-Mead", options=_options(rough.x, _SPACING / 8, _TOLERANCE))
+    best = np.clip(found.x, -_FARTHEST + _STEP, _FARTHEST - _STEP)
     fit = fit_at(*best)
     before, after = ([fit_at(*best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))
     systematic = equations.distance_covariance(fit, before, after, _STEP)
-    sigma = np.sqrt(np.diag(_inverse(_curvature(cost, best)) + systematic))
+    per_t = np.array([(1 + abs(layer.ratio)) ** 2 for layer in fit.layers])
+    covariance = per_t[:, None] * (_inverse(_curvature(cost, best)) + systematic) * per_t
+    order = np.argsort([layer.ratio for layer in fit.layers])
     layers = [
-        replace(layer, ratio_sigma=float(of_t * (1 + layer.ratio) ** 2))
-        for layer, of_t in zip(fit.layers, sigma, strict=True)
+        replace(layer, ratio_sigma=float(sigma))
+        for layer, sigma in zip(fit.layers, np.sqrt(np.diag(covariance)), strict=True)
     ]
-    return replace(fit, layers=tuple(sorted(layers, key=lambda layer: layer.ratio)))
+    return replace(fit, layers=tuple(layers[i] for i in order), ratio_covariance=covariance[np.ix_(order, order)])
 
 
-def _simplex(start: tuple[float, ...]) -> Floats:
-    step = (_GRID[1] - _GRID[0]) / 2 * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
-    return np.asarray(start + step)
+def _options(start: Sequence[float] | Floats, step: float, tolerance: float) -> dict[str, Any]:
+    simplex = np.asarray(start) + step * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
+    return {"initial_simplex": simplex, "xatol": tolerance, "fatol": 1e-3, "maxiter": 200}
 
 
 def _curvature(cost: Callable[[Floats], float], at: Floats) -> Floats:
@@ -165,5 +183,5 @@ def _inverse(curvature: Floats) -> Floats:
         return np.asarray((vectors * (1 / np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _beyond(fit: LayerFit, other: LayerFit) -> float:
+def _beyond(fit: FitQuality, other: FitQuality) -> float:
     return float(np.sqrt(max(fit.misfit**2 - other.misfit**2, 0.0)))

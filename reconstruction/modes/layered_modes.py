@@ -14,10 +14,11 @@ from scipy.sparse.csgraph import connected_components
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
-from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes
+from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes, gradient_basis
 from reconstruction.modes.pupil_modes import PupilModes
 
 _DEPENDENT = 1e-9  # of a row's largest element; independent rows leave 0.3
+_ROTATES = 1e-5  # share of a rotation in a parameter of the warp, which is in single precision
 _ROUNDING = 1e-10  # of a mode's largest coefficient; its derivatives have true ones far above
 
 
@@ -63,7 +64,10 @@ def layered_wavefronts(
 
     None if the parameters of the warp (K, 2Q) contain rotation.
     """
-    if len(parameters) == 2 * field_modes.count or not isinstance(field_modes, LegendreModes | ZernikeModes):
+    if not isinstance(field_modes, LegendreModes | ZernikeModes):
+        return None
+    gradients = gradient_basis(field_modes)
+    if not np.allclose(parameters @ gradients.T @ gradients, parameters, atol=_ROTATES):
         return None
     half_width_m = np.array(sensor.pupil_half_width_m)
 

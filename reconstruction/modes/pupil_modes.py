@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.polynomial import legendre as series
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.geometry import Sensor, centered_steps
+from reconstruction.geometry import Arrangement, Sensor, centered_steps
 from reconstruction.modes.legendre import (
     legendre,
     legendre_gradients,
@@ -81,20 +82,29 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
     )
 
 
-def _hexagon_means(gradients: Callable[[Floats, Floats], Floats], sensor: Sensor, unit_m: Floats) -> Floats:
-    """Means over hexagonal lenslets of gradients (mode, *shape, xy) at positions in `unit_m` (xy,).
+def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
+    """Positions about a lenslet's centre, in pitches, (node, xy), and weights, (node,), of a mean over its aperture.
 
-    The Gauss-Legendre rule, along x and between the edges along y, is exact up to degree 16 of the modes.
+    Gauss-Legendre rules, exact up to degree 16 of a gradient's mode.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_HIGHEST_DEGREE // 2 + 1)
+    if arrangement == "square":
+        x, y = (grid.ravel() / 2 for grid in np.meshgrid(nodes, nodes))
+        return np.stack([x, y], axis=-1), np.outer(weights, weights).ravel() / 4
     along = (nodes + 1) / 4  # of the right half, in pitches
     edge = (1 - along) / math.sqrt(3)  # upper one
+    x, height = np.concatenate([along, -along]), np.concatenate([edge, edge])
+    position = np.stack([np.repeat(x, nodes.size), np.outer(height, nodes).ravel()], axis=-1)
+    share = np.outer(np.tile(weights, 2) * height, weights).ravel()
+    return position, share / share.sum()
+
+
+def _hexagon_means(gradients: Callable[[Floats, Floats], Floats], sensor: Sensor, unit_m: Floats) -> Floats:
+    """Means over hexagonal lenslets of gradients (mode, *shape, xy) at positions in `unit_m` (xy,)."""
     centers_m, total = sensor.lenslet_centers_m, 0.0
-    area = 4 * float(weights @ edge)
-    for x, height, share in zip((*along, *-along), (*edge, *edge), (*weights, *weights), strict=True):
-        for node, weight in zip(nodes, weights, strict=True):
-            at = (centers_m + np.array([x, height * node]) * sensor.lenslet_pitch_m) / unit_m
-            total = total + share * height * weight / area * gradients(at[..., 0], at[..., 1])
+    for position, share in zip(*aperture_rule(sensor.arrangement), strict=True):
+        at = (centers_m + position * sensor.lenslet_pitch_m) / unit_m
+        total = total + share * gradients(at[..., 0], at[..., 1])
     return np.asarray(total)
 
 
@@ -103,13 +113,26 @@ class PupilGrid:
 
     def __init__(self, modes: PupilModes, sensor: Sensor, x_m: Floats, y_m: Floats) -> None:
         """Prepare for all combinations of the pupil positions x_m (x,) and y_m (y,)."""
-        half_x_m, half_y_m = sensor.pupil_half_width_m
-        highest = modes.products.shape[1] - 1
         self._products = modes.products
-        self._along_x = np.polynomial.legendre.legvander(x_m / half_x_m, highest).T.astype(np.float32)
-        self._along_y = np.polynomial.legendre.legvander(y_m / half_y_m, highest).astype(np.float32)
+        highest = modes.products.shape[1] - 1
+        derive = series.legder(np.eye(highest + 1)) if highest else np.zeros((1, 1))
+        (self._along_x, self._slope_x), (self._along_y, self._slope_y) = (
+            (
+                series.legvander(at_m / half_m, highest).astype(np.float32),
+                (series.legvander(at_m / half_m, len(derive) - 1) @ derive / half_m).astype(np.float32),
+            )
+            for at_m, half_m in zip((x_m, y_m), sensor.pupil_half_width_m, strict=True)
+        )
 
     def __call__(self, coefficients: Floats) -> Image:
         """Phase (y, x), rad, of a wavefront with the `coefficients` (pupil_mode,), rad."""
+        return self._on(coefficients, self._along_y, self._along_x)
+
+    def gradients(self, coefficients: Floats) -> tuple[Image, Image]:
+        """Derivatives of the phase along x and along y, rad/m, each (y, x)."""
+        along_x = self._on(coefficients, self._along_y, self._slope_x)
+        return along_x, self._on(coefficients, self._slope_y, self._along_x)
+
+    def _on(self, coefficients: Floats, of_y: Image, of_x: Image) -> Image:
         products = np.tensordot(coefficients, self._products, axes=1).astype(np.float32)
-        return np.asarray(self._along_y @ (products @ self._along_x), np.float32)
+        return np.asarray(of_y @ (products @ of_x.T), np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.modes.field_modes import FieldModes
+from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.source_brightness import mean_subimage
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -29,16 +29,17 @@ class LensletModel(Protocol):
         """Image without a sample, (row, column), a share of the lenslet's light."""
         ...
 
-    def derivatives(self, degree: int, field_values: Floats) -> Floats:
+    def derivatives(self, degree: int, values: Floats, gradients: Floats) -> Floats:
         """Change of `image` per rad of the wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
 
-        From T_q at the object points, (field_mode, point), to (n, m, field_mode, row, column).
+        From T_q at the object points, (field_mode, point), and its normalised gradients, (field_mode, point, xy), to
+        (n, m, field_mode, row, column).
         """
         ...
 
 
 def linear_response(
-    registration: GaussNewton, reference: ReferenceSubimages, modes: FieldModes, model: LensletModel
+    registration: GaussNewton, reference: ReferenceSubimages, modes: PolynomialModes, model: LensletModel
 ) -> Floats:
     """Parameters of each lenslet's warp caused by local wavefronts P_m(xi) P_n(eta) T_q, to first order.
 
@@ -59,4 +60,5 @@ def linear_response(
         raise ReconstructionError(
             f"the modelled reference differs from the measured one by {100 * misfit:.0f} % of its contrast"
         )
-    return registration.response(image, model.derivatives(_DEGREE, modes.values(*model.position.T)))
+    x, y = model.position.T
+    return registration.response(image, model.derivatives(_DEGREE, modes.values(x, y), modes.gradients(x, y)))

@@ -3,10 +3,22 @@
 MacKay, Neural Computation 4, 415 (1992).
 """
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.runtime.compilation import compiled
+
+
+class FitQuality(NamedTuple):
+    """How well a model explains the displacements of a frame."""
+
+    log_evidence: float  # up to a constant common to all models of a frame
+    chi_square: float  # reduced, of the displacements about the fit, in units of their expected errors
+    misfit: float  # RMS of the displacements not explained over that of all, both in expected errors
+
 
 # Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
 _PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
@@ -38,6 +50,15 @@ def log_evidence(ratio: float, square: Floats, along: Floats, total: float, coun
     """Log evidence of a ratio of prior to noise variance, up to a constant; arguments as in `maximize_evidence`."""
     evidence, _ = _evidence(ratio, square, along**2, max(total - float(along @ along), 0.0), count)
     return float(evidence)
+
+
+def fit_quality(ratio: float, square: Floats, along: Floats, total: float, count: int) -> FitQuality:
+    """Quality of the fit with a ratio of prior to noise variance; arguments as in `maximize_evidence`."""
+    kept = ratio * square / (1 + ratio * square)
+    left = max(total - float(np.sum(along**2 * (1 - (1 - kept) ** 2))), 0.0)
+    chi_square = left / max(count - float(np.sum(kept)), 1.0)
+    evidence = log_evidence(ratio, square, along, total, count)
+    return FitQuality(evidence, chi_square, math.sqrt(left / total) if total > 0 else 0.0)
 
 
 @compiled

@@ -49,6 +49,14 @@ class ExpectedErrors:
         used = displacement.valid.ravel() & self.is_usable
         return np.asarray(np.matvec(self._whiten, np.where(used[:, None], data, 0.0)))
 
+    @property
+    def response(self) -> Floats:
+        """Whitened response to local wavefronts, per rad, (L, K, n, m, field_mode); 0 where unusable."""
+        whitened = self._whiten * self.is_usable[:, None, None]
+        per_rad = np.moveaxis(self._sensitivity.response, -1, 1)  # (lenslet or 1, K, n, m, field_mode)
+        found = np.matmul(whitened, per_rad.reshape(*per_rad.shape[:2], -1))
+        return np.asarray(found.reshape(*found.shape[:2], *per_rad.shape[2:]))
+
     def rows(self, modes: PupilModes, some: Lenslets) -> Floats:
         """Whitened displacements of some lenslets per rad, (lenslet * K, (pupil_mode - 1) * field_mode)."""
         sensitivity = self._sensitivity(modes, some)

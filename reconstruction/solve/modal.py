@@ -4,38 +4,50 @@ The parameters of all lenslets' warps (`sensitivity`) are linear in e_pq. One re
 them with the full covariance of each lenslet. Wavefronts of layered samples span a subspace (`layered_modes`): of
 119 x 10 coefficients 560 are free.
 
-The smoothness prior: each coefficient is normally distributed about zero with standard deviation s n^-5 t^m, n and m
-the degrees of R_p and T_q. The strength s and the noise level maximise the evidence of the data (MacKay, Neural
-Computation 4, 415, 1992); t is fixed, because results hardly depend on it. So there may be as many modes as the lattice
-carries, and lost lenslets are bridged by their neighbours.
+The smoothness prior: each coefficient is normally distributed about zero with standard deviation s (n + m)^-5 t^m, n
+and m the degrees of R_p and T_q: a layer's polynomial has their sum. The strength s and the noise level maximise the
+evidence of the data (MacKay, Neural Computation 4, 415, 1992); t is fixed, because results hardly depend on it. So
+there may be as many modes as the lattice carries, lost lenslets are bridged by their neighbours, and what the source
+does not show has the prior's variance.
 
 Everything but two matrix-vector products is prepared with the reference. Lost and faint lenslets are taken out of the
 prepared equations by down-dating.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy import ndimage
 
-from reconstruction.arrays import Floats
+from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
-from reconstruction.solve.evidence import maximize_evidence
+from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence
 from reconstruction.solve.expected_errors import ExpectedErrors
-from reconstruction.solve.modal_solution import Equations, ModalSolution
+from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
 from reconstruction.solve.sensitivity import Sensitivity
 
-_PRIOR_EXPONENT = 5.0  # of the pupil degree; with 4 the residuals at 100,000 e- are a fifth larger
+_PRIOR_EXPONENT = 5.0  # of the degree; with 4 the residuals at 100,000 e- are a fifth larger
 _PRIOR_PER_FIELD_DEGREE = 0.5  # t; with 0.25 or 1, residuals changed by 15 % at most, in most cases by 3 %
 _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
+_NOTHING = 1e-18  # eigenvalue over the largest, of what the displacements do not show
 # Without a prior: largest variance of the wavefront in one component over the median component's. It is below 2000 for
 # as many modes as the lattice carries, and above 20 000 for a tenth more.
 _AMPLIFICATION = 1e4
 _AT_ONCE = 64  # lenslets whose design matrix is in memory at a time
 _TINY = np.finfo(np.float64).tiny
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """The problem of some lenslets in independent components: data = singular x + noise, e = scaled x."""
+
+    singular: Floats  # (n,)
+    vectors: Floats | None  # of the down-dated equations in the prepared components, (n, n); None if these are all
+    scaled: Image  # ((pupil_mode - 1) * field_mode, n)
+    known: KnownModes
 
 
 class ModalSolver:
@@ -70,16 +82,17 @@ class ModalSolver:
     ) -> None:
         self._modes, self._sensitivity, self._parameters = modes, sensitivity, parameters
         field_modes = parameters.shape[1] // 2
-        self._errors = ExpectedErrors(sensitivity, parameters, covariance, modes.inside)
+        self.errors = ExpectedErrors(sensitivity, parameters, covariance, modes.inside)
         self._lenslets = modes.inside.size
         self._is_smooth = field_degree is not None
         scale = np.ones((len(modes.degree) - 1, field_modes))
         if field_degree is not None:
-            scale = modes.degree[1:, None] ** -_PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
+            degree = modes.degree[1:, None] + field_degree
+            scale = degree**-_PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
         self._unknowns = basis.shape[1]
-        rows = [self._errors.rows(modes, some) @ basis for some in self._chunks()]
-        self._singular, vectors = _decompose(rows)
+        rows = [self.errors.rows(modes, some) @ basis for some in self._chunks()]
+        self._singular, vectors = self._seen(*np.linalg.eigh(sum(some.T @ some for some in rows)))
         self._scaled = basis @ vectors
         self._left_singular = self._scaled / self._singular  # to left singular vectors, see `ExpectedErrors.rows`
         to_left = vectors / self._singular
@@ -87,33 +100,22 @@ class ModalSolver:
         self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
         self._equations = lru_cache(maxsize=16)(self._down_dated)
         if not self._is_smooth:
-            self._equations(self._errors.is_usable.astype(np.float64).tobytes())  # fails early
+            self._equations(self.errors.is_usable.astype(np.float64).tobytes())  # fails early
 
     def __call__(self, displacement: Displacement, *, weights: Floats | None = None) -> ModalSolution:
         """Fit the displacements of the valid lenslets inside the pupil.
 
         `weights` (lenslet_row, lenslet_column), 1 by default, are relative to the expected certainty.
         """
-        share = self._errors.share(displacement, weights)
-        equations = self._equations(share.tobytes())
-        data = self._errors.whitened(displacement)
-        weighted = share[:, None] * data
-        along = (self._across @ weighted.ravel().astype(np.float32)).astype(np.float64)
-        if equations.vectors is not None:
-            along = np.vecmat(self._singular * along, equations.vectors) / equations.singular
-        singular, total, count = (
-            equations.singular,
-            float(np.vdot(data, weighted)),
-            np.count_nonzero(share) * data.shape[1],
-        )
-        square = singular**2
+        equations, along, total, count, share = self._components(displacement, weights)
+        singular, square = equations.singular, equations.singular**2
         if self._is_smooth:
             ratio, noise = maximize_evidence(square / np.max(square), along, total, count)
             ratio /= np.max(square)
             variance = ratio / (1 + ratio * square)  # over that of the noise
         else:
             variance = 1 / square
-            noise = self._errors.share_of_noise
+            noise = self.errors.share_of_noise
             if noise == 0 and count > len(square):  # unknown: the misfit shows it
                 noise = max(total - float(along @ along), _TINY) / (count - len(square))
         found = variance * singular * along
@@ -123,12 +125,36 @@ class ModalSolver:
         def fitted() -> Floats:
             prepared = found if equations.vectors is None else equations.vectors @ found
             whitened = (self._singular * prepared).astype(np.float32) @ self._across
-            return np.asarray(np.matvec(self._errors.colour, whitened.reshape(len(share), -1)))
+            return np.asarray(np.matvec(self.errors.colour, whitened.reshape(len(share), -1)))
+
+        def root_covariance() -> Image:
+            root = equations.scaled * np.sqrt(noise * variance).astype(np.float32)
+            return root.reshape(len(coefficients) - 1, coefficients.shape[1], -1)
 
         freedom = count - float(np.sum(variance * square))
         return ModalSolution(
-            coefficients, self._modes, equations, noise * variance, freedom, displacement, self._parameters, fitted
+            coefficients, equations.known, root_covariance, freedom, displacement, self._parameters, fitted
         )
+
+    def quality(self, displacement: Displacement, *, weights: Floats | None = None) -> FitQuality:
+        """How well wavefronts with the smoothness prior explain displacements."""
+        equations, along, total, count, _ = self._components(displacement, weights)
+        relative = (equations.singular / np.max(equations.singular)) ** 2
+        ratio, _ = maximize_evidence(relative, along, total, count)
+        return fit_quality(ratio, relative, along, total, count)
+
+    def _components(
+        self, displacement: Displacement, weights: Floats | None
+    ) -> tuple["_Equations", Floats, float, int, Floats]:
+        """Equations of the lenslets used; data along their components, their sum of squares and number; shares (L,)."""
+        share = self.errors.share(displacement, weights)
+        equations = self._equations(share.tobytes())
+        data = self.errors.whitened(displacement)
+        weighted = share[:, None] * data
+        along = (self._across @ weighted.ravel().astype(np.float32)).astype(np.float64)
+        if equations.vectors is not None:
+            along = np.vecmat(self._singular * along, equations.vectors) / equations.singular
+        return equations, along, float(np.vdot(data, weighted)), np.count_nonzero(share) * data.shape[1], share
 
     def displacement(self, coefficients: Floats) -> Floats:
         """Displacements expected of coefficients (pupil_mode, field_mode), rad: px, (row, column, field_mode, xy)."""
@@ -142,29 +168,35 @@ class ModalSolver:
     def _chunks(self) -> list[slice]:
         return [slice(first, first + _AT_ONCE) for first in range(0, self._lenslets, _AT_ONCE)]
 
-    def _down_dated(self, share_bytes: bytes) -> Equations:
+    def _down_dated(self, share_bytes: bytes) -> "_Equations":
         """The equations of lenslets with that share of their certainty, (lenslet,)."""
         share = np.frombuffer(share_bytes)
         known = (share > 0).reshape(self._modes.inside.shape)
-        lost = np.flatnonzero(self._errors.is_usable & (share < 1))
+        lost = np.flatnonzero(self.errors.is_usable & (share < 1))
         singular, vectors, scaled = self._singular, None, self._scaled
         if lost.size:
             # In double precision: what only these lenslets show must vanish.
-            missing = self._errors.rows(self._modes, lost) @ self._left_singular
+            missing = self.errors.rows(self._modes, lost) @ self._left_singular
             missing = missing.reshape(lost.size, -1, len(singular))
             weighted = (1 - share[lost, None, None]) * missing
             left = np.eye(len(singular)) - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
-            square, vectors = np.linalg.eigh(singular[:, None] * left * singular)
-            seen = square > _UNSEEN * max(square[-1], _TINY)
-            singular, vectors = np.sqrt(square[seen]), vectors[:, seen]
+            singular, vectors = self._seen(*np.linalg.eigh(singular[:, None] * left * singular))
             scaled = scaled @ vectors
-        if self._is_smooth:  # extrapolate by one lenslet only
-            known = self._modes.inside & ndimage.binary_dilation(known, structure=np.ones((3, 3), np.bool_))
-        values = self._modes.values[1:, known]
-        values -= values.mean(axis=1, keepdims=True) if known.any() else 0.0
+        known = known_modes(self._modes, known, extrapolate=self._is_smooth)
         if not self._is_smooth:
-            self._require_distinct(values, scaled / singular)
-        return Equations(singular, vectors, scaled.astype(np.float32), known, values)
+            self._require_distinct(known.values, scaled / singular)
+        return _Equations(singular, vectors, scaled.astype(np.float32), known)
+
+    def _seen(self, square: Floats, vectors: Floats) -> tuple[Floats, Floats]:
+        """Singular values (n,) and vectors of the components that the displacements show.
+
+        With a prior the others stay, too: their variance is that of the prior.
+        """
+        least = max(square[-1], _TINY)
+        if self._is_smooth:
+            return np.sqrt(np.maximum(square, _NOTHING * least)), vectors
+        seen = square > _UNSEEN * least
+        return np.sqrt(square[seen]), vectors[:, seen]
 
     def _require_distinct(self, values: Floats, scaled: Floats) -> None:
         """Raise if a component without a prior is unseen, or its noise dominates the wavefront at the lenslets.
@@ -181,10 +213,3 @@ class ModalSolver:
             f"{values.shape[1]} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
             " lower pupil_modes, or leave it out"
         )
-
-
-def _decompose(rows: list[Floats]) -> tuple[Floats, Floats]:
-    """Singular values of the design matrix, given in parts, and its right singular vectors, (column, n)."""
-    square, vectors = np.linalg.eigh(sum(some.T @ some for some in rows))
-    seen = square > _UNSEEN * square[-1]
-    return np.sqrt(square[seen]), vectors[:, seen]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import ndimage
 
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
@@ -12,14 +13,21 @@ from reconstruction.modes.pupil_modes import PupilModes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Equations:
-    """The problem of some lenslets in independent components: data = singular x + noise, e = scaled x."""
+class KnownModes:
+    """Pupil modes where the wavefront is known."""
 
-    singular: Floats  # (n,)
-    vectors: Floats | None  # of the down-dated equations in the prepared components, (n, n); None if these are all
-    scaled: Image  # ((pupil_mode - 1) * field_mode, n)
-    known: Mask  # where the wavefront is known, (lenslet_row, lenslet_column)
-    values: Floats  # of the pupil modes there, minus their means, (pupil_mode - 1, known lenslet)
+    modes: PupilModes
+    lenslets: Mask  # (lenslet_row, lenslet_column)
+    values: Floats  # of the modes there, minus their means, (pupil_mode - 1, known lenslet)
+
+
+def known_modes(modes: PupilModes, used: Mask, *, extrapolate: bool) -> KnownModes:
+    """Modes at the lenslets used, and if a prior bridges lost ones at their neighbours, too."""
+    if extrapolate:
+        used = modes.inside & ndimage.binary_dilation(used, structure=np.ones((3, 3), np.bool_))
+    values = modes.values[1:, used]
+    values -= values.mean(axis=1, keepdims=True) if used.any() else 0.0
+    return KnownModes(modes, used, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,22 +35,26 @@ class ModalSolution:
     """Dual-orthogonal coefficients of one wavefront; error bars are computed on request."""
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
-    modes: PupilModes
-    _equations: Equations
-    _variance: Floats  # of the components x, (n,)
+    _known: KnownModes
+    _root_covariance: Callable[[], Image]
     _freedom: float  # number of data minus that of the components which they determine
     _displacement: Displacement
     _parameters: Floats  # (K, 2Q)
     _fitted: Callable[[], Floats]  # parameters of the fit, px, (lenslet, K)
 
     @property
+    def modes(self) -> PupilModes:
+        """The pupil modes."""
+        return self._known.modes
+
+    @property
     def known(self) -> Mask:
         """Lenslets at which the wavefront is known, (lenslet_row, lenslet_column)."""
-        return self._equations.known
+        return self._known.lenslets
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, for values (..., field_mode) of the field modes; see `wavefront.Solution`."""
-        phase = field_modes @ (self.coefficients[1:].T @ self._equations.values)
+        phase = field_modes @ (self.coefficients[1:].T @ self._known.values)
         if phase.shape[-1] == self.known.size:
             return phase.reshape(*phase.shape[:-1], *self.known.shape)
         wavefront = np.full((*phase.shape[:-1], *self.known.shape), np.nan)
@@ -60,9 +72,9 @@ class ModalSolution:
 
         From field modes (field_mode,) to rad, (lenslet_row, lenslet_column, n); their squares add to the variance.
         """
-        deviations = np.full((*self.known.shape, len(self._variance)), np.nan, np.float32)
+        deviations = np.full((*self.known.shape, self.root_covariance.shape[2]), np.nan, np.float32)
         at = field_modes.astype(np.float32) @ self.root_covariance
-        deviations[self.known] = self._equations.values.T.astype(np.float32) @ at
+        deviations[self.known] = self._known.values.T.astype(np.float32) @ at
         return deviations
 
     @cached_property
@@ -79,15 +91,19 @@ class ModalSolution:
         It includes the noise of the displacements and what the prior suppresses.
         """
         shape = self.root_covariance.shape[:2]
-        flat = self.root_covariance.reshape(-1, len(self._variance)).astype(np.float64)
+        flat = self.root_covariance.reshape(-1, self.root_covariance.shape[2]).astype(np.float64)
         return (flat @ flat.T).reshape(*shape, *shape)
+
+    @property
+    def displacement(self) -> Floats:
+        """Displacements that the registration finds for this wavefront, px, (row, column, field_mode, xy)."""
+        fitted = (self._fitted() @ self._parameters).reshape(*self.known.shape, 2, -1)
+        return np.swapaxes(fitted, 2, 3)
 
     @cached_property
     def misfit(self) -> Floats:
         """Displacements minus those of the fit, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where lost."""
-        coefficients = self._displacement.coefficients
-        fitted = (self._fitted() @ self._parameters).reshape(*coefficients.shape[:2], 2, -1)
-        return coefficients - np.swapaxes(fitted, 2, 3)
+        return self._displacement.coefficients - self.displacement
 
     @cached_property
     def chi_square(self) -> float:
@@ -103,5 +119,4 @@ class ModalSolution:
     @cached_property
     def root_covariance(self) -> Image:
         """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
-        root = self._equations.scaled * np.sqrt(self._variance).astype(np.float32)
-        return root.reshape(len(self.coefficients) - 1, self.coefficients.shape[1], -1)
+        return self._root_covariance()

@@ -4,11 +4,15 @@ The field of an object point over a lenslet is a product of functions of u and v
 |F(x)|^2 |F(y)|^2. A small wavefront a P_m(xi) P_n(eta) adds a * 2 Re[i c_m(x) c_n(y)] with c_m = conj(F) F_m, F_m the
 transform of the field times P_m. On samples symmetric about the axis, c_m is real for even m and imaginary for odd m:
 to first order only wavefronts with odd m + n change the image. A hexagonal aperture is a sum of a few such products.
+
+A wavefront that changes over the field gathers light on the lenslets, too: by a share (f1 / k) sum_j d2 phi / dx_j du_j of
+the light of an object point, which adds Re of the same products with the derivative of P_m or P_n (docs/brightness.md).
 """
 
 import math
 
 import numpy as np
+from numpy.polynomial import legendre as series
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor, centered_steps
@@ -60,6 +64,9 @@ class LensletImage:
         self._tilt_per_m = sensor.wavenumber_rad_per_m / field.collimator_focal_length_m
         self._wave_per_m = sensor.wavenumber_rad_per_m / sensor.lenslet_focal_length_m
         period_px = 2 * math.pi / self._wave_per_m * samples / sensor.aperture_width_m / sensor.pixel_pitch_m
+        # Share of light that a wavefront gathers, per rad, in units of the field's and the lenslet's half width.
+        gathered = field.collimator_focal_length_m / sensor.wavenumber_rad_per_m / field.half_width_m
+        self._gathered = 0.0 if field.neglect_propagation else 2 * gathered / sensor.aperture_width_m
         self._factors = _factors(aperture)  # along x and y, each (term, sample)
         self._terms = len(self._factors[0]) ** 2  # of a product of two fields
         self._scale = 1 / (math.sqrt(np.sum(aperture)) * period_px)  # light of a point, over one period, is 1
@@ -69,15 +76,17 @@ class LensletImage:
         along_x, along_y = (self._products(0, axis)[0] for axis in (0, 1))
         return np.asarray((along_y * np.repeat(self._light, self._terms)) @ along_x.T)
 
-    def derivatives(self, degree: int, field_values: Floats) -> Floats:
+    def derivatives(self, degree: int, values: Floats, gradients: Floats) -> Floats:
         """Derivatives of the image by wavefronts P_m(xi) P_n(eta) T_q over the lenslet, m + n <= degree.
 
         Parameters
         ----------
         degree : int
             Highest m + n.
-        field_values : (field_mode, point)
+        values : (field_mode, point)
             T_q at `position`.
+        gradients : (field_mode, point, xy)
+            Gradients of T_q there, normalised.
 
         Returns
         -------
@@ -85,13 +94,24 @@ class LensletImage:
             Change of the image per rad, as a share of the light; zero beyond the degree.
         """
         along_x, along_y = (self._products(degree, axis) for axis in (0, 1))
-        count, width = len(field_values), len(self._pixel_m)
+        derive = series.legder(np.eye(degree + 1)) if degree else np.zeros((0, 1))
+        slope_x, slope_y = (np.tensordot(derive, along[:-1], axes=(0, 0)) for along in (along_x, along_y))
+        of_phase, light_x, light_y = (
+            np.repeat(weight * self._light, self._terms, axis=1)
+            for weight in (-2 * values, self._gathered * gradients[..., 0], self._gathered * gradients[..., 1])
+        )
+        count, width = len(values), len(self._pixel_m)
         derivatives = np.zeros((degree + 1, degree + 1, count, width, width))
-        weighted = np.repeat(field_values * self._light, self._terms, axis=1)
         for n in range(degree + 1):
             for m in range((n + 1) % 2, degree + 1 - n, 2):
-                rows = (weighted[:, None] * along_y[n]).reshape(-1, weighted.shape[1])
-                derivatives[n, m] = -2 * (rows @ along_x[m].T).reshape(count, width, width)
+                # The product of two odd functions has the sign of i squared.
+                sign = 1 - 2 * (n % 2)
+                parts = [(of_phase, along_y[n], along_x[m])]
+                if self._gathered:
+                    parts += [(sign * light_x, along_y[n], slope_x[m]), (-sign * light_y, slope_y[n], along_x[m])]
+                for weight, of_y, of_x in parts:
+                    rows = (weight[:, None] * of_y).reshape(-1, weight.shape[1])
+                    derivatives[n, m] += (rows @ of_x.T).reshape(count, width, width)
         return derivatives
 
     def _products(self, degree: int, axis: int) -> Floats:

@@ -28,6 +28,8 @@ from reconstruction.registration.subimages import ReferenceSubimages
 _MODEL_ERROR = 0.02
 _NOTHING = 1e-12
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
+# Standard error over the least one, of a displacement that the reference hardly shows.
+_BLIND = 6.0
 _AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
 
 
@@ -120,14 +122,17 @@ def prepare_template(
 
     For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, the second term from the flux;
     those of gain and offset are I0 and 1. Without `noise` all pixels have equal weight. Without `rotation` the
-    displacement is the gradient of a potential over the field.
+    displacement is the gradient of a potential over the field. Displacements that the reference hardly shows are left
+    out: the inside of a uniform source shows none.
     """
     pixels = np.outer(columns, columns).ravel()
     u, v = reference.offset_px[pixels].T / reference.half_width_px
     values = modes.values(u, v)
     slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
     flux = 1 / reference.half_width_px if conserve_flux else 0.0
+    smooth = np.maximum(_smooth(reference)[:, pixels], 0)
     basis = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
+    basis = _shown(reference, pixels, smooth, values, slopes, basis, noise)
     lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
     grid = Grid(
         steps=(reference.steps_px[columns] / reference.half_width_px).astype(np.float32),
@@ -143,7 +148,6 @@ def prepare_template(
         is_gradient=not rotation,
     )
     per_pixel, per_light = [], []
-    smooth = np.maximum(_smooth(reference)[:, pixels], 0)
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, pixels], reference.gradient[some][:, pixels]
@@ -164,6 +168,30 @@ def prepare_template(
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
     return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
+
+
+def _shown(
+    reference: ReferenceSubimages,
+    pixels: Mask,
+    smooth: Floats,
+    values: Floats,
+    slopes: Floats,
+    basis: Floats,
+    noise: CameraNoise | None,
+) -> Floats:
+    """Orthonormal basis (K, 2Q) of the displacements that the mean reference shows, the best determined first."""
+    light, gradient, expected = (
+        of_lenslets[reference.lit].mean(axis=0, keepdims=True)
+        for of_lenslets in (reference.light[:, pixels], reference.gradient[:, pixels], smooth)
+    )
+    descent = _steepest_descent(light, gradient, values, slopes, basis)[0]
+    weighted = descent * (1.0 if noise is None else _weight(expected, noise))
+    normal = weighted @ descent.T
+    # Without what gain and offset explain.
+    shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
+    certainty, vectors = np.linalg.eigh(shown)
+    kept = certainty > certainty[-1] / _BLIND**2
+    return np.asarray((vectors[:, kept].T @ basis)[::-1])
 
 
 def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
