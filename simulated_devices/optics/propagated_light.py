@@ -20,7 +20,7 @@ from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.phase_unwrapping import unwrapped_phase
 from simulated_devices.optics.ray_map import RayMap
 
-_LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
+LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
 _LARGEST_SIDE = 8192  # samples; takes 4 GB
 _ROUNDING = 1e-6
 _EDGE = 2  # samples beyond the screen that the spline needs
@@ -46,6 +46,17 @@ def margin_m(slope_rad_per_m: float, distance_m: float, wavenumber_rad_per_m: fl
     """Width of the rim of a field whose light may reach the middle over `distance_m`: refraction and diffraction."""
     diffraction_m = math.sqrt(2 * math.pi / wavenumber_rad_per_m * abs(distance_m))
     return slope_rad_per_m / wavenumber_rad_per_m * abs(distance_m) + _FRESNEL_LENGTHS * diffraction_m
+
+
+def largest_step_rad(phase_rad: Floats) -> float:
+    """Largest change of the phase between neighbours, rad."""
+    return max(float(np.abs(np.diff(phase_rad, axis=axis)).max()) for axis in range(2))
+
+
+def edge_taper(count: int, width: int) -> Floats:
+    """Amplitude that rises from 0 at both ends to 1 over `width` samples, (count,)."""
+    rise = np.minimum(np.arange(count) + 0.5, np.arange(count)[::-1] + 0.5) / width
+    return np.asarray(np.sin(np.pi / 2 * np.minimum(rise, 1)) ** 2, np.float64)
 
 
 class PropagatedLight:
@@ -78,10 +89,10 @@ class PropagatedLight:
         self.ray_map = RayMap(pupil_scale=1.0, field_scale=rays.ratio)
         self.per_shift = 1 / rays.pupil_scale
         distance_m = rays.propagation_m(collimator_focal_length_m)
-        finer = max(1, math.ceil(_largest_step(screen.samples_rad) / _LARGEST_STEP_RAD))
+        finer = max(1, math.ceil(largest_step_rad(screen.samples_rad) / LARGEST_STEP_RAD))
         phase = _resampled(screen, finer)
         spacing_m = screen.sample_spacing_m / rays.pupil_scale / finer
-        slope_rad_per_m = _largest_step(phase) / spacing_m
+        slope_rad_per_m = largest_step_rad(phase) / spacing_m
         margin = math.ceil(margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m) + _EDGE
         sides = [fft.next_fast_len(count + 2 * margin) for count in phase.shape]
         if max(sides) > _LARGEST_SIDE:
@@ -93,7 +104,7 @@ class PropagatedLight:
         field = np.exp(1j * np.pad(phase, pads, mode="reflect", reflect_type="odd"))
         if amplitude is not None:
             field *= np.pad(_resampled(amplitude, finer), pads, mode="reflect")
-        along_y, along_x = (_taper(side, margin // 2) for side in sides)
+        along_y, along_x = (edge_taper(side, margin // 2) for side in sides)
         field *= along_y[:, None] * along_x
         field = fresnel_propagated(field, spacing_m, distance_m, wavenumber_rad_per_m)
         field_half_m = [half_m / rays.pupil_scale for half_m in half_width_m[::-1]]
@@ -119,11 +130,6 @@ class PropagatedLight:
         return self._spline.column(x_m)
 
 
-def _largest_step(phase_rad: Floats) -> float:
-    """Largest change of the phase between neighbours, rad."""
-    return max(float(np.abs(np.diff(phase_rad, axis=axis)).max()) for axis in range(2))
-
-
 def _resampled(screen: PhaseScreen, finer: int) -> Floats:
     """Samples of the screen's spline, `finer` times as dense, (row, column)."""
     if finer == 1:
@@ -138,9 +144,3 @@ def _middle(before: int, count: int, half_width: float) -> slice:
     """Samples about the middle of `count` ones after the first `before`, up to `half_width` and those of the spline."""
     drop = math.floor((count - 1) / 2 - half_width + _ROUNDING) - _EDGE
     return slice(before + drop, before + count - drop)
-
-
-def _taper(count: int, width: int) -> Floats:
-    """Amplitude that rises from 0 at both ends to 1 over `width` samples, (count,)."""
-    rise = np.minimum(np.arange(count) + 0.5, np.arange(count)[::-1] + 0.5) / width
-    return np.asarray(np.sin(np.pi / 2 * np.minimum(rise, 1)) ** 2, np.float64)
