@@ -1,6 +1,6 @@
 """The sample: its screen, where rays meet it, its light at the lenslets and its drift."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from simulated_devices.optics.forward_model import PointField
+from simulated_devices.optics.layered_light import Layer
 from simulated_devices.optics.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms
 from simulated_devices.optics.propagated_light import PropagatedLight
 from simulated_devices.optics.ray_map import RayMap, truth_wavefront, view_positions_m
@@ -19,11 +20,21 @@ from simulated_devices.settings import Screen, Simulation
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """A phase screen in the beam, and its light at the lenslets."""
+    """A screen in the beam, and its light at the lenslets."""
 
     screen: PhaseScreen
+    amplitude: PhaseScreen | None  # square root of its transmission; None: it absorbs nothing
     ray_map: RayMap
     light: SampleLight
+
+    def layer(self, collimator_focal_length_m: float) -> Layer:
+        """Return the screen as a layer in pupil coordinates."""
+        rays = self.ray_map
+        return Layer(
+            phase=self.screen.magnified(1 / rays.pupil_scale),
+            amplitude=None if self.amplitude is None else self.amplitude.magnified(1 / rays.pupil_scale),
+            distance_m=rays.propagation_m(collimator_focal_length_m),
+        )
 
     def field(
         self, sample_x_m: Floats, sample_y_m: Floats, field_half_width_m: float, shift_m: tuple[float, float]
@@ -81,21 +92,21 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
     else:
         size = screen_size(simulation, sensor, field, rays)
         phase, wide = _generated_phases(simulation, sensor, field, rays, size)
-    used = phase if field.neglect_propagation else wide
-    amplitude = amplitude_of(simulation, used, size if used is wide else replace(size, guard=0))
+    wide_amplitude = amplitude_of(simulation, wide, size)
+    amplitude = None if wide_amplitude is None else wide_amplitude.without_rim(size.guard)
     light: SampleLight
     if field.neglect_propagation:
         light = ScreenLight(phase, amplitude, rays)
     else:
         light = PropagatedLight(
             wide,
-            amplitude,
+            wide_amplitude,
             rays,
             half_width_m=phase.half_width_m,
             collimator_focal_length_m=field.collimator_focal_length_m,
             wavenumber_rad_per_m=sensor.wavenumber_rad_per_m,
         )
-    return Sample(screen=phase, ray_map=rays, light=light)
+    return Sample(screen=phase, amplitude=amplitude, ray_map=rays, light=light)
 
 
 def _generated_phases(

@@ -66,6 +66,14 @@ class PhaseScreen:
         """Return the screen with every phase multiplied by `factor`."""
         return PhaseScreen(self.samples_rad * factor, self.sample_spacing_m)
 
+    def magnified(self, magnification: float) -> PhaseScreen:
+        """Return the screen with every position multiplied by `magnification`."""
+        return PhaseScreen(self.samples_rad, self.sample_spacing_m * magnification)
+
+    def without_rim(self, samples: int) -> PhaseScreen:
+        """Return the screen without that many samples at each edge."""
+        return PhaseScreen(middle_of(self.samples_rad, samples), self.sample_spacing_m)
+
     def _check(self, x_m: Floats, y_m: Floats) -> None:
         for name, position_m, half_width_m in zip("xy", (x_m, y_m), self.half_width_m, strict=True):
             reach_m = float(np.abs(position_m).max(initial=0.0))
