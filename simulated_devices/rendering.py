@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
-from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointPhase
-from simulated_devices.optics.ray_map import truth_wavefront
+from simulated_devices.optics.forward_model import ForwardModel, OnFraction, PointField
 from simulated_devices.optics.source import SourcePoints, source_points
-from simulated_devices.sample import Sample, make_sample, shift_m
+from simulated_devices.sample import Sample, make_sample
+from simulated_devices.sample_screen import shift_m
 from simulated_devices.settings import Simulation
 
-_FORMAT = 3  # 3: an enlarged screen is the ensemble's own in its middle
+_FORMAT = 4  # 4: light propagates from the screen to the lenslets, and rays cross as behind a collimator
 _FOLDERS_KEPT = 12
 
 
@@ -96,22 +96,27 @@ class Renderer:
 
     def state(self, mask: str, state: int, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, with the sample in state number `state`."""
-        return self.model.irradiance(self.points(mask), self.phase(state), progress=progress)
+        return self.model.irradiance(self.points(mask), self.light(state), progress=progress)
 
     def check_rays(self) -> None:
         """Raise `ValueError` if a ray of any state would leave the screen."""
         for state in (0, self.scene.states - 1):  # the ends of a straight drift reach farthest
-            self.phase(state)
+            self.light(state)
 
     def truth_wavefront(self, state: int) -> Floats:
         """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad."""
-        scene, shift = self.scene, shift_m(self.scene.simulation, state)
-        return truth_wavefront(self.sample.screen, self.sample.ray_map, scene.sensor, scene.field, shift)
+        scene = self.scene
+        return self.sample.wavefront(scene.sensor, scene.field, shift_m(scene.simulation, state))
 
-    def phase(self, state: int) -> PointPhase:
-        """Phase of each object point with the sample in state number `state`."""
-        shift = shift_m(self.scene.simulation, state)
-        return self.model.screen_phase(self.sample.screen, self.sample.ray_map, shift)
+    def truth_intensity(self, state: int) -> Floats:
+        """Light of every view at the lenslet centres relative to the reference, shaped like the wavefront."""
+        scene = self.scene
+        return self.sample.intensity(scene.sensor, scene.field, shift_m(scene.simulation, state))
+
+    def light(self, state: int) -> PointField:
+        """Field of each object point with the sample in state number `state`."""
+        shift, half_width_m = shift_m(self.scene.simulation, state), self.scene.field.half_width_m
+        return self.sample.field(self.model.sample_x_m, self.model.sample_y_m, half_width_m, shift)
 
 
 class ImageCache:

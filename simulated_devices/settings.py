@@ -33,7 +33,7 @@ def exposure_range_s(amplifier: Amplifier, readout_speed: int) -> Range:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Screen:
-    """The sample: a thin phase screen and its place."""
+    """The sample: a thin screen and its place."""
 
     correlation_length_m: float = 2.0e-3  # sigma of the Gaussian that smooths white noise
     rms_rad: float = 4.2  # mean over the views of the wavefront's RMS; of the screen itself where pv_rad is given
@@ -42,7 +42,10 @@ class Screen:
     sample_spacing_m: float = 25e-6
     samples: int = 385  # along each axis; a larger footprint or a drift makes the generated screen larger
     placement: Literal["pupil", "source"] = "pupil"
-    distance_m: float = 0.195  # before the lenslets ("pupil") or after the mask ("source")
+    distance_m: float = 0.195  # before the lenslets ("pupil"; negative: behind them) or after the mask ("source")
+    transmission_rms: float = 0.0  # of the intensity that passes, relative to its mean, which counts as 1; log-normal
+    transmission_correlation_length_m: float = 0.5e-3  # sigma of the Gaussian that smooths its logarithm
+    transmission_file: str = ""  # a .npy or .tif array of transmitted intensity, 0 ... 1, sampled like the screen
     drift_x_m_per_s: float = 0.0
     drift_y_m_per_s: float = 0.0
 
@@ -56,7 +59,14 @@ class Screen:
                 "sample_spacing_m must be 1e-9 ... 0.01": 1e-9 <= self.sample_spacing_m <= 0.01,
                 "samples must be 8 ... 8192": 8 <= self.samples <= 8192,
                 'placement must be "pupil" or "source"': self.placement in {"pupil", "source"},
-                "distance_m must be 0 ... 100": 0 <= self.distance_m <= 100,
+                "distance_m must be -100 ... 100": -100 <= self.distance_m <= 100,
+                'distance_m must be 0 or more with placement = "source"': (
+                    self.placement == "pupil" or self.distance_m >= 0
+                ),
+                "transmission_rms must be 0 ... 10": 0 <= self.transmission_rms <= 10,
+                "transmission_correlation_length_m must be 1e-6 ... 10": (
+                    1e-6 <= self.transmission_correlation_length_m <= 10
+                ),
                 "drift_x_m_per_s must be finite": math.isfinite(self.drift_x_m_per_s),
                 "drift_y_m_per_s must be finite": math.isfinite(self.drift_y_m_per_s),
             }
@@ -128,8 +138,9 @@ class Simulation:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files of screen and mask, if there are any."""
-        return tuple(Path(file) for file in (self.screen.file, self.source.file) if file)
+        """Files of screen, transmission and mask, if there are any."""
+        files = self.screen.file, self.screen.transmission_file, self.source.file
+        return tuple(Path(file) for file in files if file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
-"""Checks of signs, axes and units with phases in closed form, for `svwfs selftest`.
+"""Checks of signs, axes and units with light in closed form, for `svwfs selftest`.
 
-A small non-square lattice, rotated and off centre, is simulated with each phase and reconstructed. A wrong sign, axis
+A small non-square lattice, rotated and off centre, is simulated with each light and reconstructed. A wrong sign, axis
 or unit gives a scale other than 1 between the result and the phase.
 """
 
@@ -34,14 +34,41 @@ LATTICE = Lattice(center_x_px=121.3, center_y_px=84.6, pitch_px=31.25, rotation_
 _TOLERANCE = 0.1  # far from the -1, 0 or 1.4 of a wrong sign, axis or unit
 
 Phase = Callable[[Floats, Floats, float, float], Floats]
-PHASES: dict[str, Phase] = {  # rad, of pupil x, y and field x, y in m
-    "tilt: light moves to +x": lambda u, _v, _x, _y: 3000.0 * u,
-    "tilt: light moves to +y": lambda _u, v, _x, _y: 3000.0 * v,
-    "defocus": lambda u, v, _x, _y: 4e5 * (u**2 + v**2),
-    "astigmatism, +x against +y": lambda u, v, _x, _y: 4e5 * (u**2 - v**2),
-    "tilt x that grows along field +x": lambda u, _v, x, _y: 3000.0 * u * x / FIELD.half_width_m,
+Intensity = Callable[[Floats, Floats], Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """Light in closed form: its phase, rad, of pupil x, y and field x, y in m, and its intensity, of pupil x, y.
+
+    What stretches a subimage gathers light by the same factor: A^2 = det(1 + (f1 / k) d^2 phi / dx du).
+    """
+
+    phase: Phase
+    intensity: Intensity = lambda u, v: np.ones(np.broadcast_shapes(u.shape, v.shape))
+
+
+_TILT_RAD_PER_M = 3000.0
+_GROWTH_RAD_PER_M2 = _TILT_RAD_PER_M / FIELD.half_width_m
+_BEND_RAD_PER_M3 = 6e5 / FIELD.half_width_m
+_GATHERED_M2 = FIELD.collimator_focal_length_m / SENSOR.wavenumber_rad_per_m  # f1 / k
+
+KNOWN: dict[str, Known] = {
+    "tilt: light moves to +x": Known(lambda u, _v, _x, _y: _TILT_RAD_PER_M * u),
+    "tilt: light moves to +y": Known(lambda _u, v, _x, _y: _TILT_RAD_PER_M * v),
+    "defocus": Known(lambda u, v, _x, _y: 4e5 * (u**2 + v**2)),
+    "astigmatism, +x against +y": Known(lambda u, v, _x, _y: 4e5 * (u**2 - v**2)),
+    "tilt x that grows along field +x": Known(
+        lambda u, _v, x, _y: _GROWTH_RAD_PER_M2 * u * x,
+        lambda u, v: np.full(np.broadcast_shapes(u.shape, v.shape), 1 + _GATHERED_M2 * _GROWTH_RAD_PER_M2),
+    ),
     # Layers that make the defocus also make astigmatism along the other axis.
-    "defocus grows along field +y": lambda u, v, x, y: 6e5 * ((u**2 + v**2) * y + 2 * u * v * x) / FIELD.half_width_m,
+    "defocus grows along field +y": Known(
+        lambda u, v, x, y: _BEND_RAD_PER_M3 * ((u**2 + v**2) * y + 2 * u * v * x),
+        lambda u, v: (
+            (1 + 2 * _GATHERED_M2 * _BEND_RAD_PER_M3 * v) ** 2 - (2 * _GATHERED_M2 * _BEND_RAD_PER_M3 * u) ** 2
+        ),
+    ),
 }
 
 
@@ -61,7 +88,7 @@ class Check:
 
 
 def run_checks() -> Iterator[Check]:
-    """Render and reconstruct every phase."""
+    """Render and reconstruct every light."""
     model = ForwardModel(SENSOR, LATTICE, FIELD, rows=FRAME_SHAPE[0], columns=FRAME_SHAPE[1], pupil_samples=12)
     source = square(Source(), object_samples=25)
     bench = Bench(
@@ -72,13 +99,15 @@ def run_checks() -> Iterator[Check]:
     )
     reconstructor = bench.reconstructor(model.irradiance(source), lattice=LATTICE)
     sample_x_m, sample_y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
-    for name, phase in PHASES.items():
+    for name, known in KNOWN.items():
+        amplitude = np.sqrt(known.intensity(sample_x_m, sample_y_m))
 
-        def of_point(x_m: float, y_m: float, phase: Phase = phase) -> NDArray[np.float32]:
-            values = phase(sample_x_m, sample_y_m, x_m, y_m)  # may depend on x or y only
-            return np.broadcast_to(values, (sample_y_m.size, sample_x_m.size)).astype(np.float32)
+        def of_point(
+            x_m: float, y_m: float, known: Known = known, amplitude: Floats = amplitude
+        ) -> NDArray[np.complex64]:
+            return (amplitude * np.exp(1j * known.phase(sample_x_m, sample_y_m, x_m, y_m))).astype(np.complex64)
 
-        yield _compare(name, _truth(phase), reconstructor(model.irradiance(source, of_point)).views)
+        yield _compare(name, _truth(known.phase), reconstructor(model.irradiance(source, of_point)).views)
 
 
 def _truth(phase: Phase) -> Floats:

@@ -1,8 +1,8 @@
 r"""Exact image of an incoherent object through a phase screen and a lenslet array.
 
 For one object point x_o the field behind a lenslet is U(u) exp(i k u.x_o / f1), U that of the light behind the sample,
-sampled at n x n cell centres u; its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2. Points
-add up by their area.
+sampled at n x n cell centres u; its image at the focal position y is I(y) = |sum_u field(u) exp(-i k u.y / f)|^2.
+Points add up by their area.
 
 The image of n samples is exactly a trigonometric polynomial with 2n - 1 terms a side and period lambda f n / D, so
 that 2n positions a side define it. All object points are therefore summed on one grid, symmetric about the lenslet's

@@ -66,6 +66,14 @@ class PhaseScreen:
         """Return the screen with every phase multiplied by `factor`."""
         return PhaseScreen(self.samples_rad * factor, self.sample_spacing_m)
 
+    def magnified(self, magnification: float) -> PhaseScreen:
+        """Return the screen with every position multiplied by `magnification`."""
+        return PhaseScreen(self.samples_rad, self.sample_spacing_m * magnification)
+
+    def without_rim(self, samples: int) -> PhaseScreen:
+        """Return the screen without that many samples at each edge."""
+        return PhaseScreen(middle_of(self.samples_rad, samples), self.sample_spacing_m)
+
     def _check(self, x_m: Floats, y_m: Floats) -> None:
         for name, position_m, half_width_m in zip("xy", (x_m, y_m), self.half_width_m, strict=True):
             reach_m = float(np.abs(position_m).max(initial=0.0))
@@ -87,6 +95,7 @@ def smooth_screen(
     sample_spacing_m: float,
     correlation_length_m: float,
     enlarged_by: int = 0,
+    guard: int = 0,
 ) -> Floats:
     """White noise smoothed by a Gaussian of standard deviation `correlation_length_m`: (samples, samples), mean 0.
 
@@ -95,25 +104,25 @@ def smooth_screen(
 
     `enlarged_by` adds that many samples on each side and keeps the middle: its noise is drawn first, and its mean is
     subtracted. If 4 sigma is no whole number of samples, the middle's outermost ring can differ by the Gaussian's last
-    tap, at most 2.5e-4 of the RMS in trials.
+    tap, at most 2.5e-4 of the RMS in trials. `guard` adds further samples around all that in the same way.
     """
     sigma = correlation_length_m / sample_spacing_m
     # The ensemble divides last; int(4 * sigma) can round differently.
     margin = int(4 * correlation_length_m / sample_spacing_m)
     noise = generator.standard_normal((samples + 2 * margin, samples + 2 * margin))
-    if enlarged_by:
-        middle, side = noise, samples + 2 * margin + 2 * enlarged_by
+    for ring in filter(None, (enlarged_by, guard)):
+        middle, side = noise, len(noise) + 2 * ring
         noise = generator.standard_normal((side, side))
-        noise[enlarged_by:-enlarged_by, enlarged_by:-enlarged_by] = middle
-    end = margin + samples + 2 * enlarged_by
+        noise[ring:-ring, ring:-ring] = middle
+    end = len(noise) - margin
     # The two passes of gaussian_filter, the second only for the rows that are kept.
     smooth = ndimage.gaussian_filter1d(noise, sigma, axis=0)[margin:end]
     smooth = ndimage.gaussian_filter1d(smooth, sigma, axis=1)[:, margin:end]
-    return np.asarray(smooth - _middle(smooth, enlarged_by).mean(), np.float64)
+    return np.asarray(smooth - middle_of(smooth, enlarged_by + guard).mean(), np.float64)
 
 
-def _middle(samples_rad: Floats, enlarged_by: int) -> Floats:
-    """Cut `enlarged_by` samples off each side."""
+def middle_of(samples_rad: Floats, enlarged_by: int) -> Floats:
+    """Cut `enlarged_by` samples off each side of a screen (row, column)."""
     return samples_rad[enlarged_by : len(samples_rad) - enlarged_by, enlarged_by : samples_rad.shape[1] - enlarged_by]
 
 
@@ -124,7 +133,7 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
     compresses them; b sets the ratio PV/RMS, and the result is scaled. Contours keep their places. If the screen is
     `enlarged_by` samples on each side, its middle has that PV and RMS.
     """
-    middle = _middle(samples_rad, enlarged_by)
+    middle = middle_of(samples_rad, enlarged_by)
     z = (samples_rad - middle.mean()) / middle.std()
 
     def mapped(bend: float, z: Floats) -> Floats:
@@ -133,7 +142,7 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
         return np.asarray(np.sinh(bend * z) if bend > 0 else np.arcsinh(-bend * z), np.float64)
 
     def excess(bend: float) -> float:
-        shaped = mapped(bend, _middle(z, enlarged_by))
+        shaped = mapped(bend, middle_of(z, enlarged_by))
         return float(np.ptp(shaped) / shaped.std()) - pv_rad / rms_rad
 
     try:
@@ -141,7 +150,7 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
     except ValueError:
         raise ValueError(f"pv_rad = {pv_rad:g} with rms_rad = {rms_rad:g} cannot be reached by this screen") from None
     shaped = mapped(bend, z)
-    middle = _middle(shaped, enlarged_by)
+    middle = middle_of(shaped, enlarged_by)
     return np.asarray((shaped - middle.mean()) * (rms_rad / middle.std()), np.float64)
 
 

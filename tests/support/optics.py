@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -14,7 +15,7 @@ from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledM
 from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
-from simulated_devices.optics.forward_model import ForwardModel, PointPhase
+from simulated_devices.optics.forward_model import ForwardModel, Images, phase_only
 from simulated_devices.optics.source import square
 from simulated_devices.settings import Source
 
@@ -69,9 +70,9 @@ class SmallBench:
         y, x = np.meshgrid(self.sensor.pupil_y_m, self.sensor.pupil_x_m, indexing="ij")
         self.pupil_x_m, self.pupil_y_m = x, y  # of the lenslet centres, (lenslet_row, lenslet_column)
 
-    def frame(self, phase: PointPhase) -> NDArray[np.float32]:
+    def frame(self, phase: Callable[[float, float], Images]) -> NDArray[np.float32]:
         """Render the frame behind a phase that each object point sees, phase(x_m, y_m) at the pupil samples."""
-        return self.model.irradiance(self.source, phase) * np.float32(1e14)
+        return self.model.irradiance(self.source, phase_only(phase)) * np.float32(1e14)
 
     def tilted(self, tilt: float, growth: float) -> tuple[NDArray[np.float32], Floats]:
         """A frame of a tilt that grows with the field's x, rad/m, and the displacements at the views it makes, px."""

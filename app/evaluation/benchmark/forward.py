@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from app.evaluation.benchmark.stopwatch import medians_s, side_by_side
 from app.evaluation.benchmark.timed_frames import TimedFrames
 from reconstruction.geometry import centered_steps
-from simulated_devices.optics.forward_model import ForwardModel
+from simulated_devices.optics.forward_model import ForwardModel, phase_only
 from simulated_devices.optics.source import SourcePoints
 
 _POINTS = 8  # along a side
@@ -45,7 +45,7 @@ def _ours(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
     position_m = _positions_m(frames, _POINTS)
     source = SourcePoints(position_m=position_m, area_m2=np.ones(len(position_m)))
-    return lambda: model.irradiance(source, lambda _x, _y: bend)
+    return lambda: model.irradiance(source, phase_only(lambda _x, _y: bend))
 
 
 def _hcipy(frames: TimedFrames) -> Callable[[], NDArray[Any]]:

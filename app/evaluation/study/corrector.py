@@ -19,8 +19,8 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import Wavefront, rms
+from simulated_devices.optics.layered_light import Layer, LayeredLight
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.rendering import Renderer
 
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)  # of the screen's distance
@@ -61,7 +61,7 @@ def predicted_and_simulated(
     for index, (corrector, at_m) in enumerate(cases, 1):
         name = f"{corrector.count} {corrector.influence.capitalize()} modes"
         progress(f"{name} at {at_m * 1e3:.0f} mm", (index - 1) / len(cases))
-        ratio = at_m / bench.field.collimator_focal_length_m
+        ratio = -at_m / bench.field.collimator_focal_length_m
         made = best_correction(before, positions_m, bench.sensor, bench.field, ratio, corrector)
         corrected, after = measured(_through(renderer, mask, made), index)
         predicted_rad, simulated_rad = made.mean_residual_rad, float(np.sqrt(np.nanmean(rms(after) ** 2)))
@@ -72,16 +72,23 @@ def predicted_and_simulated(
 
 def _through(renderer: Renderer, mask: str, made: Correction) -> Image:
     """Irradiance (row, column), m^2, with the sample and a corrector."""
-    focal_length_m = renderer.scene.field.collimator_focal_length_m
-    place = RayMap.near_pupil(distance_m=made.ratio * focal_length_m, collimator_focal_length_m=focal_length_m)
-    border_m = renderer.scene.simulation.border_lenslets * renderer.scene.sensor.lenslet_pitch_m
+    scene, model = renderer.scene, renderer.model
+    focal_length_m = scene.field.collimator_focal_length_m
+    border_m = scene.simulation.border_lenslets * scene.sensor.lenslet_pitch_m
     x_m, y_m = (
         centered_steps(2 * (int((half_m + border_m) / _SPACING_M) + _MARGIN) + 1) * _SPACING_M
         for half_m in made.half_width_m
     )
-    corrector = renderer.model.screen_phase(PhaseScreen(made.phase(x_m, y_m[:, None]), _SPACING_M), place)
-    sample = renderer.phase(0)
-    return renderer.model.irradiance(renderer.points(mask), lambda x_m, y_m: sample(x_m, y_m) + corrector(x_m, y_m))
+    corrector = Layer(
+        phase=PhaseScreen(made.phase(x_m, y_m[:, None]), _SPACING_M), distance_m=-made.ratio * focal_length_m
+    )
+    light = LayeredLight(
+        [renderer.sample.layer(focal_length_m), corrector],
+        scene.sensor,
+        scene.field,
+        pupil_half_width_m=(float(model.sample_x_m.max()), float(model.sample_y_m.max())),
+    )
+    return model.irradiance(renderer.points(mask), light.field(model.sample_x_m, model.sample_y_m))
 
 
 CORRECTOR = Sweep(

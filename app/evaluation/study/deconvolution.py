@@ -130,8 +130,8 @@ class _Photographs:
 
 
 def screen_phase(sample: Sample, x_m: float, y_m: float) -> TruePhase:
-    """Phase of a sample for light from one field position."""
-    rays, screen = sample.ray_map, sample.screen
+    """Phase of a sample's light at the lenslets from one field position."""
+    rays, screen = sample.light.ray_map, sample.light.phase
 
     def phase(u_m: Floats, v_m: Floats) -> Floats:
         along_x = screen.basis_x(rays.pupil_scale * u_m + rays.field_scale * x_m)

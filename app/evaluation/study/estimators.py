@@ -1,4 +1,4 @@
-"""Estimators under study, prepared for one reference of one bench, and the wavefront from the screen's true slopes.
+"""Estimators under study, prepared for one reference of one bench, and the wavefront from the true slopes of the light.
 
 The residual of the true slopes shows what the field and pupil modes cannot represent; any excess of an estimator comes
 from registration.
@@ -108,7 +108,7 @@ class WarpEstimators:
     ) -> Iterator[CaseResult]:
         """Compare every estimator's wavefront of a frame (row, column) with the truth, see `compared`.
 
-        With a `sample`, also compare the wavefront from the true slopes of its screen.
+        With a `sample`, also compare the wavefront from the true slopes of its light.
         """
         for warp, estimator in self.by_warp.items():
             curve = prefix + warp
@@ -192,7 +192,7 @@ def exact_wavefront(sample: Sample, reconstructor: Reconstructor, displacement: 
 
 def _mean_slopes(sample: Sample, reconstructor: Reconstructor, x_m: float, y_m: float) -> Floats:
     """Mean slope over each lenslet for the object point (x, y): (lenslet_row, lenslet_column, xy), rad/m."""
-    sensor, rays = reconstructor.sensor, sample.ray_map
+    sensor, rays = reconstructor.sensor, sample.light.ray_map
     half_m = sensor.lenslet_pitch_m / 2
     nodes, weights = np.polynomial.legendre.leggauss(_LENSLET_NODES)
     along_m, across_m = np.array([-half_m, half_m]), nodes * half_m
@@ -201,7 +201,7 @@ def _mean_slopes(sample: Sample, reconstructor: Reconstructor, x_m: float, y_m: 
         """Phase at pupil positions u, v from each lenslet's centre: (u, v, lenslet_row, lenslet_column)."""
         s_m = rays.pupil_scale * (sensor.pupil_x_m + u_m[:, None, None, None]) + rays.field_scale * x_m
         t_m = rays.pupil_scale * (sensor.pupil_y_m[:, None] + v_m[None, :, None, None]) + rays.field_scale * y_m
-        return sample.screen.at(s_m, t_m)
+        return sample.light.phase.at(s_m, t_m)
 
     x_slopes = np.tensordot(weights / 2, np.diff(at(along_m, across_m), axis=0)[0], axes=1)
     y_slopes = np.tensordot(weights / 2, np.diff(at(across_m, along_m), axis=1)[:, 0], axes=1)

@@ -164,22 +164,22 @@ class LinearPass:
 
 
 def local_screen(sample: Sample, bench: Bench, modes: LegendreModes) -> Floats:
-    """Screen as wavefronts P_m(xi) P_n(eta) T_q over each lenslet, rad, (lenslet, n, m, field_mode); 0 beyond degree 5.
+    """Phase of the light as wavefronts P_m(xi) P_n(eta) T_q over each lenslet, rad, (lenslet, n, m, field_mode).
 
-    The projection is exact up to rounding for screens that are polynomials of that degree.
+    It is 0 beyond degree 5. The projection is exact up to rounding for screens that are polynomials of that degree.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     project = np.polynomial.legendre.legvander(nodes, _DEGREE) * weights[:, None] * (np.arange(_DEGREE + 1) + 0.5)
-    sensor, rays, half_m = bench.sensor, sample.ray_map, bench.sensor.lenslet_pitch_m / 2
+    light, rays, sensor, half_m = sample.light, sample.light.ray_map, bench.sensor, bench.sensor.lenslet_pitch_m / 2
 
     def along(center_m: Floats) -> Floats:
-        """Positions on the screen, (lenslet, pupil node, field node)."""
+        """Positions in the light's plane, (lenslet, pupil node, field node)."""
         u_m = center_m[:, None, None] + half_m * nodes[:, None]
         return np.asarray(rays.pupil_scale * u_m + rays.field_scale * bench.field.half_width_m * nodes)
 
     x_m, y_m = along(sensor.pupil_x_m), along(sensor.pupil_y_m)
-    along_y, along_x = sample.screen.basis_y(y_m.ravel()), sample.screen.basis_x(x_m.ravel())
-    phase = np.asarray(along_y @ sample.screen.coefficients @ along_x.T).reshape(*y_m.shape, *x_m.shape)
+    along_y, along_x = light.phase.basis_y(y_m.ravel()), light.phase.basis_x(x_m.ravel())
+    phase = np.asarray(along_y @ light.phase.coefficients @ along_x.T).reshape(*y_m.shape, *x_m.shape)
     series = np.einsum("rjvcih,jn,im,vb,ha->rcnmba", phase, project, project, project, project, optimize=True)
     local = np.einsum("rcnmba,qba->rcnmq", series, modes.products)
     n, m = np.indices(local.shape[2:4])

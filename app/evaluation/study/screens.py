@@ -20,7 +20,6 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.refinement import distance_rad
 from reconstruction.settings import ReconstructionSettings, Warp
 from reconstruction.wavefront import Wavefront
-from simulated_devices.optics.ray_map import truth_wavefront
 from simulated_devices.sample import make_sample
 
 # The screen of the experiment, 20 mm behind the mask.
@@ -131,8 +130,7 @@ def _drifting(bench: Bench) -> Bench:
     """The bench with a drifting screen; its state k is k seconds old."""
     sample = make_sample(bench.simulation, bench.sensor, bench.field)
     here, there = (
-        truth_wavefront(sample.screen, sample.ray_map, bench.sensor, bench.field, (shift_m, shift_m))
-        for shift_m in (0.0, _STEP_M / math.sqrt(2))
+        sample.wavefront(bench.sensor, bench.field, (shift_m, shift_m)) for shift_m in (0.0, _STEP_M / math.sqrt(2))
     )
     speed_m_per_s = _DRIFT_RAD_PER_S / distance_rad(here, there) * _STEP_M
     along_m_per_s = float(

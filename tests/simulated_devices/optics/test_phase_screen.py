@@ -15,7 +15,8 @@ from support.optics import FIELD, sensor_of
 from app.bench.config import load_bench
 from simulated_devices.optics.phase_screen import PhaseScreen, read_screen, shape_to_pv_and_rms, smooth_screen
 from simulated_devices.optics.ray_map import truth_wavefront
-from simulated_devices.sample import _enlargement, make_sample, mean_view_rms, ray_map, shift_m
+from simulated_devices.sample import make_sample, mean_view_rms, ray_map
+from simulated_devices.sample_screen import screen_size, shift_m
 from simulated_devices.settings import Screen, Simulation
 
 SENSOR = sensor_of(15, 15)
@@ -46,7 +47,7 @@ def test_paper_sample_has_requested_mean_rms_over_views() -> None:
     axis = (np.arange(n) - 192) * 25e-6
     spline = RectBivariateSpline(axis, axis, raw - raw.mean())
     u = (np.arange(15) - 7) * 0.5e-3
-    views = np.array([[spline(u + 0.975 * y, u + 0.975 * x) for x in (-5e-4, 0, 5e-4)] for y in (-5e-4, 0, 5e-4)])
+    views = np.array([[spline(u - 0.975 * y, u - 0.975 * x) for x in (-5e-4, 0, 5e-4)] for y in (-5e-4, 0, 5e-4)])
     rms = views.std(axis=(2, 3))
     expected = views * (4.2 / rms.mean())
     expected -= expected.mean(axis=(2, 3), keepdims=True)
@@ -81,7 +82,9 @@ def assert_is_of_the_ensemble(
 @pytest.mark.parametrize("length_m", [1.25e-3, 1.6e-3, 2.0e-3])
 def test_samples_near_pupil_are_the_ensemble_bit_for_bit(length_m: float, seed: int) -> None:
     simulation = Simulation(seed=seed, screen=Screen(correlation_length_m=length_m))
-    assert_is_of_the_ensemble(simulation, samples=385, spacing_m=25e-6, rms_rad=4.2, pupil_scale=1.0, field_scale=0.975)
+    assert_is_of_the_ensemble(
+        simulation, samples=385, spacing_m=25e-6, rms_rad=4.2, pupil_scale=1.0, field_scale=-0.975
+    )
 
 
 @pytest.mark.soak
@@ -90,7 +93,7 @@ def test_experiment_sample_is_the_ensemble_bit_for_bit() -> None:
     assert simulation.screen.correlation_length_m == 1.2e-3
     rms_rad = simulation.screen.rms_rad  # how strong it is is the preset's own affair
     assert_is_of_the_ensemble(
-        simulation, samples=481, spacing_m=5e-6, rms_rad=rms_rad, pupil_scale=0.1, field_scale=0.9
+        simulation, samples=481, spacing_m=5e-6, rms_rad=rms_rad, pupil_scale=0.1, field_scale=-0.9
     )
 
 
@@ -199,17 +202,18 @@ def test_too_large_screen_is_refused_with_allowed_values() -> None:
     def drifting(drift_m_per_s: float) -> Simulation:
         return Simulation(screen=Screen(drift_y_m_per_s=-drift_m_per_s))
 
+    field = replace(FIELD, neglect_propagation=True)  # else there is a guard around the footprint
     for drift_m_per_s in (10.0, 1e308):
         with pytest.raises(ValueError, match=r"^drift_x_m_per_s .* drifting_states .* sample_spacing_m ") as caught:
-            make_sample(drifting(drift_m_per_s), SENSOR, FIELD)
+            make_sample(drifting(drift_m_per_s), SENSOR, field)
     allowed = float(str(caught.value).split("at most ")[1].split()[0])
-    assert allowed == pytest.approx((12000 / 2 * 25e-6 - 8e-3 - 4.3e-3) / (48 * 0.1), rel=0.01)
+    assert allowed == pytest.approx((8000 / 2 * 25e-6 - 8e-3 - 4.3e-3) / (48 * 0.1), rel=0.01)
     rays = ray_map(Screen(), FIELD)
-    enlarged_by = _enlargement(drifting(allowed), SENSOR, FIELD, rays)
-    assert 11900 < 385 + 2 * enlarged_by + 2 * 320 <= 12000
+    size = screen_size(drifting(allowed), SENSOR, field, rays)
+    assert 7900 < 385 + 2 * (size.enlarged_by + size.guard) + 2 * 320 <= 8000
     for screen in (Screen(sample_spacing_m=1e-9), Screen(correlation_length_m=10.0)):
         with pytest.raises(ValueError, match=r"^sample_spacing_m must be larger .* samples a side"):
-            make_sample(Simulation(screen=screen), SENSOR, FIELD)
+            make_sample(Simulation(screen=screen), SENSOR, field)
 
 
 def test_screens_are_read_from_files(tmp_path: Path) -> None:

@@ -1,0 +1,146 @@
+r"""Light of a thin screen at the lenslets, with what diffraction does on the way.
+
+The light of one object point behind the screen is exp(i Phi) sqrt(transmission) times the point's tilt. Fresnel
+propagation shifts with the tilt, so the field at the lenslets is U_z(u + r x) for all object points x: U_z is the
+screen's own field, propagated once by the distance z = -r f1 in pupil coordinates. A screen that moves shifts U_z.
+"""
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from reconstruction.arrays import Floats
+from reconstruction.geometry import require
+from simulated_devices.optics.field_spline import FieldSpline
+from simulated_devices.optics.phase_screen import PhaseScreen
+from simulated_devices.optics.phase_unwrapping import unwrapped_phase
+from simulated_devices.optics.ray_map import RayMap
+
+LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
+_LARGEST_SIDE = 8192  # samples; takes 4 GB
+_ROUNDING = 1e-6
+_EDGE = 2  # samples beyond the screen that the spline needs
+_FRESNEL_LENGTHS = 4.0  # of margin, half of it tapered
+
+
+def fresnel_propagated(
+    field: NDArray[np.complex128], sample_spacing_m: float, distance_m: float, wavenumber_rad_per_m: float
+) -> NDArray[np.complex128]:
+    """Propagate a periodic field (row, column) by `distance_m`, which may be negative.
+
+    A positive phase slope moves light towards +x: the transfer function is exp(-i z (kx^2 + ky^2) / 2k).
+    """
+    ky, kx = (2 * math.pi * fft.fftfreq(count, sample_spacing_m) for count in field.shape)
+    along_y, along_x = (np.exp(-0.5j * distance_m / wavenumber_rad_per_m * k**2) for k in (ky, kx))
+    spectrum = fft.fft2(field)
+    spectrum *= along_y[:, None]
+    spectrum *= along_x
+    return np.asarray(fft.ifft2(spectrum, overwrite_x=True), np.complex128)
+
+
+def margin_m(slope_rad_per_m: float, distance_m: float, wavenumber_rad_per_m: float) -> float:
+    """Width of the rim of a field whose light may reach the middle over `distance_m`: refraction and diffraction."""
+    diffraction_m = math.sqrt(2 * math.pi / wavenumber_rad_per_m * abs(distance_m))
+    return slope_rad_per_m / wavenumber_rad_per_m * abs(distance_m) + _FRESNEL_LENGTHS * diffraction_m
+
+
+def largest_step_rad(phase_rad: Floats) -> float:
+    """Largest change of the phase between neighbours, rad."""
+    return max(float(np.abs(np.diff(phase_rad, axis=axis)).max()) for axis in range(2))
+
+
+def edge_taper(count: int, width: int) -> Floats:
+    """Amplitude that rises from 0 at both ends to 1 over `width` samples, (count,)."""
+    rise = np.minimum(np.arange(count) + 0.5, np.arange(count)[::-1] + 0.5) / width
+    return np.asarray(np.sin(np.pi / 2 * np.minimum(rise, 1)) ** 2, np.float64)
+
+
+class PropagatedLight:
+    """Field U_z of a screen at the lenslets, in pupil coordinates."""
+
+    def __init__(
+        self,
+        screen: PhaseScreen,
+        amplitude: PhaseScreen | None,
+        rays: RayMap,
+        *,
+        half_width_m: tuple[float, float],
+        collimator_focal_length_m: float,
+        wavenumber_rad_per_m: float,
+    ) -> None:
+        """Propagate the field of a screen.
+
+        Parameters
+        ----------
+        screen
+            Phase of the screen; may be larger than what is used, so that nothing feels its edge.
+        amplitude
+            Square root of its transmission, on the same samples; None: 1 everywhere.
+        rays
+            Where rays meet it.
+        half_width_m
+            Half the width (x, y) of the part of the screen that is used.
+        """
+        require({"distance_m must be positive: light does not spread from the mask itself": rays.pupil_scale > 0})
+        self.ray_map = RayMap(pupil_scale=1.0, field_scale=rays.ratio)
+        self.per_shift = 1 / rays.pupil_scale
+        distance_m = rays.propagation_m(collimator_focal_length_m)
+        finer = max(1, math.ceil(largest_step_rad(screen.samples_rad) / LARGEST_STEP_RAD))
+        phase = _resampled(screen, finer)
+        spacing_m = screen.sample_spacing_m / rays.pupil_scale / finer
+        slope_rad_per_m = largest_step_rad(phase) / spacing_m
+        margin = math.ceil(margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m) + _EDGE
+        sides = [fft.next_fast_len(count + 2 * margin) for count in phase.shape]
+        if max(sides) > _LARGEST_SIDE:
+            raise ValueError(
+                f"rms_rad must be smaller, or correlation_length_m larger: the light of the screen would need "
+                f"{max(sides):,} samples a side, and the most is {_LARGEST_SIDE:,}"
+            )
+        pads = [(margin, side - count - margin) for side, count in zip(sides, phase.shape, strict=True)]
+        field = np.exp(1j * np.pad(phase, pads, mode="reflect", reflect_type="odd"))
+        if amplitude is not None:
+            field *= np.pad(_resampled(amplitude, finer), pads, mode="reflect")
+        along_y, along_x = (edge_taper(side, margin // 2) for side in sides)
+        field *= along_y[:, None] * along_x
+        field = fresnel_propagated(field, spacing_m, distance_m, wavenumber_rad_per_m)
+        field_half_m = [half_m / rays.pupil_scale for half_m in half_width_m[::-1]]
+        used = [
+            _middle(before, count, half_m / spacing_m)
+            for (before, _), count, half_m in zip(pads, phase.shape, field_half_m, strict=True)
+        ]
+        self._samples = field[used[0], used[1]]
+        self._spacing_m = spacing_m
+        self._spline = FieldSpline(self._samples, spacing_m)
+
+    @cached_property
+    def phase(self) -> PhaseScreen:
+        """Phase of U_z without jumps, in pupil coordinates."""
+        return PhaseScreen(unwrapped_phase(self._samples), self._spacing_m)
+
+    def at(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.complex128]:
+        """U_z at positions in m, element by element."""
+        return self._spline.at(x_m, y_m)
+
+    def column(self, x_m: Floats) -> Callable[[Floats], NDArray[np.complex64]]:
+        """U_z at the positions x (m), (y, x), as a function of the positions y (m)."""
+        return self._spline.column(x_m)
+
+
+def _resampled(screen: PhaseScreen, finer: int) -> Floats:
+    """Samples of the screen's spline, `finer` times as dense, (row, column)."""
+    if finer == 1:
+        return screen.samples_rad
+    half_x_m, half_y_m = screen.half_width_m
+    rows, columns = ((count - 1) * finer + 1 for count in screen.samples_rad.shape)
+    x_m, y_m = np.linspace(-half_x_m, half_x_m, columns), np.linspace(-half_y_m, half_y_m, rows)
+    return np.asarray(screen.basis_y(y_m) @ screen.coefficients @ screen.basis_x(x_m).T, np.float64)
+
+
+def _middle(before: int, count: int, half_width: float) -> slice:
+    """Samples about the middle of `count` ones after the first `before`, up to `half_width` and those of the spline."""
+    drop = math.floor((count - 1) / 2 - half_width + _ROUNDING) - _EDGE
+    return slice(before + drop, before + count - drop)
