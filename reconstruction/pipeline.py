@@ -1,5 +1,6 @@
 """From a camera frame to the wavefront: everything independent of the frame is prepared once."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, cached_property
@@ -16,7 +17,7 @@ from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
-from reconstruction.layers.layered_wavefront import FREE, LayeredWavefronts, Sample, most_probable
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
@@ -147,7 +148,7 @@ class Reconstructor:
             )
         return displacement
 
-    def find_sample(self, displacement: Displacement, check: Callable[[], None] = lambda: None) -> Sample:
+    def find_sample(self, displacement: Displacement, check: Callable[[], None] = lambda: None) -> AssumedSample:
         """Find the layers of the sample, if they may be assumed and explain the displacements.
 
         It takes some tenths of a second, or some seconds if one layer does not suffice. `check` is called often; its
@@ -163,12 +164,19 @@ class Reconstructor:
 
     @property
     def may_be_layered(self) -> bool:
-        """True if layers may be assumed: modal reconstruction in all Legendre modes, of displacements that change."""
-        settings, modes = self._reconstruction, self._at_rest.modes
-        is_smooth = settings.method == "modal" and settings.basis == "legendre" and settings.pupil_modes is None
-        return is_smooth and settings.sample != "free" and modes.count > 1 and isinstance(self._register, GaussNewton)
+        """True if layers may be assumed of displacements that change over the field."""
+        return self._assumes_layers and self._at_rest.modes.count > 1 and isinstance(self._register, GaussNewton)
 
-    def solve(self, displacement: Displacement, *, bias: Floats | None = None, sample: Sample = FREE) -> Wavefront:
+    @property
+    def _assumes_layers(self) -> bool:
+        """True if the settings allow layers: modal reconstruction in all Legendre modes."""
+        settings = self._reconstruction
+        is_smooth = settings.method == "modal" and settings.basis == "legendre" and settings.pupil_modes is None
+        return is_smooth and settings.sample != "free"
+
+    def solve(
+        self, displacement: Displacement, *, bias: Floats | None = None, sample: AssumedSample = FREE
+    ) -> Wavefront:
         """Reconstruct the wavefront from displacements.
 
         `bias` (lenslet_row, lenslet_column, field_mode, xy), px, a known systematic error, is subtracted first.
@@ -192,6 +200,11 @@ class Reconstructor:
     def registration_for(self, reference: Image) -> RegistrationMethod:
         """Prepare the same registration for another reference (row, column), counts above the dark."""
         return prepare_registration(self._cut(reference), self.registration, self.field)
+
+    @property
+    def hidden(self) -> int:
+        """Number of displacements of the warp that the mask does not show lenslet by lenslet."""
+        return self._register.hidden if isinstance(self._register, GaussNewton) else 0
 
     def weights_of(self, displacement: Displacement) -> Floats:
         """Weights relative to the reference's, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
@@ -229,9 +242,13 @@ class Reconstructor:
 
         if registration.warp is not None or registration.method != "gauss_newton":
             return prepare(registration.warp or "quadratic")
+        if self._assumes_layers and not registration.rotation:
+            return prepare(CHOSEN_WARPS[-1])  # layers tie its parameters together, so that noise does not grow
 
         def error_rad2(warp: Warp) -> float:
             _, method, at_rest = prepare(warp)
+            if isinstance(method, GaussNewton) and method.hidden:  # nothing determines it without layers
+                return math.inf
             parameters = _parameters(method, at_rest)
             return expected_error_rad2(warp, parameters, at_rest, sensor=self.sensor, field=self.field)
 
@@ -245,7 +262,7 @@ class Reconstructor:
         if is_wanted and isinstance(self._register, GaussNewton) and lenslet_model is not None:
             try:
                 model = lenslet_model(self.subimages)
-                response = linear_response(self._register, self.subimages, self._at_rest.modes, model)
+                response = linear_response(self._register, self.subimages, model)
                 return Response(self.sensor, response)
             except ReconstructionError as error:
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
@@ -260,13 +277,14 @@ class Reconstructor:
                 f"{lenslets} valid lenslets cannot tell {count} pupil modes apart: lower pupil_modes, or leave it out"
             )
         modes, parameters = pupil_modes(self.sensor, basis, count), _parameters(self._register, at_rest)
+        has_prior = count is None or self.hidden > 0  # else nothing determines what the mask hides
         return ModalSolver(
             modes,
             self._sensitivity,
             parameters,
             at_rest.covariance,
             layered=layered_wavefronts(self.sensor, modes, at_rest.modes, parameters),
-            field_degree=at_rest.modes.degree if count is None else None,
+            field_degree=at_rest.modes.degree if has_prior else None,
         )
 
     def _cut(self, light: Image) -> ReferenceSubimages:

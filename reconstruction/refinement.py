@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
-from reconstruction.layers.layered_wavefront import FREE, Sample
-from reconstruction.modes.field_modes import PolynomialModes
+from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes
 from reconstruction.modes.pupil_modes import PupilGrid
 from reconstruction.pipeline import Reconstructor
 from reconstruction.solve.modal_solution import ModalSolution
@@ -80,13 +81,16 @@ class Refinement:
     def bias(self, wavefront: Wavefront) -> Bias:
         """Find the bias at a wavefront: one rendered image and its registration."""
         solution = self._smooth(wavefront)
-        image = self._model.image(self._field(solution, wavefront.displacement.modes))
+        modes = wavefront.displacement.modes
+        if not isinstance(modes, LegendreModes | ZernikeModes):
+            raise ReconstructionError("refinement needs a registration in polynomials of the field position")
+        image = self._model.image(self._field(solution, modes))
         found = self._register(image, saturated=self._unsaturated)
         # A lenslet lost in the model's image is left uncorrected.
         bias = np.where(found.valid[..., None, None], found.coefficients - solution.displacement, 0.0)
         return Bias(bias, found.coefficients, wavefront.views)
 
-    def rounds(self, displacement: Displacement, most: int, sample: Sample = FREE) -> Iterator[Round]:
+    def rounds(self, displacement: Displacement, most: int, sample: AssumedSample = FREE) -> Iterator[Round]:
         """Refine displacements in at most `most` rounds; stop before a round that fits the measured ones worse."""
         bias = self.bias(self._reconstructor.solve(displacement, sample=sample))
         for _ in range(most):
@@ -123,9 +127,10 @@ class Refinement:
                 slopes = coefficients @ modes.gradients(x, y) * (gathered / half_width_m)  # (pupil_mode, xy)
                 (xu, xv), (yu, yv) = (grid.gradients(along) for along in slopes.T)
                 wave *= np.sqrt(np.maximum((1 + xu) * (1 + yv) - xv * yu, 0.0))
-            return wave.astype(np.complex64)
+            return np.asarray(wave, np.complex64)
 
         return field
+
 
 def _known(displacement: Displacement, *biases: Bias) -> Mask:
     """Lenslets whose measured and modelled displacements are all known, (lenslet_row, lenslet_column)."""

@@ -10,7 +10,7 @@ import numpy as np
 from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import Displacement
 from reconstruction.geometry import Field, Sensor
-from reconstruction.layers.layered_wavefront import FREE, Sample
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.solve.modal_solution import ModalSolution
 
@@ -39,11 +39,11 @@ class Wavefront:
     displacement: Displacement
     solution: Solution
     views: Floats  # rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown or outside the field
-    sample: Sample  # that was assumed
+    sample: AssumedSample  # that was assumed
 
     @classmethod
     def of(
-        cls, sensor: Sensor, field: Field, displacement: Displacement, solution: Solution, sample: Sample = FREE
+        cls, sensor: Sensor, field: Field, displacement: Displacement, solution: Solution, sample: AssumedSample = FREE
     ) -> Self:
         """Evaluate a solution at the views of the field."""
         return cls(sensor, field, displacement, solution, _at_views(field, displacement, solution.wavefront), sample)

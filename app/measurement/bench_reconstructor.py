@@ -93,7 +93,8 @@ class BenchReconstructor:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
         if whole_number(most, "rounds") < 0:
             raise InputError(f"{most} rounds of refinement are impossible: give 0 or more")
-        return self._refinement.rounds(self._reconstructor.register(as_image(frame, "frame")), most)
+        displacement = self._reconstructor.register(as_image(frame, "frame"))
+        return self._refinement.rounds(displacement, most, self._reconstructor.find_sample(displacement))
 
     @cached_property
     def _judge(self) -> FrameJudge:

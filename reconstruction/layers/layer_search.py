@@ -5,10 +5,10 @@ refined; its curvature at the maximum gives the error bars, to which systematic 
 A layer before the lenslets has a negative ratio of field to pupil position; a relay can put one behind them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy import optimize
@@ -25,7 +25,7 @@ Verdict = Literal["one layer", "two layers", "not a single layer", "not one or t
 _GRID, _GRID_OF_TWO = np.linspace(-0.96, 0.96, 49), np.linspace(-0.95, 0.95, 39)
 FARTHEST_RATIO = float(_GRID[-1] / (1 - _GRID[-1]))
 _FARTHEST = 0.998  # of |t|
-_TOLERANCE = 1e-5  # of t
+_ROUGH, _TOLERANCE = 1e-3, 1e-5  # of t
 _SPACING = float(_GRID[1] - _GRID[0])
 _STEP = 2e-3  # of t, for the curvature
 # Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first it may
@@ -87,7 +87,11 @@ class LayerSearch:
 
 
 def find_layers(
-    equations: FrameEquations, count: int | None = 1, *, at: tuple[float, ...] = (), check: Callable[[], None] = lambda: None
+    equations: FrameEquations,
+    count: int | None = 1,
+    *,
+    at: tuple[float, ...] = (),
+    check: Callable[[], None] = lambda: None,
 ) -> LayerSearch:
     """Find the distance of one layer, or two, unless the ratios are given by `at`.
 
@@ -109,12 +113,12 @@ def find_layers(
 
     tried = [sketch_at(t) for t in _GRID]
     best = _GRID[int(np.argmax([quality.log_evidence for quality in tried]))]
-    one = _refined(equations, sketch_at, fit_at, (float(best),))
+    one = _refined(equations, sketch_at, fit_at, np.array([best]))
     any_wavefront = equations.any_wavefront()
     two = None
     if not at and (count == 2 or (count is None and one.quality.log_evidence < any_wavefront.log_evidence)):
         start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: sketch_at(*pair).log_evidence)
-        two = _refined(equations, sketch_at, fit_at, tuple(map(float, start)))
+        two = _refined(equations, sketch_at, fit_at, np.array(start))
     return LayerSearch(
         ratios=np.array([_ratio(t) for t in _GRID]),
         misfits=np.array([quality.misfit for quality in tried]),
@@ -132,10 +136,7 @@ def _ratio(t: float) -> float:
 
 
 def _refined(
-    equations: FrameEquations,
-    sketch_at: Callable[..., FitQuality],
-    fit_at: Callable[..., LayerFit],
-    start: tuple[float, ...],
+    equations: FrameEquations, sketch_at: Callable[..., FitQuality], fit_at: Callable[..., LayerFit], start: Floats
 ) -> LayerFit:
     """Maximise the evidence over the distances, from a start in t, and find their error bars."""
 
@@ -145,9 +146,8 @@ def _refined(
     def cost(t: Floats) -> float:
         return -fit_at(*t).quality.log_evidence
 
-    rough = optimize.minimize(sketched, start, method="Nelder-Mead", options=_options(start, _SPACING / 2, 1e-3))
-    found = optimize.minimize(cost, rough.x, method="Nelder-Mead", options=_options(rough.x, _SPACING / 8, _TOLERANCE))
-    best = np.clip(found.x, -_FARTHEST + _STEP, _FARTHEST - _STEP)
+    rough = _minimum(sketched, start, _SPACING / 2, _ROUGH)
+    best = np.clip(_minimum(cost, rough, _SPACING / 8, _TOLERANCE), -_FARTHEST + _STEP, _FARTHEST - _STEP)
     fit = fit_at(*best)
     before, after = ([fit_at(*best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))
     systematic = equations.distance_covariance(fit, before, after, _STEP)
@@ -161,9 +161,12 @@ def _refined(
     return replace(fit, layers=tuple(layers[i] for i in order), ratio_covariance=covariance[np.ix_(order, order)])
 
 
-def _options(start: Sequence[float] | Floats, step: float, tolerance: float) -> dict[str, Any]:
-    simplex = np.asarray(start) + step * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
-    return {"initial_simplex": simplex, "xatol": tolerance, "fatol": 1e-3, "maxiter": 200}
+def _minimum(cost: Callable[[Floats], float], start: Floats, step: float, tolerance: float) -> Floats:
+    """Minimise a cost by the method of Nelder and Mead from a simplex of that size."""
+    simplex = start + step * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
+    options = {"initial_simplex": simplex, "xatol": tolerance, "fatol": 1e-3, "maxiter": 200}
+    found = optimize.minimize(cost, start.ravel(), method="Nelder-Mead", options=options)  # type: ignore[call-overload] # its own stubs want 1-D
+    return np.asarray(found.x)
 
 
 def _curvature(cost: Callable[[Floats], float], at: Floats) -> Floats:

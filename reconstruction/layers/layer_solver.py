@@ -116,9 +116,7 @@ class FrameEquations:
         `before` and `after` are the fits with each distance a step shorter and longer; the unit is that of the step.
         """
         explained = self.explained(fit)
-        slopes = np.array(
-            [self.explained(far) - self.explained(near) for near, far in zip(before, after, strict=True)]
-        )
+        slopes = np.array([self.explained(far) - self.explained(near) for near, far in zip(before, after, strict=True)])
         slopes /= 2 * step
         weighted = slopes * self._share[:, None]
         normal = np.einsum("ilk,jlk->ij", weighted, slopes)

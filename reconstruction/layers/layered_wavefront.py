@@ -21,8 +21,8 @@ _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
-    """What is assumed of the sample: layers at some ratios of field to pupil position, or none: any wavefront."""
+class AssumedSample:
+    """Assumption about the sample: layers at some ratios of field to pupil position, or none: any wavefront."""
 
     ratios: tuple[float, ...] = ()
     covariance: Floats | None = None  # of the ratios, (layer, layer); None if they are known
@@ -33,17 +33,17 @@ class Sample:
         return np.zeros(len(self.ratios)) if self.covariance is None else np.sqrt(np.diag(self.covariance))
 
 
-FREE = Sample()
+FREE = AssumedSample()
 
 
-def most_probable(search: LayerSearch, *, free: bool = True) -> Sample:
-    """Sample with the highest evidence: one layer, two, or with `free` any wavefront."""
+def most_probable(search: LayerSearch, *, free: bool = True) -> AssumedSample:
+    """Assumption with the highest evidence: one layer, two, or with `free` any wavefront."""
     fits = [fit for fit in (search.one, search.two) if fit is not None]
     best = max(fits, key=lambda fit: fit.quality.log_evidence)
     if free and best.quality.log_evidence < search.any_wavefront.log_evidence:
         return FREE
     known = np.isfinite(best.ratio_covariance).all()
-    return Sample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance if known else None)
+    return AssumedSample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance if known else None)
 
 
 class LayeredWavefronts:
@@ -54,7 +54,7 @@ class LayeredWavefronts:
         self.solver, self._modes, self._parameters = solver, modes, parameters
         self._basis = lru_cache(maxsize=12)(modes)
 
-    def __call__(self, displacement: Displacement, weights: Floats | None, sample: Sample) -> ModalSolution:
+    def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
         """Fit layers at the ratios of the sample.
 
         Raises `ReconstructionError` if too few lenslets are valid.
@@ -89,7 +89,7 @@ class LayeredWavefronts:
         """Coefficients of the wavefront of layers, rad, (column,)."""
         return np.asarray(np.sum([self._basis(layer.ratio) @ layer.coefficients for layer in fit.layers], axis=0))
 
-    def _of_distances(self, equations: FrameEquations, sample: Sample) -> Floats:
+    def _of_distances(self, equations: FrameEquations, sample: AssumedSample) -> Floats:
         """Deviations of the coefficients that the uncertain distances cause, (column, layer)."""
         slopes = []
         if sample.covariance is None:

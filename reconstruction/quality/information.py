@@ -54,7 +54,9 @@ def layered_information(
         Coefficients e_pq, rad, of each layered wavefront.
     """
     products = modes.products[1:]
-    derivatives = model.derivatives(_DEGREE, field_modes.values(*model.position.T))
+    derivatives = model.derivatives(
+        _DEGREE, field_modes.values(*model.position.T), field_modes.gradients(*model.position.T)
+    )
     n, m = np.nonzero(np.any(derivatives, axis=(2, 3, 4)))
     derivatives, image = derivatives[n, m], model.image()
     local = local_wavefronts(products, sensor, _DEGREE)[:, :, n, m]

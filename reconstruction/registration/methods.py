@@ -23,7 +23,11 @@ def prepare_registration(
     modes = (ZernikeModes if field.shape == "circle" else LegendreModes)(FIELD_MODES[settings.warp or "quadratic"])
     if settings.method == "gauss_newton":
         return GaussNewton(
-            reference, modes, conserve_flux=field.neglect_propagation, rotation=settings.rotation, threads=settings.threads
+            reference,
+            modes,
+            conserve_flux=field.neglect_propagation,
+            rotation=settings.rotation,
+            threads=settings.threads,
         )
     if settings.method == "itk_affine":
         from reconstruction.registration.peers.simple_itk import ItkAffine

@@ -11,7 +11,6 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.source_brightness import mean_subimage
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -38,9 +37,7 @@ class LensletModel(Protocol):
         ...
 
 
-def linear_response(
-    registration: GaussNewton, reference: ReferenceSubimages, modes: PolynomialModes, model: LensletModel
-) -> Floats:
+def linear_response(registration: GaussNewton, reference: ReferenceSubimages, model: LensletModel) -> Floats:
     """Parameters of each lenslet's warp caused by local wavefronts P_m(xi) P_n(eta) T_q, to first order.
 
     Returns
@@ -61,4 +58,5 @@ def linear_response(
             f"the modelled reference differs from the measured one by {100 * misfit:.0f} % of its contrast"
         )
     x, y = model.position.T
+    modes = registration.modes
     return registration.response(image, model.derivatives(_DEGREE, modes.values(x, y), modes.gradients(x, y)))

@@ -171,7 +171,6 @@ class ModalSolver:
     def _down_dated(self, share_bytes: bytes) -> "_Equations":
         """The equations of lenslets with that share of their certainty, (lenslet,)."""
         share = np.frombuffer(share_bytes)
-        known = (share > 0).reshape(self._modes.inside.shape)
         lost = np.flatnonzero(self.errors.is_usable & (share < 1))
         singular, vectors, scaled = self._singular, None, self._scaled
         if lost.size:
@@ -182,7 +181,8 @@ class ModalSolver:
             left = np.eye(len(singular)) - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
             singular, vectors = self._seen(*np.linalg.eigh(singular[:, None] * left * singular))
             scaled = scaled @ vectors
-        known = known_modes(self._modes, known, extrapolate=self._is_smooth)
+        used = (share > 0).reshape(self._modes.inside.shape)
+        known = known_modes(self._modes, used, extrapolate=self._is_smooth)
         if not self._is_smooth:
             self._require_distinct(known.values, scaled / singular)
         return _Equations(singular, vectors, scaled.astype(np.float32), known)

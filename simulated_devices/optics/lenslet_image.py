@@ -5,8 +5,8 @@ The field of an object point over a lenslet is a product of functions of u and v
 transform of the field times P_m. On samples symmetric about the axis, c_m is real for even m and imaginary for odd m:
 to first order only wavefronts with odd m + n change the image. A hexagonal aperture is a sum of a few such products.
 
-A wavefront that changes over the field gathers light on the lenslets, too: by a share (f1 / k) sum_j d2 phi / dx_j du_j of
-the light of an object point, which adds Re of the same products with the derivative of P_m or P_n (docs/brightness.md).
+A wavefront that changes over the field gathers light on the lenslets, too: (f1 / k) sum_j d2 phi / dx_j du_j of that of
+an object point, which adds Re of the same products with the derivative of P_m or P_n (docs/brightness.md).
 """
 
 import math

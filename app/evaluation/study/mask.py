@@ -150,7 +150,8 @@ class LinearPass:
             raise TypeError("only the Gauss-Newton registration has a response")
         model = true_lenslet(bench, bench.simulation.source.mask, self._reconstructor.subimages.width)
         self._modes = LegendreModes((_DEGREE + 1) * (_DEGREE + 2) // 2)
-        derivatives = model.derivatives(_DEGREE, self._modes.values(*model.position.T))
+        x, y = model.position.T
+        derivatives = model.derivatives(_DEGREE, self._modes.values(x, y), self._modes.gradients(x, y))
         self._response = registration.response(model.image(), derivatives) @ registration.parameters
 
     def __call__(self, sample: Sample) -> Wavefront:

@@ -14,7 +14,7 @@ import numpy as np
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.frame.spline import noise_power_polynomial
-from reconstruction.modes.field_modes import LegendreModes, PolynomialModes
+from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis
 from reconstruction.registration.classification import classify_lenslets
 from reconstruction.registration.gauss_newton.alignment import FrameData
 from reconstruction.registration.gauss_newton.fit_errors import ErrorPropagation
@@ -56,7 +56,7 @@ class GaussNewton:
         threads: int = 2,
     ) -> None:
         """Prepare for warps of the given field modes, and for that many threads."""
-        self._reference, self._modes, self._threads = reference, modes, threads
+        self._reference, self.modes, self._threads, self._rotates = reference, modes, threads, rotation
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
         self._near = near
         coarse = near & (np.arange(reference.width) % 2 == 0)
@@ -95,11 +95,11 @@ class GaussNewton:
         spoilt = errors.known < _INFORMATION_LEFT
         return classify_lenslets(
             reference,
-            self._modes,
+            self.modes,
             (fits.displacement @ self._basis)
             .astype(np.float32)
             .astype(np.float64)
-            .reshape(len(fits.gain), 2, self._modes.count),
+            .reshape(len(fits.gain), 2, self.modes.count),
             covariance=errors.covariance,
             residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.contrast.max(),
             chi_square=errors.chi_square,
@@ -113,6 +113,12 @@ class GaussNewton:
         )
 
     @property
+    def hidden(self) -> int:
+        """Number of displacements of the warp that the reference hardly shows, and which are left out."""
+        possible = 2 * self.modes.count if self._rotates else len(gradient_basis(self.modes))
+        return possible - len(self._basis)
+
+    @property
     def parameters(self) -> Floats:
         """Displacement (x modes, y modes) of each parameter of the warp, orthonormal rows, (K, 2Q)."""
         return self._warp.grid.basis.astype(np.float64)
@@ -123,7 +129,7 @@ class GaussNewton:
         From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
         px. A warp of that subimage is found as it is.
         """
-        return respond(self._reference, self._modes, self._near, self._warp, image, changes)
+        return respond(self._reference, self.modes, self._near, self._warp, image, changes)
 
     def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""
@@ -162,7 +168,7 @@ class GaussNewton:
 
     def _begin(self, start: Displacement | None) -> Image:
         """Start of the fits, parameters (L, P - 2), px; NaN for lenslets without a start."""
-        lenslets, modes = len(self._reference.light), self._modes.count
+        lenslets, modes = len(self._reference.light), self.modes.count
         if start is None or start.coefficients.size != lenslets * modes * 2:
             return np.full((lenslets, len(self._basis)), np.nan, np.float32)
         coefficients = np.swapaxes(start.coefficients.reshape(lenslets, modes, 2), 1, 2).reshape(lenslets, -1)

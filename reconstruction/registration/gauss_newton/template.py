@@ -132,7 +132,12 @@ def prepare_template(
     flux = 1 / reference.half_width_px if conserve_flux else 0.0
     smooth = np.maximum(_smooth(reference)[:, pixels], 0)
     basis = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
-    basis = _shown(reference, pixels, smooth, values, slopes, basis, noise)
+    mean, slope, expected = (
+        of_lenslets[reference.lit].mean(axis=0, keepdims=True)
+        for of_lenslets in (reference.light[:, pixels], reference.gradient[:, pixels], smooth)
+    )
+    of_mean = _steepest_descent(mean, slope, values, slopes, basis)[0]
+    basis = _shown(of_mean, np.ones(1) if noise is None else _weight(expected, noise)[0], basis)
     lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
     grid = Grid(
         steps=(reference.steps_px[columns] / reference.half_width_px).astype(np.float32),
@@ -170,23 +175,12 @@ def prepare_template(
     return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
 
 
-def _shown(
-    reference: ReferenceSubimages,
-    pixels: Mask,
-    smooth: Floats,
-    values: Floats,
-    slopes: Floats,
-    basis: Floats,
-    noise: CameraNoise | None,
-) -> Floats:
-    """Orthonormal basis (K, 2Q) of the displacements that the mean reference shows, the best determined first."""
-    light, gradient, expected = (
-        of_lenslets[reference.lit].mean(axis=0, keepdims=True)
-        for of_lenslets in (reference.light[:, pixels], reference.gradient[:, pixels], smooth)
-    )
-    descent = _steepest_descent(light, gradient, values, slopes, basis)[0]
-    weighted = descent * (1.0 if noise is None else _weight(expected, noise))
-    normal = weighted @ descent.T
+def _shown(descent: Floats, weight: Floats, basis: Floats) -> Floats:
+    """Orthonormal basis (K, 2Q) of the displacements that a mean reference shows, the best determined first.
+
+    `descent` (P, N) are its steepest-descent images for the whole `basis` (P - 2, 2Q), gain and offset last.
+    """
+    normal = (descent * weight) @ descent.T
     # Without what gain and offset explain.
     shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
     certainty, vectors = np.linalg.eigh(shown)
