@@ -89,18 +89,20 @@ class PropagatedLight:
         self.ray_map = RayMap(pupil_scale=1.0, field_scale=rays.ratio)
         self.per_shift = 1 / rays.pupil_scale
         distance_m = rays.propagation_m(collimator_focal_length_m)
-        finer = max(1, math.ceil(largest_step_rad(screen.samples_rad) / LARGEST_STEP_RAD))
-        phase = _resampled(screen, finer)
+        step_rad = largest_step_rad(screen.samples_rad)
+        finer = max(1, math.ceil(step_rad / LARGEST_STEP_RAD))
         spacing_m = screen.sample_spacing_m / rays.pupil_scale / finer
-        slope_rad_per_m = largest_step_rad(phase) / spacing_m
+        slope_rad_per_m = step_rad / finer / spacing_m
         margin = math.ceil(margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m) + _EDGE
-        sides = [fft.next_fast_len(count + 2 * margin) for count in phase.shape]
+        fine = [(count - 1) * finer + 1 for count in screen.samples_rad.shape]
+        sides = [fft.next_fast_len(count + 2 * margin) for count in fine]
         if max(sides) > _LARGEST_SIDE:
             raise ValueError(
-                f"rms_rad must be smaller, or correlation_length_m larger: the light of the screen would need "
+                "rms_rad must be smaller, or correlation_length_m larger: the light of the screen would need "
                 f"{max(sides):,} samples a side, and the most is {_LARGEST_SIDE:,}"
             )
-        pads = [(margin, side - count - margin) for side, count in zip(sides, phase.shape, strict=True)]
+        phase = _resampled(screen, finer)
+        pads = [(margin, side - count - margin) for side, count in zip(sides, fine, strict=True)]
         field = np.exp(1j * np.pad(phase, pads, mode="reflect", reflect_type="odd"))
         if amplitude is not None:
             field *= np.pad(_resampled(amplitude, finer), pads, mode="reflect")
