@@ -13,10 +13,12 @@ from scipy.interpolate import BSpline
 from reconstruction.arrays import Floats
 
 _CUBIC = 3
+EDGE = 8
+"""Samples around the used part of a field; beyond them a spline does not feel that its edge is mirrored."""
 
 
 class FieldSpline:
-    """Field between its samples (row, column), complex; positions must lie one sample within the edge."""
+    """Field between its samples (row, column), complex; positions must lie within the edge, better by `EDGE`."""
 
     def __init__(self, samples: NDArray[np.complex128], sample_spacing_m: float) -> None:
         self._shape, self._spacing_m = samples.shape, sample_spacing_m

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor, centered_steps, require
-from simulated_devices.optics.field_spline import FieldSpline
+from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.forward_model import PointField
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.phase_unwrapping import unwrapped_phase
@@ -27,8 +27,6 @@ from simulated_devices.optics.propagated_light import (
 )
 from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.optics.screen_light import ScreenLight
-
-_EDGE = 2  # samples that a spline needs around what is used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,19 +70,17 @@ class LayeredLight:
         ]
         self._spacing_m, self._margins_m = spacing_m, margins_m
         self._x_m, self._y_m = (
-            _grid(half_m + sum(margins_m[1:]) + _EDGE * spacing_m, spacing_m) for half_m in pupil_half_width_m
+            _grid(half_m + sum(margins_m[1:]) + EDGE * spacing_m, spacing_m) for half_m in pupil_half_width_m
         )
         reach_m = max(self._x_m[-1], self._y_m[-1])
         ratios = [-place_m / field.collimator_focal_length_m for place_m in places_m]
         self._screens = [
-            _screen_light(
-                layer, ratio, reach_m + abs(ratio) * field.half_width_m + margins_m[0] + 2 * _EDGE * spacing_m
-            )
+            _screen_light(layer, ratio, reach_m + abs(ratio) * field.half_width_m + margins_m[0] + 2 * EDGE * spacing_m)
             for layer, ratio in zip(layers, ratios, strict=True)
         ]
         # The farthest layer's own field, propagated once.
         self._far_ratio = ratios[0]
-        along_m = _grid(reach_m + abs(ratios[0]) * field.half_width_m + margins_m[0] + _EDGE * spacing_m, spacing_m)
+        along_m = _grid(reach_m + abs(ratios[0]) * field.half_width_m + margins_m[0] + EDGE * spacing_m, spacing_m)
         self._far = FieldSpline(self._propagated(self._screens[0].column(along_m)(along_m), 0), spacing_m)
 
     def at(self, object_x_m: float, object_y_m: float) -> NDArray[np.complex128]:
