@@ -16,7 +16,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor, centered_steps, require
 from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.forward_model import PointField
-from simulated_devices.optics.phase_screen import PhaseScreen
+from simulated_devices.optics.phase_screen import PhaseScreen, middle_of
 from simulated_devices.optics.phase_unwrapping import unwrapped_phase
 from simulated_devices.optics.propagated_light import (
     LARGEST_STEP_RAD,
@@ -72,6 +72,7 @@ class LayeredLight:
         self._x_m, self._y_m = (
             _grid(half_m + sum(margins_m[1:]) + EDGE * spacing_m, spacing_m) for half_m in pupil_half_width_m
         )
+        self._rim = math.floor(sum(margins_m[1:]) / spacing_m)  # samples that edges may reach
         reach_m = max(self._x_m[-1], self._y_m[-1])
         ratios = [-place_m / field.collimator_focal_length_m for place_m in places_m]
         self._screens = [
@@ -107,11 +108,12 @@ class LayeredLight:
         views = np.empty((len(field.view_y_m), len(field.view_x_m), *centers_m.shape[:2]))
         for row, y_m in enumerate(field.view_y_m):
             for column, x_m in enumerate(field.view_x_m):
-                phase = PhaseScreen(unwrapped_phase(self.at(float(x_m), float(y_m))), self._spacing_m)
+                field_of_view = middle_of(self.at(float(x_m), float(y_m)), self._rim)
+                phase = PhaseScreen(unwrapped_phase(field_of_view), self._spacing_m)
                 views[row, column] = phase.at(centers_m[..., 0], centers_m[..., 1])
-        return views - views.mean(axis=(2, 3), keepdims=True)
+        return np.asarray(views - views.mean(axis=(2, 3), keepdims=True), np.float64)
 
-    def _propagated(self, field: NDArray[np.complexfloating], index: int) -> NDArray[np.complex128]:
+    def _propagated(self, field: NDArray[np.complex64] | NDArray[np.complex128], index: int) -> NDArray[np.complex128]:
         """Propagate a field from one layer to the next; its rim is lost."""
         step_m = self._steps_m[index]
         if step_m == 0:

@@ -233,23 +233,23 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[threading.Event]:
     return made
 
 
-class SlowPhase:
+class SlowField:
     """No screen at all, but 5 ms a point; from the `last` one on, each waits until the threads are told to end."""
 
     def __init__(self, told: list[threading.Event], cause: Callable[[], object], last: float = 3) -> None:
         self.points = 0
         self._told, self._cause, self._last = told, cause, last
         self._numbers = itertools.count(1)  # safe in threads
-        self._phase = np.zeros((len(model().sample_y_m), len(model().sample_x_m)), np.float32)
+        self._field = np.ones((len(model().sample_y_m), len(model().sample_x_m)), np.complex64)
 
-    def __call__(self, _x_m: float, _y_m: float) -> NDArray[np.float32]:
+    def __call__(self, _x_m: float, _y_m: float) -> NDArray[np.complex64]:
         self.points = number = next(self._numbers)
         if number == self._last:
             self._cause()
         if number >= self._last:
             assert self._told[-1].wait(HANG_S)
         time.sleep(5e-3)
-        return self._phase
+        return self._field
 
     def end(self, _: float) -> None:
         """End the rendering at once; as a callback of its progress."""
@@ -274,18 +274,18 @@ MANY = source.square(Source(), object_samples=31)
 def test_exception_or_ctrl_c_ends_all_threads(
     told: list[threading.Event], end: Callable[[], object], error: type[BaseException]
 ) -> None:
-    phase = SlowPhase(told, end)
+    slow = SlowField(told, end)
     with pytest.raises(error):
-        model().irradiance(MANY, phase)
-    assert phase.points <= 4
-    phase = SlowPhase(told, end)
+        model().irradiance(MANY, slow)
+    assert slow.points <= 4
+    slow = SlowField(told, end)
     with pytest.raises(error):
-        model().point_irradiances(MANY.position_m[:64], phase)
-    assert phase.points <= 4
+        model().point_irradiances(MANY.position_m[:64], slow)
+    assert slow.points <= 4
 
 
 def test_exception_in_progress_ends_rendering(told: list[threading.Event]) -> None:
-    phase = SlowPhase(told, fail, last=math.inf)
+    slow = SlowField(told, fail, last=math.inf)
     with pytest.raises(ArithmeticError):
-        model().irradiance(MANY, phase, progress=phase.end)  # heard after one column of 31 points
-    assert phase.points <= 2 * 31
+        model().irradiance(MANY, slow, progress=slow.end)  # heard after one column of 31 points
+    assert slow.points <= 2 * 31

@@ -61,8 +61,8 @@ def test_flat_layer_changes_nothing(distance_m: float, flat_at_m: float) -> None
     ratio = field_of(*layers) / expected
     # The beam's tilt changes the path of the light by a constant.
     np.testing.assert_allclose(ratio * np.exp(-1j * np.angle(ratio.mean())), 1, atol=4e-3)
-    expected = truth_wavefront(alone.phase, alone.ray_map, SENSOR, FIELD)
-    np.testing.assert_allclose(light_of(*layers).wavefront(SENSOR, FIELD), expected, atol=4e-3)
+    truth = truth_wavefront(alone.phase, alone.ray_map, SENSOR, FIELD)
+    np.testing.assert_allclose(light_of(*layers).wavefront(SENSOR, FIELD), truth, atol=4e-3)
 
 
 def test_two_lenses_are_a_telescope() -> None:

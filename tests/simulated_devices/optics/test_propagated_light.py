@@ -37,9 +37,10 @@ def light_of(
 
 
 def on_grid(samples: int = 385, spacing_m: float = SPACING_M) -> tuple[Floats, Floats]:
-    """Positions x (1, column) and y (row, 1) of a screen's samples."""
+    """Positions x and y of a screen's samples, (row, column)."""
     along_m = (np.arange(samples) - (samples - 1) / 2) * spacing_m
-    return along_m[None, :], along_m[:, None]
+    x_m, y_m = np.meshgrid(along_m, along_m)
+    return np.asarray(x_m), np.asarray(y_m)
 
 
 def lens(curvature: float) -> PhaseScreen:
@@ -137,7 +138,7 @@ def test_intensity_is_van_vlecks_determinant() -> None:
     along = DISTANCE_M / WAVENUMBER
     xx, yy, xy = (along * waves(x, y, *orders) for orders in ((2, 0), (0, 2), (1, 1)))
     expected = 1 / ((1 + xx) * (1 + yy) - xy**2)
-    light = light_of(PhaseScreen(waves(*np.broadcast_arrays(*on_grid())), SPACING_M))
+    light = light_of(PhaseScreen(waves(*on_grid()), SPACING_M))
     found = np.abs(light.at(x + along * waves(x, y, 1, 0), y + along * waves(x, y, 0, 1))) ** 2
     assert expected.std() > 0.15
     np.testing.assert_allclose(found, expected, rtol=1e-3)
@@ -155,7 +156,7 @@ def test_light_keeps_its_energy_and_comes_back() -> None:
 def test_positive_slope_moves_light_to_positive_x() -> None:
     slope, (x, y) = 8e3, on_grid()
     spot = PhaseScreen(0.2 + np.exp(-(x**2 + y**2) / (2 * 0.4e-3**2)), SPACING_M)
-    light = light_of(PhaseScreen(slope * x + 0 * y, SPACING_M), amplitude=spot)
+    light = light_of(PhaseScreen(slope * x, SPACING_M), amplitude=spot)
     along_m = np.linspace(-2e-3, 2e-3, 801)
     intensity = np.abs(light.at(along_m, 0.0)) ** 2
     moved_m = float(np.sum(along_m * (intensity - 0.04)) / np.sum(intensity - 0.04))
@@ -179,8 +180,8 @@ def test_steep_phase_is_sampled_finely_enough() -> None:
     steep = 1.5 / SPACING_M
 
     def light(spacing_m: float, samples: int) -> PropagatedLight:
-        x, y = on_grid(samples, spacing_m)
-        return light_of(PhaseScreen(steep / 1e3 * np.sin(1e3 * x) + 0 * y, spacing_m), used_m=2.5e-3)
+        x, _ = on_grid(samples, spacing_m)
+        return light_of(PhaseScreen(steep / 1e3 * np.sin(1e3 * x), spacing_m), used_m=2.5e-3)
 
     coarse, fine = (one.at(ALONG_M, 0.0) for one in (light(SPACING_M, 385), light(SPACING_M / 5, 1921)))
     np.testing.assert_allclose(coarse, fine, atol=5e-3)
