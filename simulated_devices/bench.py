@@ -132,6 +132,10 @@ class SimulatedBench:
         """Wavefront of every view in that state: (view_row, view_column, lenslet_row, lenslet_column), rad."""
         return self._renderer.truth_wavefront(state)
 
+    def truth_intensity(self, state: int) -> Floats:
+        """Light of every view at the lenslet centres relative to the reference, shaped like the wavefront."""
+        return self._renderer.truth_intensity(state)
+
     @property
     def states_rendered(self) -> int:
         """Number of states of the sample that are rendered so far for the present mask."""

@@ -138,7 +138,7 @@ def _absorbing(simulation: Simulation, side: int, size: ScreenSize) -> Floats:
 
 def read_transmission(path: Path) -> Floats:
     """Transmission (row, column), 0 ... 1, from a .npy or .tif file; `ValueError` of one sentence otherwise."""
-    transmission = read_screen(path)
+    transmission = read_screen(path, "transmission_file", "values")
     require(
         {
             f"transmission_file = {str(path)!r} must hold values of 0 ... 1": (

@@ -15,6 +15,7 @@ from app.results.dataset import truth_dataset, write_results
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import ManualClock
+from simulated_devices.sample import scintillation
 
 _CONDITIONS = {"dark": (False, False), "reference": (True, False), "frame": (True, True)}  # light on, sample in
 _TRUTH = "truth.nc"
@@ -25,10 +26,11 @@ def files_of(out: Path) -> list[Path]:
     return [out / name for name in (*(f"{name}.tif" for name in _CONDITIONS), _TRUTH)]
 
 
-def simulate(bench: Bench, out: Path, *, noise_free: bool, progress: Callable[[float], None]) -> None:
+def simulate(bench: Bench, out: Path, *, noise_free: bool, progress: Callable[[float], None]) -> float:
     """Write `dark.tif`, `reference.tif`, `frame.tif` and `truth.nc` into the folder `out`.
 
-    The images are camera counts or, with `noise_free`, mean photons per pixel as float32.
+    The images are camera counts or, with `noise_free`, mean photons per pixel as float32. Returns the scintillation,
+    the RMS of the light at the lenslets about that without sample, relative to it.
     """
     with closing(simulated_bench(bench, progress, ManualClock())) as simulated, SimulatedCamera(simulated) as camera:
         state: int | None = None
@@ -36,8 +38,10 @@ def simulate(bench: Bench, out: Path, *, noise_free: bool, progress: Callable[[f
             simulated.change(is_light_on=light_on, is_sample_in=sample_in)
             image, state = _mean_photons(simulated, camera) if noise_free else _frame(camera)
             write_image(out / f"{name}.tif", image)
-        truth = truth_dataset(simulated.truth_wavefront(state or 0), bench)
+        light = simulated.truth_intensity(state or 0)
+        truth = truth_dataset(simulated.truth_wavefront(state or 0), light, bench)
     write_results(out / _TRUTH, truth, bench=bench, inputs={"frame": "frame.tif"})
+    return scintillation(light)
 
 
 def _mean_photons(simulated: SimulatedBench, camera: SimulatedCamera) -> tuple[NDArray[np.float32], int | None]:

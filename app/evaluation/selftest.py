@@ -105,7 +105,7 @@ def run_checks() -> Iterator[Check]:
         def of_point(
             x_m: float, y_m: float, known: Known = known, amplitude: Floats = amplitude
         ) -> NDArray[np.complex64]:
-            return (amplitude * np.exp(1j * known.phase(sample_x_m, sample_y_m, x_m, y_m))).astype(np.complex64)
+            return np.asarray(amplitude * np.exp(1j * known.phase(sample_x_m, sample_y_m, x_m, y_m)), np.complex64)
 
         yield _compare(name, _truth(known.phase), reconstructor(model.irradiance(source, of_point)).views)
 

@@ -72,9 +72,26 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=coordinates)
 
 
-def truth_dataset(views: Floats, bench: Bench) -> xr.Dataset:
-    """Return a true wavefront (view_row, view_column, lenslet_row, lenslet_column), rad, in the form of results."""
-    return xr.Dataset(_wavefront_variables(views, bench.sensor), coords=_coordinates(bench.sensor, bench.field))
+def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
+    """Return a true wavefront and the light at the lenslets in the form of results.
+
+    Parameters
+    ----------
+    views
+        Wavefront, (view_row, view_column, lenslet_row, lenslet_column), rad.
+    light
+        Intensity relative to that without the sample, of the same shape.
+    bench
+        The bench that was simulated.
+    """
+    variables = {
+        **_wavefront_variables(views, bench.sensor),
+        "light": ((*_VIEW, *_LENSLET), light, about("1", "intensity at the lenslet centres over that without sample")),
+    }
+    propagation = "neglected" if bench.field.neglect_propagation else "from sample to lenslets"
+    return xr.Dataset(
+        variables, coords=_coordinates(bench.sensor, bench.field), attrs={"propagation_of_light": propagation}
+    )
 
 
 def results_in_pieces(

@@ -113,7 +113,7 @@ def _warped(
     edge = np.array(coefficients.shape[::-1]) - 1
     values, _ = sample(coefficients, np.clip(position_px, 0, edge))
     gradients = getattr(modes, "gradients", None)  # interpolation between stars has none
-    if gradients is None or not calibration.bench.registration.conserve_flux:
+    if gradients is None or not calibration.bench.field.neglect_propagation:
         return np.asarray(values, np.float64), np.ones(len(values))
     jacobian = np.eye(2) + np.einsum("qnk,qd->ndk", gradients(x, y), by_mode) / subimages.half_width_px
     return np.asarray(values, np.float64), np.linalg.det(jacobian)

@@ -4,6 +4,7 @@ Arrays are [row, column], row = y. Products with sparse bases evaluate the splin
 """
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,15 +13,17 @@ from scipy.interpolate import BSpline
 
 from reconstruction.arrays import Floats
 
-_CUBIC = 3
+_CUBIC: Final = 3
+EDGE = 8
+"""Samples around the used part of a field; beyond them a spline does not feel that its edge is mirrored."""
 
 
 class FieldSpline:
-    """Field between its samples (row, column), complex; positions must lie one sample within the edge."""
+    """Field between its samples (row, column), complex; positions must lie within the edge, better by `EDGE`."""
 
     def __init__(self, samples: NDArray[np.complex128], sample_spacing_m: float) -> None:
         self._shape, self._spacing_m = samples.shape, sample_spacing_m
-        self._coefficients = ndimage.spline_filter(samples, _CUBIC, output=np.complex128, mode="mirror")
+        self._coefficients = ndimage.spline_filter(samples, _CUBIC, np.complex128, mode="mirror")
         # Real and imaginary parts interleaved along y: (coefficient column, 2 x coefficient row).
         self._by_column = np.ascontiguousarray(self._coefficients.T.astype(np.complex64)).view(np.float32)
 
@@ -28,7 +31,7 @@ class FieldSpline:
         """Field at positions in m, element by element; x and y broadcast against each other."""
         x, y = np.broadcast_arrays(self._index(np.asarray(x_m), 1), self._index(np.asarray(y_m), 0))
         return np.asarray(
-            ndimage.map_coordinates(self._coefficients, [y, x], order=_CUBIC, prefilter=False, mode="mirror")
+            ndimage.map_coordinates(self._coefficients, np.stack([y, x]), order=_CUBIC, prefilter=False, mode="mirror")
         )
 
     def column(self, x_m: Floats) -> Callable[[Floats], NDArray[np.complex64]]:

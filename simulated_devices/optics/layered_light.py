@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor, centered_steps, require
-from simulated_devices.optics.field_spline import FieldSpline
+from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.forward_model import PointField
-from simulated_devices.optics.phase_screen import PhaseScreen
+from simulated_devices.optics.phase_screen import PhaseScreen, middle_of
 from simulated_devices.optics.phase_unwrapping import unwrapped_phase
 from simulated_devices.optics.propagated_light import (
     LARGEST_STEP_RAD,
@@ -27,8 +27,6 @@ from simulated_devices.optics.propagated_light import (
 )
 from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.optics.screen_light import ScreenLight
-
-_EDGE = 2  # samples that a spline needs around what is used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,19 +70,18 @@ class LayeredLight:
         ]
         self._spacing_m, self._margins_m = spacing_m, margins_m
         self._x_m, self._y_m = (
-            _grid(half_m + sum(margins_m[1:]) + _EDGE * spacing_m, spacing_m) for half_m in pupil_half_width_m
+            _grid(half_m + sum(margins_m[1:]) + EDGE * spacing_m, spacing_m) for half_m in pupil_half_width_m
         )
+        self._rim = math.floor(sum(margins_m[1:]) / spacing_m)  # samples that edges may reach
         reach_m = max(self._x_m[-1], self._y_m[-1])
         ratios = [-place_m / field.collimator_focal_length_m for place_m in places_m]
         self._screens = [
-            _screen_light(
-                layer, ratio, reach_m + abs(ratio) * field.half_width_m + margins_m[0] + 2 * _EDGE * spacing_m
-            )
+            _screen_light(layer, ratio, reach_m + abs(ratio) * field.half_width_m + margins_m[0] + 2 * EDGE * spacing_m)
             for layer, ratio in zip(layers, ratios, strict=True)
         ]
         # The farthest layer's own field, propagated once.
         self._far_ratio = ratios[0]
-        along_m = _grid(reach_m + abs(ratios[0]) * field.half_width_m + margins_m[0] + _EDGE * spacing_m, spacing_m)
+        along_m = _grid(reach_m + abs(ratios[0]) * field.half_width_m + margins_m[0] + EDGE * spacing_m, spacing_m)
         self._far = FieldSpline(self._propagated(self._screens[0].column(along_m)(along_m), 0), spacing_m)
 
     def at(self, object_x_m: float, object_y_m: float) -> NDArray[np.complex128]:
@@ -111,11 +108,12 @@ class LayeredLight:
         views = np.empty((len(field.view_y_m), len(field.view_x_m), *centers_m.shape[:2]))
         for row, y_m in enumerate(field.view_y_m):
             for column, x_m in enumerate(field.view_x_m):
-                phase = PhaseScreen(unwrapped_phase(self.at(float(x_m), float(y_m))), self._spacing_m)
+                field_of_view = middle_of(self.at(float(x_m), float(y_m)), self._rim)
+                phase = PhaseScreen(unwrapped_phase(field_of_view), self._spacing_m)
                 views[row, column] = phase.at(centers_m[..., 0], centers_m[..., 1])
-        return views - views.mean(axis=(2, 3), keepdims=True)
+        return np.asarray(views - views.mean(axis=(2, 3), keepdims=True), np.float64)
 
-    def _propagated(self, field: NDArray[np.complexfloating], index: int) -> NDArray[np.complex128]:
+    def _propagated(self, field: NDArray[np.complex64] | NDArray[np.complex128], index: int) -> NDArray[np.complex128]:
         """Propagate a field from one layer to the next; its rim is lost."""
         step_m = self._steps_m[index]
         if step_m == 0:

@@ -6,6 +6,7 @@ Arrays are [row, column], row = y; positions are in metres in the screen's own p
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import tifffile
@@ -17,6 +18,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps, require
 
 _CUBIC = 3
+_T = TypeVar("_T", bound=np.generic)
 
 
 class PhaseScreen:
@@ -121,9 +123,9 @@ def smooth_screen(
     return np.asarray(smooth - middle_of(smooth, enlarged_by + guard).mean(), np.float64)
 
 
-def middle_of(samples_rad: Floats, enlarged_by: int) -> Floats:
-    """Cut `enlarged_by` samples off each side of a screen (row, column)."""
-    return samples_rad[enlarged_by : len(samples_rad) - enlarged_by, enlarged_by : samples_rad.shape[1] - enlarged_by]
+def middle_of(samples: NDArray[_T], rim: int) -> NDArray[_T]:
+    """Cut `rim` samples off each side of an array (row, column)."""
+    return samples[rim : len(samples) - rim, rim : samples.shape[1] - rim]
 
 
 def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, enlarged_by: int = 0) -> Floats:
@@ -154,13 +156,13 @@ def shape_to_pv_and_rms(samples_rad: Floats, *, pv_rad: float, rms_rad: float, e
     return np.asarray((shaped - middle.mean()) * (rms_rad / middle.std()), np.float64)
 
 
-def read_screen(path: Path) -> NDArray[np.float64]:
-    """Phases (row, column) in rad from a .npy or .tif file; a bad file raises a `ValueError` of one sentence."""
+def read_screen(path: Path, setting: str = "file", content: str = "phases in rad") -> Floats:
+    """Values (row, column) from a .npy or .tif file; a bad file raises a `ValueError` that names the setting."""
     try:
         values = np.load(path, allow_pickle=False) if path.suffix == ".npy" else tifffile.imread(path)
         samples_rad = np.asarray(values, np.float64)
     except (OSError, ValueError, EOFError, TypeError, tifffile.TiffFileError) as error:
-        raise ValueError(f"file = {str(path)!r} is not a readable .npy or .tif array: {error}") from error
+        raise ValueError(f"{setting} = {str(path)!r} is not a readable .npy or .tif array: {error}") from error
     if samples_rad.ndim != 2 or not np.isfinite(samples_rad).all():
-        raise ValueError(f"file = {str(path)!r} must hold a 2-D array of finite phases in rad")
+        raise ValueError(f"{setting} = {str(path)!r} must hold a 2-D array of finite {content}")
     return samples_rad

@@ -15,7 +15,7 @@ from scipy import fft
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import require
-from simulated_devices.optics.field_spline import FieldSpline
+from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.phase_unwrapping import unwrapped_phase
 from simulated_devices.optics.ray_map import RayMap
@@ -23,7 +23,6 @@ from simulated_devices.optics.ray_map import RayMap
 LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
 _LARGEST_SIDE = 8192  # samples; takes 4 GB
 _ROUNDING = 1e-6
-_EDGE = 2  # samples beyond the screen that the spline needs
 _FRESNEL_LENGTHS = 4.0  # of margin, half of it tapered
 
 
@@ -89,18 +88,20 @@ class PropagatedLight:
         self.ray_map = RayMap(pupil_scale=1.0, field_scale=rays.ratio)
         self.per_shift = 1 / rays.pupil_scale
         distance_m = rays.propagation_m(collimator_focal_length_m)
-        finer = max(1, math.ceil(largest_step_rad(screen.samples_rad) / LARGEST_STEP_RAD))
-        phase = _resampled(screen, finer)
+        step_rad = largest_step_rad(screen.samples_rad)
+        finer = max(1, math.ceil(step_rad / LARGEST_STEP_RAD))
         spacing_m = screen.sample_spacing_m / rays.pupil_scale / finer
-        slope_rad_per_m = largest_step_rad(phase) / spacing_m
-        margin = math.ceil(margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m) + _EDGE
-        sides = [fft.next_fast_len(count + 2 * margin) for count in phase.shape]
+        slope_rad_per_m = step_rad / finer / spacing_m
+        margin = math.ceil(margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m) + EDGE
+        fine = [(count - 1) * finer + 1 for count in screen.samples_rad.shape]
+        sides = [fft.next_fast_len(count + 2 * margin) for count in fine]
         if max(sides) > _LARGEST_SIDE:
             raise ValueError(
-                f"rms_rad must be smaller, or correlation_length_m larger: the light of the screen would need "
+                "rms_rad must be smaller, or correlation_length_m larger: the light of the screen would need "
                 f"{max(sides):,} samples a side, and the most is {_LARGEST_SIDE:,}"
             )
-        pads = [(margin, side - count - margin) for side, count in zip(sides, phase.shape, strict=True)]
+        phase = _resampled(screen, finer)
+        pads = [(margin, side - count - margin) for side, count in zip(sides, fine, strict=True)]
         field = np.exp(1j * np.pad(phase, pads, mode="reflect", reflect_type="odd"))
         if amplitude is not None:
             field *= np.pad(_resampled(amplitude, finer), pads, mode="reflect")
@@ -142,5 +143,5 @@ def _resampled(screen: PhaseScreen, finer: int) -> Floats:
 
 def _middle(before: int, count: int, half_width: float) -> slice:
     """Samples about the middle of `count` ones after the first `before`, up to `half_width` and those of the spline."""
-    drop = math.floor((count - 1) / 2 - half_width + _ROUNDING) - _EDGE
+    drop = math.floor((count - 1) / 2 - half_width + _ROUNDING) - EDGE
     return slice(before + drop, before + count - drop)

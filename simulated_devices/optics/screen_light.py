@@ -43,8 +43,8 @@ class ScreenLight:
 
     def at(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.complex128]:
         """Field at positions on the screen, m, element by element."""
-        field = np.exp(1j * self.phase.at(x_m, y_m))
-        return field if self._amplitude is None else field * self._amplitude.at(x_m, y_m)
+        amplitude = 1.0 if self._amplitude is None else self._amplitude.at(x_m, y_m)
+        return np.asarray(amplitude * np.exp(1j * self.phase.at(x_m, y_m)), np.complex128)
 
     def column(self, x_m: Floats) -> Callable[[Floats], NDArray[np.complex64]]:
         """Field at the positions x (m), (y, x), as a function of the positions y (m)."""

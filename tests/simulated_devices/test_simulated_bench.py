@@ -17,9 +17,9 @@ from support.patience import HANG_S, wait_until
 from support.simulated_scene import DRIFTING, LATTICE, STILL, open_bench
 
 from simulated_devices.bench import SimulatedBench
+from simulated_devices.playback import Playback
 from simulated_devices.rendering import ImageCache
 from simulated_devices.rendering_ahead import RenderingAhead, render_missing
-from simulated_devices.sample import Playback
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
 
 

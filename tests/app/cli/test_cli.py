@@ -83,16 +83,19 @@ def test_reconstruct_matches_truth(
 
 
 def test_reconstructing_simulated_frame_gives_truth(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small_toml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "simulate", "--bench", small_toml, "--out", tmp_path) == 0
     names = {"dark.tif", "reference.tif", "frame.tif", "truth.nc"}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert tifffile.imread(tmp_path / "frame.tif").dtype == np.uint16
+    assert "light at the lenslets: " in capsys.readouterr().out
     files = ("--reference", tmp_path / "reference.tif", "--dark", tmp_path / "dark.tif", "--bench", small_toml)
     assert run(monkeypatch, "reconstruct", tmp_path / "frame.tif", *files, "--out", tmp_path / "r.nc") == 0
     with xr.open_dataset(tmp_path / "r.nc") as result, xr.open_dataset(tmp_path / "truth.nc") as truth:
-        assert result["wavefront"].dims == truth["wavefront"].dims
+        assert result["wavefront"].dims == truth["wavefront"].dims == truth["light"].dims
+        assert 0.001 < float(abs(truth["light"] - 1).mean()) < 0.2  # the screen gathers and spreads it
+        assert truth.attrs["propagation_of_light"] == "from sample to lenslets"
         residual = rms((result["wavefront"] - truth["wavefront"]).to_numpy())
         assert residual.mean() < 0.1 * rms(truth["wavefront"].to_numpy()).mean()
 

@@ -20,6 +20,7 @@ from app.evaluation.study.sources import lit_views
 from reconstruction.modes.field_modes import LegendreModes
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.ray_map import RayMap
+from simulated_devices.optics.screen_light import ScreenLight
 from simulated_devices.sample import Sample
 
 
@@ -28,7 +29,8 @@ def test_local_screen_adds_up_to_the_screen(small_toml: Path) -> None:
     along_m = (np.arange(101) - 50) * 0.1e-3
     y, x = np.meshgrid(along_m * 1e3, along_m * 1e3, indexing="ij")
     screen = PhaseScreen(0.3 * x**2 * y - y**3 + x * y + 2 * x, 0.1e-3)  # splines are exact for cubics
-    sample = Sample(screen=screen, ray_map=RayMap(pupil_scale=0.9, field_scale=0.8))
+    rays = RayMap(pupil_scale=0.9, field_scale=0.8)
+    sample = Sample(screen=screen, amplitude=None, ray_map=rays, light=ScreenLight(screen, None, rays))
     local = local_screen(sample, bench, modes).reshape(5, 7, 6, 6, 21)
     xi, eta, x_field, y_field = np.random.default_rng(1).uniform(-1, 1, (4, 20))
     of_field = modes.values(x_field, y_field)
@@ -41,7 +43,8 @@ def test_local_screen_adds_up_to_the_screen(small_toml: Path) -> None:
 
 
 def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path) -> None:
-    bench = load_bench(small_toml, ("simulation.screen.rms_rad=0.5", "simulation.screen.correlation_length_m=1e-3"))
+    screen = ("simulation.screen.rms_rad=0.5", "simulation.screen.correlation_length_m=1e-3")
+    bench = load_bench(small_toml, (*screen, "field.neglect_propagation=true"))
     frames = NoiseFreeFrames(bench)
     frame, reference = frames.frame("square"), frames.reference("square")
     estimator = WarpEstimator(bench, reference, "affine")

@@ -13,8 +13,8 @@ from app.bench.config import load_bench
 from reconstruction.arrays import Floats
 from reconstruction.layers.layer_search import find_layers
 from reconstruction.layers.layer_solver import FrameEquations
+from simulated_devices.optics.layered_light import LayeredLight
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.rendering import Renderer
 from simulated_devices.sample import make_sample
 
@@ -23,16 +23,17 @@ def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tu
     """Displacements of a noise-free frame through screens of such settings, and the screens."""
     bench = load_bench(preset)
     renderer, focal_length_m = Renderer(scene_of(bench)), bench.field.collimator_focal_length_m
-    phases, screens = [], []
+    layers, screens = [], []
     for seed, at_m in enumerate(distances_m, 3):
         screen = replace(bench.simulation.screen, distance_m=at_m, **settings)
         sample = make_sample(replace(bench.simulation, seed=seed, screen=screen), bench.sensor, bench.field)
-        place = RayMap.near_pupil(distance_m=at_m, collimator_focal_length_m=focal_length_m)
-        phases.append(renderer.model.screen_phase(sample.screen, place))
+        layers.append(sample.layer(focal_length_m))
         screens.append(sample.screen)
-    points = renderer.points("square")
+    points, model = renderer.points("square"), renderer.model
     reference = renderer.reference("square")
-    frame = renderer.model.irradiance(points, lambda x_m, y_m: np.sum([phase(x_m, y_m) for phase in phases], axis=0))
+    reach_m = float(model.sample_x_m.max()), float(model.sample_y_m.max())
+    light = LayeredLight(layers, bench.sensor, bench.field, pupil_half_width_m=reach_m)
+    frame = model.irradiance(points, light.field(model.sample_x_m, model.sample_y_m))
     reconstructor = bench.reconstructor(
         reference, lattice=bench.design_lattice(*reference.shape), dark=np.zeros_like(reference)
     )
@@ -55,7 +56,7 @@ def test_ten_layers_are_not_a_single_layer() -> None:
 def test_two_layers_at_known_distances_are_told_apart() -> None:
     distances_m = (0.1, 0.2)
     displacements, screens = rendered("paper_simulation", distances_m, rms_rad=3.0)
-    found = find_layers(displacements, 2, at=tuple(at_m / 0.2 for at_m in distances_m)).fit.layers
+    found = find_layers(displacements, 2, at=tuple(-at_m / 0.2 for at_m in distances_m)).fit.layers
     for layer, screen in zip(found, screens, strict=True):
         x_m, y_m = (np.linspace(-0.85 * half_m, 0.85 * half_m, 61) for half_m in layer.half_width_m)
         true = slopes(screen.at(x_m, y_m[:, None]))

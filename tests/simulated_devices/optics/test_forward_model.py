@@ -19,9 +19,10 @@ from support.patience import HANG_S
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice
 from simulated_devices.optics import source
-from simulated_devices.optics.forward_model import ForwardModel
+from simulated_devices.optics.forward_model import ForwardModel, PointField
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.ray_map import RayMap
+from simulated_devices.optics.screen_light import ScreenLight, point_field
 from simulated_devices.optics.source import SourcePoints
 from simulated_devices.settings import Source
 
@@ -39,6 +40,11 @@ POINTS = SourcePoints(
 def model(lattice: Lattice = LATTICE, **changes: float) -> ForwardModel:
     options: dict[str, object] = {"rows": ROWS, "columns": COLUMNS, "pupil_samples": SAMPLES, "pixel_fill_factor": 0.0}
     return ForwardModel(SENSOR, lattice, FIELD, **(options | changes))  # type: ignore[arg-type] # options by name
+
+
+def behind(model: ForwardModel, screen: PhaseScreen, shift_m: tuple[float, float] = (0.0, 0.0)) -> PointField:
+    """Field of a screen without propagation."""
+    return point_field(ScreenLight(screen, None, RAY_MAP), model.sample_x_m, model.sample_y_m, shift_m)
 
 
 def screen() -> PhaseScreen:
@@ -70,7 +76,7 @@ def direct_irradiance(
             u, v = (j - 4) * 500e-6, (i - 3) * 500e-6
             here = (np.abs(x_px / 31.25 - (j - 4)) < 0.5) & (np.abs(y_px / 31.25 - (i - 3)) < 0.5)
             for (x_o, y_o), area in zip(points.position_m, points.area_m2, strict=True):
-                phase = phase_screen.at(u + local[None, :] + 0.975 * x_o, v + local[:, None] + 0.975 * y_o)
+                phase = phase_screen.at(u + local[None, :] - 0.975 * x_o, v + local[:, None] - 0.975 * y_o)
                 phase = phase + k / 0.2 * (local[None, :] * x_o + local[:, None] * y_o)
                 x, y = in_lattice_px(column[here] + offset_px[0], row[here] + offset_px[1])
                 x, y = (x - (j - 4) * 31.25) * 16e-6, (y - (i - 3) * 31.25) * 16e-6
@@ -85,7 +91,7 @@ def direct_irradiance(
 def test_agrees_with_the_plain_fourier_sum() -> None:
     phase_screen = screen()
     fast = model()
-    image = fast.irradiance(POINTS, fast.screen_phase(phase_screen, RAY_MAP))
+    image = fast.irradiance(POINTS, behind(fast, phase_screen))
     truth = direct_irradiance(phase_screen, POINTS)
     assert image.dtype == np.float32
     np.testing.assert_allclose(image, truth, rtol=0, atol=1e-5 * truth.max())
@@ -96,7 +102,7 @@ def test_pixel_averages_over_its_rotated_square(rotation_rad: float) -> None:
     phase_screen, lattice = screen(), replace(LATTICE, rotation_rad=rotation_rad)
     fast = model(lattice, pixel_fill_factor=1.0)
     point = SourcePoints(position_m=POINTS.position_m[:1], area_m2=POINTS.area_m2[:1])
-    image = fast.irradiance(point, fast.screen_phase(phase_screen, RAY_MAP))
+    image = fast.irradiance(point, behind(fast, phase_screen))
     nodes, weights = np.polynomial.legendre.leggauss(3)  # exact to the sixth power over half a pixel either way
     truth = sum(
         (
@@ -112,8 +118,8 @@ def test_pixel_averages_over_its_rotated_square(rotation_rad: float) -> None:
 def test_reference_is_the_image_behind_a_flat_screen() -> None:
     flat = PhaseScreen(np.zeros((241, 241)), 25e-6)
     fast = model(pixel_fill_factor=1.0)
-    behind = fast.irradiance(POINTS, fast.screen_phase(flat, RAY_MAP))
-    np.testing.assert_allclose(fast.irradiance(POINTS), behind, rtol=0, atol=1e-5 * behind.max())
+    image = fast.irradiance(POINTS, behind(fast, flat))
+    np.testing.assert_allclose(fast.irradiance(POINTS), image, rtol=0, atol=1e-5 * image.max())
 
 
 def centroids_px(image: NDArray[np.float32], lattice: Lattice, *, radius_px: float = 13.0) -> Floats:
@@ -136,7 +142,7 @@ def test_tilt_moves_light_to_positive_x_by_f_over_k_times_slope() -> None:
     tilted = PhaseScreen(slope_y * along_m[:, None] + slope_x * along_m[None, :], 25e-6)
     fast = model()
     axis = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.ones(1))
-    moved = centroids_px(fast.irradiance(axis, fast.screen_phase(tilted, RAY_MAP)), LATTICE)
+    moved = centroids_px(fast.irradiance(axis, behind(fast, tilted)), LATTICE)
     expected = np.array([slope_x, slope_y]) * 46.7e-3 * 462e-9 / (2 * math.pi) / 16e-6
     assert expected[0] > 1.5
     np.testing.assert_allclose(moved.mean(axis=(0, 1)), expected, atol=0.02)
@@ -149,7 +155,7 @@ def test_screen_moves_with_its_shift() -> None:
     curved = PhaseScreen(bowl, 25e-6)
     fast = model()
     axis = SourcePoints(position_m=np.zeros((1, 2)), area_m2=np.ones(1))
-    images = [fast.irradiance(axis, fast.screen_phase(curved, RAY_MAP, shift)) for shift in ((0.0, 0.0), (2e-4, 3e-4))]
+    images = [fast.irradiance(axis, behind(fast, curved, shift)) for shift in ((0.0, 0.0), (2e-4, 3e-4))]
     step = centroids_px(images[1], LATTICE) - centroids_px(images[0], LATTICE)
     expected = -np.array([4e6 * 2e-4, -3e6 * 3e-4]) * 46.7e-3 * 462e-9 / (2 * math.pi) / 16e-6
     np.testing.assert_allclose(step.mean(axis=(0, 1)), expected, atol=0.04)  # the centroids are thresholded
@@ -198,16 +204,10 @@ def test_result_does_not_depend_on_threads() -> None:
     square = source.square(Source(), object_samples=5)
     phase_screen = screen()
     one, two = model(threads=1), model(threads=2)
-    image = one.irradiance(square, one.screen_phase(phase_screen, RAY_MAP))
+    image = one.irradiance(square, behind(one, phase_screen))
     np.testing.assert_allclose(
-        two.irradiance(square, two.screen_phase(phase_screen, RAY_MAP)), image, rtol=0, atol=2e-6 * image.max()
+        two.irradiance(square, behind(two, phase_screen)), image, rtol=0, atol=2e-6 * image.max()
     )
-
-
-def test_ray_beside_the_screen_raises_before_rendering() -> None:
-    small = PhaseScreen(np.zeros((100, 300)), 25e-6)
-    with pytest.raises(ValueError, match="at y = "):
-        model().screen_phase(small, RAY_MAP)
 
 
 def test_progress_rises_to_one() -> None:
@@ -233,23 +233,23 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[threading.Event]:
     return made
 
 
-class SlowPhase:
+class SlowField:
     """No screen at all, but 5 ms a point; from the `last` one on, each waits until the threads are told to end."""
 
     def __init__(self, told: list[threading.Event], cause: Callable[[], object], last: float = 3) -> None:
         self.points = 0
         self._told, self._cause, self._last = told, cause, last
         self._numbers = itertools.count(1)  # safe in threads
-        self._phase = np.zeros((len(model().sample_y_m), len(model().sample_x_m)), np.float32)
+        self._field = np.ones((len(model().sample_y_m), len(model().sample_x_m)), np.complex64)
 
-    def __call__(self, _x_m: float, _y_m: float) -> NDArray[np.float32]:
+    def __call__(self, _x_m: float, _y_m: float) -> NDArray[np.complex64]:
         self.points = number = next(self._numbers)
         if number == self._last:
             self._cause()
         if number >= self._last:
             assert self._told[-1].wait(HANG_S)
         time.sleep(5e-3)
-        return self._phase
+        return self._field
 
     def end(self, _: float) -> None:
         """End the rendering at once; as a callback of its progress."""
@@ -274,18 +274,18 @@ MANY = source.square(Source(), object_samples=31)
 def test_exception_or_ctrl_c_ends_all_threads(
     told: list[threading.Event], end: Callable[[], object], error: type[BaseException]
 ) -> None:
-    phase = SlowPhase(told, end)
+    slow = SlowField(told, end)
     with pytest.raises(error):
-        model().irradiance(MANY, phase)
-    assert phase.points <= 4
-    phase = SlowPhase(told, end)
+        model().irradiance(MANY, slow)
+    assert slow.points <= 4
+    slow = SlowField(told, end)
     with pytest.raises(error):
-        model().point_irradiances(MANY.position_m[:64], phase)
-    assert phase.points <= 4
+        model().point_irradiances(MANY.position_m[:64], slow)
+    assert slow.points <= 4
 
 
 def test_exception_in_progress_ends_rendering(told: list[threading.Event]) -> None:
-    phase = SlowPhase(told, fail, last=math.inf)
+    slow = SlowField(told, fail, last=math.inf)
     with pytest.raises(ArithmeticError):
-        model().irradiance(MANY, phase, progress=phase.end)  # heard after one column of 31 points
-    assert phase.points <= 2 * 31
+        model().irradiance(MANY, slow, progress=slow.end)  # heard after one column of 31 points
+    assert slow.points <= 2 * 31

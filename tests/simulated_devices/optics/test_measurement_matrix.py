@@ -12,10 +12,11 @@ from support.optics import FIELD, sensor_of
 
 from reconstruction.geometry import Lattice
 from simulated_devices.optics import source
-from simulated_devices.optics.forward_model import ForwardModel, PointPhase
+from simulated_devices.optics.forward_model import ForwardModel, PointField
 from simulated_devices.optics.measurement_matrix import MeasurementMatrix
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.ray_map import RayMap
+from simulated_devices.optics.screen_light import ScreenLight, point_field
 from simulated_devices.optics.source import SourcePoints
 from simulated_devices.settings import Source
 
@@ -32,20 +33,21 @@ def model() -> ForwardModel:
 
 
 @pytest.fixture(scope="module")
-def phase(model: ForwardModel) -> PointPhase:
+def field(model: ForwardModel) -> PointField:
     generator = np.random.default_rng(3)
     samples = smooth_screen(generator, samples=181, sample_spacing_m=25e-6, correlation_length_m=0.8e-3)
     ray_map = RayMap.near_pupil(distance_m=0.195, collimator_focal_length_m=0.2)
-    return model.screen_phase(PhaseScreen(samples * (6.0 / samples.std()), 25e-6), ray_map)
+    light = ScreenLight(PhaseScreen(samples * (6.0 / samples.std()), 25e-6), None, ray_map)
+    return point_field(light, model.sample_x_m, model.sample_y_m)
 
 
-def write(path: Path, model: ForwardModel, phase: PointPhase | None) -> MeasurementMatrix:
-    return MeasurementMatrix.write(path, model, GRID.position_m, phase)
+def write(path: Path, model: ForwardModel, field: PointField | None) -> MeasurementMatrix:
+    return MeasurementMatrix.write(path, model, GRID.position_m, field)
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory: pytest.TempPathFactory, model: ForwardModel, phase: PointPhase) -> MeasurementMatrix:
-    return write(tmp_path_factory.mktemp("matrix") / "behind.zarr", model, phase)
+def stored(tmp_path_factory: pytest.TempPathFactory, model: ForwardModel, field: PointField) -> MeasurementMatrix:
+    return write(tmp_path_factory.mktemp("matrix") / "behind.zarr", model, field)
 
 
 def objects() -> dict[str, np.ndarray]:
@@ -58,26 +60,26 @@ def objects() -> dict[str, np.ndarray]:
     return {"square": GRID.area_m2, "stars": on_grid, "random": random}
 
 
-def assert_same(matrix: MeasurementMatrix, model: ForwardModel, phase: PointPhase | None) -> None:
+def assert_same(matrix: MeasurementMatrix, model: ForwardModel, field: PointField | None) -> None:
     for name, area_m2 in objects().items():
         points = SourcePoints(position_m=GRID.position_m, area_m2=area_m2)
-        streamed = model.irradiance(source.stars(POINT_STARS) if name == "stars" else points, phase)
+        streamed = model.irradiance(source.stars(POINT_STARS) if name == "stars" else points, field)
         image = matrix.multiply(area_m2)
         assert image.dtype == np.float32
         np.testing.assert_allclose(image, streamed, rtol=0, atol=1e-5 * streamed.max(), err_msg=name)
 
 
 def test_matrix_times_object_is_the_image_of_the_forward_model(
-    tmp_path: Path, model: ForwardModel, phase: PointPhase, stored: MeasurementMatrix
+    tmp_path: Path, model: ForwardModel, field: PointField, stored: MeasurementMatrix
 ) -> None:
-    assert_same(stored, model, phase)
+    assert_same(stored, model, field)
     assert_same(write(tmp_path / "reference.zarr", model, None), model, None)
 
 
-def test_column_is_the_image_of_its_point(model: ForwardModel, phase: PointPhase, stored: MeasurementMatrix) -> None:
+def test_column_is_the_image_of_its_point(model: ForwardModel, field: PointField, stored: MeasurementMatrix) -> None:
     for point in (0, 20, N * N - 1):
         alone = SourcePoints(position_m=GRID.position_m[point : point + 1], area_m2=np.ones(1))
-        image = model.irradiance(alone, phase)
+        image = model.irradiance(alone, field)
         np.testing.assert_allclose(stored.block(point, point + 1)[0], image, rtol=0, atol=1e-5 * image.max())
 
 
@@ -88,9 +90,9 @@ def test_written_matrix_opens_unchanged(stored: MeasurementMatrix) -> None:
     np.testing.assert_array_equal(again.multiply(GRID.area_m2), stored.multiply(GRID.area_m2))
 
 
-def test_matrix_replaces_only_a_matrix(tmp_path: Path, model: ForwardModel, phase: PointPhase) -> None:
+def test_matrix_replaces_only_a_matrix(tmp_path: Path, model: ForwardModel, field: PointField) -> None:
     path = tmp_path / "a.zarr"
-    write(path, model, phase)
+    write(path, model, field)
     new = write(path, model, None)
     assert_same(new, model, None)
     assert [item.name for item in tmp_path.iterdir()] == ["a.zarr"]
@@ -161,8 +163,8 @@ def test_dark_block_is_stored(tmp_path: Path) -> None:
     assert not write(tmp_path / "dark.zarr", dark, None).multiply(GRID.area_m2).any()
 
 
-def test_missing_block_is_an_error(tmp_path: Path, model: ForwardModel, phase: PointPhase) -> None:
-    matrix = write(tmp_path / "a.zarr", model, phase)
+def test_missing_block_is_an_error(tmp_path: Path, model: ForwardModel, field: PointField) -> None:
+    matrix = write(tmp_path / "a.zarr", model, field)
     next(path for path in (tmp_path / "a.zarr" / "c").rglob("*") if path.is_file()).unlink()
     with pytest.raises(ValueError, match="is damaged: a block has gone"):
         matrix.multiply(GRID.area_m2)

@@ -23,15 +23,15 @@ def plane_and_bowl(slope_x: float, slope_y: float, bend_x: float) -> PhaseScreen
 def test_collimated_beam_keeps_pupil_scale() -> None:
     rays = RayMap.near_pupil(distance_m=0.195, collimator_focal_length_m=0.2)
     assert rays.pupil_scale == 1
-    assert rays.field_scale == pytest.approx(0.975)
+    assert rays.field_scale == rays.ratio == pytest.approx(-0.975)
 
 
 def test_ray_scales_near_source_depend_on_distance() -> None:
     rays = RayMap.near_source(distance_m=0.02, collimator_focal_length_m=0.2)
     # In the mask's own plane a ray is where its object point is; at the collimator it is where its pupil point is.
-    assert (rays.pupil_scale, rays.field_scale) == pytest.approx((0.1, 0.9))
+    assert (rays.pupil_scale, rays.field_scale) == pytest.approx((0.1, -0.9))
     at_mask = RayMap.near_source(distance_m=0.0, collimator_focal_length_m=0.2)
-    assert (at_mask.pupil_scale, at_mask.field_scale) == (0.0, 1.0)
+    assert (at_mask.pupil_scale, at_mask.field_scale) == (0.0, -1.0)
     at_collimator = RayMap.near_source(distance_m=0.2, collimator_focal_length_m=0.2)
     assert (at_collimator.pupil_scale, at_collimator.field_scale) == pytest.approx((1.0, 0.0))
 
@@ -51,7 +51,7 @@ def test_truth_of_plane_and_bowl_matches_closed_form() -> None:
     v = (np.arange(7) - 3) * 0.5e-3
     for row, y_o in enumerate((-0.25e-3, 0.25e-3)):
         for column, x_o in enumerate((-0.5e-3, 0.0, 0.5e-3)):
-            x, y = u + 0.5 * x_o - shift_x, v + 0.5 * y_o - shift_y
+            x, y = u - 0.5 * x_o - shift_x, v - 0.5 * y_o - shift_y
             expected = slope_x * x[None, :] + slope_y * y[:, None] + bend_x * x[None, :] ** 2
             np.testing.assert_allclose(wavefront[row, column], expected - expected.mean(), atol=1e-9)
 
