@@ -79,7 +79,7 @@ def test_truth_is_the_phase_of_the_light_at_the_lenslets(tmp_path: Path) -> None
 
 
 def test_drift_near_the_source_moves_light_by_the_magnification(tmp_path: Path) -> None:
-    """A lens at d = f1 / 4 behind the mask has 1/16 of its curvature in the pupil, and moves there four times as fast."""
+    """A lens at f1 / 4 behind the mask has 1/16 of its curvature in the pupil, and moves there four times as fast."""
     curvature, d, shift_m = 1e8, 0.05, (0.05e-3, -0.1e-3)
     along_m = (np.arange(301) - 150) * 10e-6
     np.save(tmp_path / "lens.npy", curvature / 2 * (along_m**2 + along_m[:, None] ** 2))
