@@ -106,7 +106,7 @@ class LayeredWavefronts:
         """
         errors, columns = self.solver.errors, self._modes.columns
         share, data = errors.share(displacement, weights), errors.whitened(displacement)
-        require_lenslets(np.count_nonzero(share))
+        require_lenslets(int(np.count_nonzero(share)))
         fit = self._fit(sample.ratios, share, data)
         shape = len(self._modes.pupil_modes.degree), displacement.modes.count
         coefficients = np.zeros(shape)
