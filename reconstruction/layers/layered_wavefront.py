@@ -43,8 +43,7 @@ def most_probable(search: LayerSearch, *, free: bool = True) -> AssumedSample:
     best = max(fits, key=lambda fit: fit.quality.log_evidence)
     if free and best.quality.log_evidence < search.any_wavefront.log_evidence:
         return FREE
-    known = np.isfinite(best.ratio_covariance).all()
-    return AssumedSample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance if known else None)
+    return AssumedSample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
