@@ -12,9 +12,10 @@ from reconstruction.displacement import Displacement, Outcome, diagonal_covarian
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes, gradient_basis
+from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.solve.expected_errors import ExpectedErrors
-from reconstruction.solve.sensitivity import geometric_sensitivity
+from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.sensitivity import MeanGradients
 
 
 def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
@@ -46,7 +47,7 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
     sensor, coefficients = bench.sensor, results["coefficients"].values
     modes: PolynomialModes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(coefficients.shape[1])
     parameters = gradient_basis(modes)
-    sensitivity = geometric_sensitivity(sensor, parameters)
+    sensitivity = MeanGradients(sensor, parameters)
     basis = pupil_modes(sensor, bench.reconstruction.basis, len(coefficients))
     of_lenslets = np.einsum("lkpq,pq->lk", sensitivity(basis, slice(None)), coefficients[1:]) @ parameters
     shape = sensor.lenslet_rows, sensor.lenslet_columns
@@ -61,5 +62,7 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
         chi_square=unknown,
         range_used=unknown,
     )
-    errors = ExpectedErrors(sensitivity, parameters, variance, basis.inside)
-    return LayerSolver(sensor, bench.field, modes, errors)(displacement)
+    smooth = pupil_modes(sensor, "legendre", None)
+    layered = layered_wavefronts(sensor, smooth, modes, parameters)
+    free = ModalSolver(smooth, sensitivity, parameters, variance, layered=layered, field_degree=modes.degree)
+    return LayerSolver(sensor, bench.field, modes, free)(displacement)
