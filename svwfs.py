@@ -215,9 +215,17 @@ def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None)
 
 
 def reconstructor(
-    bench: Bench, reference: Counts, *, dark: Counts | None = None, full_scale: float | None = None
+    bench: Bench,
+    reference: Counts,
+    *,
+    dark: Counts | None = None,
+    full_scale: float | None = None,
+    frame: Counts | None = None,
 ) -> BenchReconstructor:
     """Prepare the reconstruction of frames against a reference.
+
+    The camera's noise, which weights lenslets and gives error bars, is estimated from reference and `frame`. Without
+    `frame`, it is estimated when the first frame is reconstructed, as `svwfs reconstruct` does.
 
     Parameters
     ----------
@@ -230,6 +238,8 @@ def reconstructor(
     full_scale
         Count at which a pixel saturates, such as 4095 for a 12-bit camera, infinite if none does; by default that of 16
         bits.
+    frame
+        Frame with the sample, (row, column), counts, that shows the camera's noise.
 
     Returns
     -------
@@ -240,7 +250,7 @@ def reconstructor(
     Raises
     ------
     ReconstructionError
-        If reference, dark and bench do not go together; the message says why.
+        If reference, dark and bench do not go together, at the latest with the first frame; the message says why.
     InputError
         If the full scale is not positive.
 
@@ -256,7 +266,7 @@ def reconstructor(
     """
     from app.measurement.bench_reconstructor import BenchReconstructor
 
-    return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale)
+    return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame)
 
 
 def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:

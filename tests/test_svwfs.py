@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
+from support.command_line import run
 from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, wait_until
 
@@ -241,6 +243,24 @@ def test_refine_counts_its_rounds(bench: Bench, images: SimulatedFrames) -> None
     assert np.array_equal(svwfs.refine(reconstruct, images.frames[0], rounds=0).views, once.views)
     with pytest.raises(svwfs.InputError, match="-1 rounds"):
         svwfs.refine(reconstruct, images.frames[0], rounds=-1)
+
+
+@pytest.mark.parametrize("rounds", [0, 2])
+def test_command_gives_the_same_wavefront(
+    images: SimulatedFrames, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, rounds: int
+) -> None:
+    counts = {"reference": images.reference, "frame": images.frames[0], "dark": images.dark}
+    for name, image in counts.items():
+        tifffile.imwrite(tmp_path / f"{name}.tif", np.rint(image).astype(np.uint16))
+    reference, frame, dark = (tifffile.imread(tmp_path / f"{name}.tif") for name in counts)
+    files = ["frame.tif", "--reference", "reference.tif", "--dark", "dark.tif", "--out", "r.nc"]
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "reconstruct", *files, "--bench", "small_demo", "--refine", str(rounds)) == 0
+    with svwfs.open_result("r.nc") as result:
+        expected = result["wavefront"].values, result["wavefront_sigma"].values
+    reconstruct = svwfs.reconstructor(svwfs.load_bench("small_demo"), reference, dark=dark)
+    wavefront = svwfs.refine(reconstruct, frame, rounds)
+    np.testing.assert_allclose([wavefront.views, wavefront.sigma()], expected, rtol=0, atol=1e-6)
 
 
 def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:

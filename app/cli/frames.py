@@ -132,8 +132,8 @@ def reconstruct(
     write_results(out, dataset, bench=reconstructed.bench, inputs=names)
     if plot is not None:
         plot_views(reconstructed.wavefront, plot)
-    if reconstructed.note:
-        typer.echo(f"note: {reconstructed.note}", err=True)
+    for note in reconstructed.notes:
+        typer.echo(f"note: {note}", err=True)
     print_views(reconstructed.wavefront)
     if refine:
         print_refinement(reconstructed.changes_rad)

@@ -14,6 +14,7 @@ from rich.table import Table
 from app.batch.run import Batch
 from app.cli import printable
 from app.evaluation.selftest import Check
+from app.measurement.assumptions import sample_sentence
 from app.progress import counted
 from app.recording.recover import Recovered
 from app.results.quality import QualityTally
@@ -21,6 +22,7 @@ from app.results.recording_results import Measured
 from app.results.replay.run import Replay
 from app.results.report.residual import Residual
 from app.results.rotation import ROTATES, rotation_of, rotation_sentence
+from app.results.uncertainty import rms_noise, rms_text
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
 from reconstruction.registration.circulation import Circulation
@@ -28,10 +30,17 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 
 def print_views(wavefront: Wavefront) -> None:
-    """Print RMS and PV of every view, arranged as in the field, and the numbers of valid and lost lenslets."""
-    cells = ((f"{rms(view):.3f} / {peak_to_valley(view):.2f}" for view in row) for row in wavefront.views)
-    _print_by_view(wavefront.field, "RMS / PV (rad) of the wavefront at each field position", cells)
+    """Print RMS with noise and PV of every view, arranged as in the field, what was assumed, and the lenslets."""
+    cells = (
+        (
+            f"{rms_text(float(rms(view)), noise)} / {peak_to_valley(view):.2f}"
+            for view, noise in zip(views, noises, strict=True)
+        )
+        for views, noises in zip(wavefront.views, rms_noise(wavefront).tolist(), strict=True)
+    )
+    _print_by_view(wavefront.field, "RMS +- noise / PV (rad) of the wavefront at each field position", cells)
     Console().print(lenslet_summary(wavefront))
+    _print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
     if rotation is not None:
         _print_rotation(rotation, rotates=rotation.contradicts_layers)
@@ -48,14 +57,20 @@ def print_refinement(changes_rad: Sequence[float]) -> None:
 
 
 def print_measurement(measured: Measured, out: Path) -> None:
-    """Print mean and scatter of every view's RMS over the frames, and the folder of the results."""
+    """Print mean and scatter of every view's RMS over the frames, its noise, and the folder of the results."""
     has_scatter = measured.reconstructed > 1
-    of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else ""
-    rows = zip(measured.mean_rms_rad, measured.scatter_rms_rad, strict=True)
+    of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else " +- noise"
+    errors_rad = measured.scatter_rms_rad if has_scatter else measured.noise_rad
+    rows = zip(measured.mean_rms_rad, errors_rad, measured.noise_rad, strict=True)
     cells = (
-        (f"{mean:.3f}" + f" +- {scatter:.3f}" * has_scatter for mean, scatter in zip(*row, strict=True)) for row in rows
+        (
+            rms_text(mean, noise) if mean < noise else f"{mean:.3f} +- {error:.3f}"
+            for mean, error, noise in zip(*row, strict=True)
+        )
+        for row in rows
     )
     _print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
+    _print_sentence(f"noise of one frame: {np.nanmean(measured.noise_rad):.3f} rad RMS; assumed: {measured.assumed}")
     failed = measured.recorded - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:
@@ -95,6 +110,8 @@ def print_replay(made: Replay) -> None:
     if made.verification is not None:
         (print_warning if made.verification.different else _print_sentence)(made.verification.sentence)
     print_quality(made.quality)
+    for sentence in filter(None, (made.notice, made.assumed and f"assumed: {made.assumed}")):
+        _print_sentence(sentence)
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
     _print_sentence(f"{counted(made.frames)}{why}")

@@ -29,7 +29,7 @@ class Reconstructed:
     bench: Bench  # with the lattice in force
     changes_rad: tuple[float, ...]  # RMS change by each round of refinement, mean over the views
     quality: Quality
-    note: str  # if the frame has not the size that the bench says; else empty
+    notes: tuple[str, ...]  # on what the mask shows, and on a frame whose size is not that of the bench
 
 
 def reconstruct_files(
@@ -46,10 +46,9 @@ def reconstruct_files(
             )
     paths = {"frame": frame, "reference": reference, "dark": dark}
     try:
-        most = min(full_scale_of(image, bench.camera_model.bits) for image in (reference_image, frame_image))
         _check_scale(frame_image, frame, reference_image, reference, bench.camera_model.bits)
         _check_scale(reference_image, reference, frame_image, frame, bench.camera_model.bits)
-        reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image, full_scale=most, frame=frame_image)
+        reconstructor = BenchReconstructor(bench, reference_image, dark=dark_image)
         wavefront = reconstructor(frame_image)
         changes_rad = []
         if refine:
@@ -59,8 +58,8 @@ def reconstruct_files(
                 changes_rad.append(step.change_rad)
                 progress("refining", done / refine)
         quality = reconstructor.quality(frame_image, wavefront)
-        note = _size_note(bench.camera, frame_image)
-        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), quality, note)
+        notes = filter(None, (reconstructor.mask_sentence(wavefront), _size_note(bench.camera, frame_image)))
+        return Reconstructed(wavefront, reconstructor.bench, tuple(changes_rad), quality, tuple(notes))
     except ReconstructionError as error:
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
 

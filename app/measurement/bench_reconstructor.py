@@ -13,14 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel
 from app.errors import InputError
+from app.measurement.assumptions import mask_sentence
 from app.measurement.judging import frame_judge
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.above_dark import AboveDark
 from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from reconstruction.frame.noise import CameraNoise, image_noise
 from reconstruction.geometry import Sensor
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
+from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.sequence import repeated_reference
 from reconstruction.quality.verdict import Quality
@@ -30,6 +33,8 @@ from reconstruction.wavefront import Wavefront
 
 class BenchReconstructor:
     """Turns frames of one bench into wavefronts; everything that depends on the reference is prepared once.
+
+    It is prepared with `frame`, or else with the first frame that is reconstructed.
 
     Parameters
     ----------
@@ -42,12 +47,12 @@ class BenchReconstructor:
     full_scale
         Count at which a pixel saturates, infinite if none does; by default see `full_scale_of`.
     frame
-        A frame with the sample. With it, the camera's noise is estimated from frame and reference.
+        Frame with the sample, (row, column), counts, which with the reference shows the camera's noise.
 
     Raises
     ------
     ReconstructionError
-        If the reference shows no lattice or cannot be used; the message says why.
+        If the reference shows no lattice, or when it is prepared, cannot be used; the message says why.
     InputError
         If the full scale is not positive.
     """
@@ -67,34 +72,57 @@ class BenchReconstructor:
             raise InputError(f"full_scale = {full_scale!r}: give the count at which a pixel saturates, as 4095")
         lattice = bench.lattice or survey(reference, bench.sensor, dark=dark, full_scale=most).lattice
         self._reference, self._dark, self._full_scale = reference, dark, most
-        self._is_lattice_given = bench.lattice is not None
-        self.bench = replace(bench, lattice=lattice)
-        noise, frames = (
-            (None, np.inf) if frame is None else _noise(bench.sensor, as_image(frame, "frame"), reference, dark)
-        )
-        self._reconstructor = bench.reconstructor(
-            reference, lattice=lattice, dark=dark, full_scale=most, noise=noise, reference_frames=frames
-        )
+        self._is_lattice_given, self._is_scale_given = bench.lattice is not None, full_scale is not None
+        self.bench, self._lattice = replace(bench, lattice=lattice), lattice
+        self._prepared: Reconstructor | None = None
+        if frame is not None:
+            self._reconstructor(as_image(frame, "frame"))
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
-        return self._reconstructor(as_image(frame, "frame"))
+        image = as_image(frame, "frame")
+        return self._reconstructor(image)(image)
 
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
         counts = as_image(frame, "frame")
         return repeated_reference(counts, self._reference) | self._judge(counts, wavefront.displacement)
 
+    def mask_sentence(self, wavefront: Wavefront) -> str:
+        """Say which displacements the mask hides, and what they follow from; empty if it shows all."""
+        return mask_sentence(self._reconstructor(), wavefront.sample)
+
     def layers(self, wavefront: Wavefront) -> FrameEquations:
         """Normal equations of a wavefront's displacements for layers at any distance."""
-        return self._reconstructor.layers(wavefront.displacement)
+        return self._reconstructor().layers(wavefront.displacement)
 
     def rounds(self, frame: Counts, most: int) -> Iterator[Round]:
         """Refine the wavefront of a frame (row, column), counts, in at most `most` rounds; fewer where it settles."""
         if whole_number(most, "rounds") < 0:
             raise InputError(f"{most} rounds of refinement are impossible: give 0 or more")
-        displacement = self._reconstructor.register(as_image(frame, "frame"))
-        return self._refinement.rounds(displacement, most, self._reconstructor.find_sample(displacement))
+        image = as_image(frame, "frame")
+        reconstructor = self._reconstructor(image)
+        displacement = reconstructor.register(image)
+        return self._refinement.rounds(displacement, most, reconstructor.find_sample(displacement))
+
+    def _reconstructor(self, frame: Counts | None = None) -> Reconstructor:
+        """The reconstructor; prepared with the noise that a frame shows, if this is the first call."""
+        if self._prepared is None:
+            bench, noise, frames = self.bench, None, np.inf
+            if frame is not None:
+                AboveDark(self._reference.shape, None, np.inf)(frame, "frame")  # refuses one of another size
+                noise, frames = _noise(bench.sensor, frame, self._reference, self._dark)
+                if not self._is_scale_given:
+                    self._full_scale = min(self._full_scale, full_scale_of(frame, bench.camera_model.bits))
+            self._prepared = bench.reconstructor(
+                self._reference,
+                lattice=self._lattice,
+                dark=self._dark,
+                full_scale=self._full_scale,
+                noise=noise,
+                reference_frames=frames,
+            )
+        return self._prepared
 
     @cached_property
     def _judge(self) -> FrameJudge:
@@ -102,12 +130,12 @@ class BenchReconstructor:
         if self._is_lattice_given:
             with suppress(ReconstructionError):  # a few lit lenslets show no lattice
                 shown = survey(self._reference, sensor, dark=self._dark, full_scale=self._full_scale).lattice
-        return frame_judge(self._reconstructor, self._reference, shown=shown, dark=self._dark)
+        return frame_judge(self._reconstructor(), self._reference, shown=shown, dark=self._dark)
 
     @cached_property
     def _refinement(self) -> Refinement:
         try:
-            return Refinement(self._reconstructor, BenchModel(self.bench, self._reconstructor))
+            return Refinement(self._reconstructor(), BenchModel(self.bench, self._reconstructor()))
         except ValueError as error:  # the reference does not allow a model
             raise ReconstructionError(str(error), image="reference") from error
 

@@ -16,6 +16,7 @@ import xarray as xr
 from app.bench.config import Bench, write_bench
 from app.errors import SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, in_words
+from app.results.assumed_layers import propagation, sample_variables
 from app.results.hdf_file import HdfFile
 from app.results.quality import quality_variable
 from app.results.rotation import rotation_variables
@@ -61,7 +62,7 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
             "coefficients_sigma": (modes, sigma, about("rad", "standard deviation of e_pq")),
             "slope_chi_square": ((), chi_square, about("1", "reduced chi-square of the slopes against the fit")),
         }
-    variables |= rotation_variables(wavefront)
+    variables |= rotation_variables(wavefront) | sample_variables(wavefront.sample, wavefront.field)
     if quality is not None:
         variables["quality"] = quality_variable(quality)
     coordinates = _coordinates(wavefront.sensor, wavefront.field)
@@ -69,7 +70,8 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
         more, along = qualities(wavefront)
         variables |= more
         coordinates |= along
-    return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=coordinates)
+    attributes = propagation(wavefront.field)
+    return xr.Dataset({**variables, "xy": ("xy", ["x", "y"])}, coords=coordinates, attrs=attributes)
 
 
 def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
@@ -88,10 +90,7 @@ def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
         **_wavefront_variables(views, bench.sensor),
         "light": ((*_VIEW, *_LENSLET), light, about("1", "intensity at the lenslet centres over that without sample")),
     }
-    propagation = "neglected" if bench.field.neglect_propagation else "from sample to lenslets"
-    return xr.Dataset(
-        variables, coords=_coordinates(bench.sensor, bench.field), attrs={"propagation_of_light": propagation}
-    )
+    return xr.Dataset(variables, coords=_coordinates(bench.sensor, bench.field), attrs=propagation(bench.field))
 
 
 def results_in_pieces(

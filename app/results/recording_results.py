@@ -12,9 +12,11 @@ from app.images import write_image
 from app.progress import Progress
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessed, reprocess
+from app.results.assumed_layers import SampleTally
 from app.results.dataset import results_in_pieces, write_pieces
 from app.results.quality import QualityTally
 from app.results.rotation import rotation_of
+from app.results.uncertainty import rms_noise
 from reconstruction.arrays import Floats
 from reconstruction.registration.circulation import Circulation
 from reconstruction.wavefront import rms
@@ -34,18 +36,30 @@ class Measured:
     bench: Bench
     mean_rms_rad: Floats  # mean over the frames, (view_row, view_column)
     square_rms_rad: Floats  # mean of the squares, rad^2, (view_row, view_column)
+    square_noise_rad: Floats  # mean of the squares of each frame's noise, rad^2, (view_row, view_column)
     recorded: int = 0
     reconstructed: int = 0
     lost: int = 0  # by the camera
     rotation: Circulation | None = None  # of the subimages of the last frame; None if the registration excludes it
     rotating: int = 0  # frames whose subimages rotate
     problem: str = ""  # of the first frame that could not be reconstructed
+    samples: SampleTally = field(default_factory=SampleTally)
     quality: QualityTally = field(default_factory=QualityTally)
 
     @property
     def scatter_rms_rad(self) -> Floats:
         """Standard deviation of each view's RMS over the frames, rad, (view_row, view_column)."""
         return np.sqrt(np.maximum(self.square_rms_rad - self.mean_rms_rad**2, 0))
+
+    @property
+    def noise_rad(self) -> Floats:
+        """Noise of one frame, rad, (view_row, view_column); see `rms_noise`."""
+        return np.sqrt(self.square_noise_rad)
+
+    @property
+    def assumed(self) -> str:
+        """Samples that were assumed, in words."""
+        return self.samples.sentence(self.bench.field)
 
     def take(self, made: Reprocessed) -> None:
         """Add one frame."""
@@ -55,11 +69,14 @@ class Measured:
             return
         self.reconstructed += 1
         self.quality.take(made.quality)
+        self.samples.take(made.wavefront.sample)
         self.rotation = rotation_of(made.wavefront)
         self.rotating += self.rotation is not None and self.rotation.contradicts_layers
         values = rms(made.wavefront.views)
         self.mean_rms_rad = self.mean_rms_rad + (values - self.mean_rms_rad) / self.reconstructed
         self.square_rms_rad = self.square_rms_rad + (values**2 - self.square_rms_rad) / self.reconstructed
+        noise = rms_noise(made.wavefront) ** 2
+        self.square_noise_rad = self.square_noise_rad + (noise - self.square_noise_rad) / self.reconstructed
 
 
 def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Measured:
@@ -68,7 +85,7 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
     Every frame is reconstructed, also those that were skipped live; without any wavefront there is no `results.nc`.
     """
     shape = bench.field.view_rows, bench.field.view_columns
-    measured = Measured(bench, np.zeros(shape), np.zeros(shape))
+    measured = Measured(bench, *np.zeros((3, *shape)))
     _write_calibration(recording)
     pieces = results_in_pieces((made, {}) for made in _counted(recording, measured, progress))
     first = next(pieces, None)

@@ -25,6 +25,7 @@ from drivers.interface import (
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
 from reconstruction.geometry import Field, Lattice
+from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import Wavefront

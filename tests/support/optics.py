@@ -100,7 +100,7 @@ class SmallBench:
         In real light a phase that changes over the field gathers light: `amplitude` is sqrt(det(1 + f1/k d2phi/dxdu)).
         """
         wave = phase_only(phase)
-        field = wave if amplitude is None else lambda x_m, y_m: (amplitude(x_m, y_m) * wave(x_m, y_m))
+        field = wave if amplitude is None else lambda x_m, y_m: amplitude(x_m, y_m) * wave(x_m, y_m)
         return self.model.irradiance(self.source, field) * np.float32(1e14)
 
     def tilted(self, tilt: float, growth: float) -> tuple[NDArray[np.float32], Floats]:

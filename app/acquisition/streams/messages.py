@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from app.bench.config import Bench
 from app.measurement.measurement import Measurement
 from reconstruction.geometry import Sensor
+from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront
 
@@ -65,7 +66,7 @@ def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -
 
 def _frame_facts(measurement: Measurement) -> dict[str, Any]:
     """Header entries on the frame."""
-    frame, (sample, refinement) = measurement.frame, measurement.assumed
+    frame, refinement = measurement.frame, measurement.assumed.refinement
     unix_s = time.time() - time.perf_counter()  # calendar time at which perf_counter is zero
     return {
         "frame": frame.index,
@@ -85,7 +86,7 @@ def _frame_facts(measurement: Measurement) -> dict[str, Any]:
 
 
 def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
-    """Header entries on the calibration, which give axes and units their meaning."""
+    """Header entries on calibration and sample, which give axes, units and wavefronts their meaning."""
     calibration = measurement.calibration
     if calibration is not None:
         bench = calibration.bench
@@ -96,11 +97,23 @@ def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
         "lattice": None if calibration is None else asdict(calibration.lattice),
         "field": asdict(bench.field),
         "reconstruction": asdict(bench.reconstruction),
+        "layers": _layers(measurement.assumed.sample, bench),
         "view_x_m": bench.field.view_x_m.tolist(),
         "view_y_m": bench.field.view_y_m.tolist(),
         "pupil_x_m": pupil_x_m.tolist(),
         "pupil_y_m": sensor.pupil_y_m.tolist(),
     }
+
+
+def _layers(sample: AssumedSample | None, bench: Bench) -> list[dict[str, float]] | None:
+    """Return the assumed layers: none for any wavefront, None before they have been searched for."""
+    if sample is None:
+        return None
+    focal_length_m = bench.field.collimator_focal_length_m
+    return [
+        {"distance_m": -ratio * focal_length_m, "distance_sigma_m": sigma * focal_length_m}
+        for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
+    ]
 
 
 def _coefficients(wavefront: Wavefront, _: Sensor) -> list[Labelled]:

@@ -33,11 +33,12 @@ from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.bench.settings import StreamSettings
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
-from app.measurement.live_solver import RefinementState
+from app.measurement.live_solver import Assumptions, RefinementState
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.averages import Average
 from app.recording.reader import Recording
 from drivers.interface import Frame
+from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
@@ -78,8 +79,9 @@ def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Mea
         exposure_s=0.02,
         em_gain=8.0,
     )
-    refinement = RefinementState("applied", 0.75, 0.01) if index % 2 else RefinementState()
-    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, Assumptions(refinement=refinement))
+    layer = AssumedSample((-0.975,), np.array([[0.01**2]]))  # 195 +- 2 mm before the lenslets
+    assumed = Assumptions(layer, RefinementState("applied", 0.75, 0.01)) if index % 2 else Assumptions()
+    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, assumed)
 
 
 class Subscriber:
@@ -178,6 +180,7 @@ def test_subscriber_receives_exact_arrays(
         assert header["camera_time_s"] == 7.25
         assert header["exposure_end_unix_s"] == pytest.approx(time.time() - 0.02, abs=100)
         assert (header["refinement"], header["bias_age_s"], header["problem"]) == ("applied", 0.75, "")
+        assert header["layers"] == [{"distance_m": pytest.approx(0.195), "distance_sigma_m": pytest.approx(2e-3)}]
         assert header["sensor"]["wavelength_m"] == bench.sensor.wavelength_m
         assert header["lattice"] == asdict(small_bench.lattice)
         assert header["reconstruction"]["basis"] == "zernike"
@@ -210,6 +213,7 @@ def test_frame_without_wavefront_is_published(publisher: Publisher, port: int, m
         _, header, arrays = subscriber.hears()
     assert (header["frame"], header["problem"], header["arrays"], arrays) == (6, "the frame is saturated", [], {})
     assert (header["refinement"], header["bias_age_s"], header["lattice"]) == ("off", None, None)
+    assert header["layers"] == []
 
 
 def test_zonal_method_publishes_no_coefficients(

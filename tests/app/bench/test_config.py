@@ -15,8 +15,8 @@ from app.bench.presets import PRESETS
 from app.errors import InputError
 from drivers.genicam.settings import GenicamSettings
 
-OF_VERSION_0_2 = (FOREIGN_FRAMES / "bench.toml").read_text()
-MINIMAL = OF_VERSION_0_2.replace("conserve_flux = true\n", "")
+MINIMAL = (FOREIGN_FRAMES / "bench.toml").read_text().replace("neglect_propagation = true\n", "")
+OF_VERSION_0_2 = MINIMAL.replace("[registration]\n", "[registration]\nconserve_flux = true\n")
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -16,9 +16,22 @@ from app.results.recording_results import Measured
 def test_scatter_is_printed_only_of_several_frames(frames: int, capsys: pytest.CaptureFixture[str]) -> None:
     bench = load_bench("small_demo")
     mean = np.full((bench.field.view_rows, bench.field.view_columns), 1.5)
-    print_measurement(Measured(bench, mean, mean**2 + 0.01, recorded=frames, reconstructed=frames), Path("run"))
+    noise = np.full(mean.shape, 0.25**2)
+    measured = Measured(bench, mean, mean**2 + 0.01, noise, recorded=frames, reconstructed=frames)
+    print_measurement(measured, Path("run"))
     printed = " ".join(capsys.readouterr().out.split())
     assert "1.500" in printed
-    assert ("1.500 +- 0.100" in printed) == (frames == 2)
+    assert f"1.500 +- {'0.100' if frames == 2 else '0.250'}" in printed
+    assert "noise of one frame: 0.250 rad RMS" in printed
     assert ("mean +- scatter" in printed) == (frames == 2)
     assert f"{'1 frame' if frames == 1 else '2 frames'}, 0 lost" in printed
+
+
+def test_rms_below_its_noise_is_no_number(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = load_bench("small_demo")
+    mean = np.full((bench.field.view_rows, bench.field.view_columns), 1e-8)
+    mean[0, 0] = 0.5
+    print_measurement(Measured(bench, mean, mean**2, np.full(mean.shape, 0.007**2), reconstructed=2), Path("run"))
+    printed = " ".join(capsys.readouterr().out.split())
+    assert printed.count("below noise (0.007 rad)") == mean.size - 1
+    assert "0.500 +- 0.000" in printed

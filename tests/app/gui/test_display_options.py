@@ -21,6 +21,7 @@ from app.gui.presentation import number, signed
 from app.results.dataset import result_dataset, write_results
 from app.results.view_analysis import Quantity
 from reconstruction.arrays import Floats
+from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.wavefront import Wavefront
 
 
@@ -184,10 +185,9 @@ def test_columns_of_hexagonal_maps_are_straight(make_window: MakeWindow) -> None
     x_m = sensor.lenslet_centers_m[..., 0]
     window, tilted = make_window(), bowl()
     window._analysis.use_settings(BENCH.reconstruction)
+    views = np.broadcast_to(1e3 * x_m, (3, 3, *x_m.shape))
     window.wavefront_panel.show_wavefront(
-        Wavefront(
-            sensor, tilted.field, tilted.displacement, tilted.solution, np.broadcast_to(1e3 * x_m, (3, 3, *x_m.shape))
-        )
+        Wavefront(sensor, tilted.field, tilted.displacement, tilted.solution, views, FREE)
     )
     maps = window.wavefront_panel.grid.maps
     assert maps is not None

@@ -127,4 +127,4 @@ def test_black_frame_is_refused() -> None:
 def test_dark_with_more_light_than_the_reference_is_refused(counts: int) -> None:
     bright = np.full(light()[0].shape, counts, np.uint16)
     with pytest.raises(ReconstructionError, match="the reference shows no light above the dark"):
-        BenchReconstructor(load_bench("small_demo"), exposed(light()[0], 1), dark=bright)
+        BenchReconstructor(load_bench("small_demo"), exposed(light()[0], 1), dark=bright)(exposed(light()[1], 1))

@@ -1,27 +1,32 @@
-"""Live refinement: the bias applies only near its wavefront, and the thread ends on request."""
+"""Live solves: layers found in the background serve later frames, a bias only near its wavefront; threads end."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from app.measurement.live_refinement import LiveRefinement, RefinementState
 from numpy.typing import NDArray
 from support.optics import FIELD, SmallBench
 from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
+from app.measurement.live_solver import Assumptions, LiveSolver, RefinementState
+from reconstruction.displacement import Displacement
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
-from reconstruction.refinement import PointPhase
-from reconstruction.wavefront import rms
+from reconstruction.refinement import Bias, PointField, Refinement
+from reconstruction.settings import ReconstructionSettings
+from reconstruction.wavefront import Wavefront, rms
 
 
 @pytest.fixture(scope="module")
-def reconstructor(small_bench: SmallBench) -> Reconstructor:
-    return small_bench.reconstructor("cubic", pupil_modes=None)
+def reconstructor(paper_bench: SmallBench) -> Reconstructor:
+    free = ReconstructionSettings(sample="free")
+    return paper_bench.reconstructor("cubic", reconstruction=free)
 
 
 def bowl(bench: SmallBench, strength: float) -> NDArray[np.float32]:
@@ -34,95 +39,96 @@ def bowl(bench: SmallBench, strength: float) -> NDArray[np.float32]:
     )
 
 
-def bench_of(small_bench: SmallBench) -> Bench:
-    return Bench(sensor=small_bench.sensor, field=FIELD, lattice=small_bench.lattice)
+def bench_of(bench: SmallBench, *, refine: bool = True) -> Bench:
+    reconstruction = ReconstructionSettings(refine=refine)
+    return Bench(sensor=bench.sensor, field=bench.field, lattice=bench.lattice, reconstruction=reconstruction)
 
 
-def until(refinement: LiveRefinement, reconstructor: Reconstructor, frame: NDArray[np.float32], stage: str) -> float:
+def until(solver: LiveSolver, reconstructor: Reconstructor, frame: NDArray[np.float32], stage: str) -> float:
     """Refine a frame every 20 ms until the stage is reached; return the time (s)."""
     displacement, begin_s = reconstructor.register(frame), time.monotonic()
-    while refinement.refine(displacement, time.monotonic())[1].stage != stage:
+    while solver.solve(displacement, time.monotonic())[1].refinement.stage != stage:
         assert time.monotonic() - begin_s < HANG_S
         time.sleep(0.02)
     return time.monotonic() - begin_s
 
 
-def test_bias_applies_only_near_its_wavefront(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+def test_bias_applies_only_near_its_wavefront(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
+    solver = LiveSolver(bench_of(paper_bench), reconstructor)
     try:
-        frame = bowl(small_bench, 1.0)
+        frame = bowl(paper_bench, 1.0)
         displacement = reconstructor.register(frame)
-        once, state = refinement.refine(displacement, 0.0)
+        once, (_, state) = solver.solve(displacement, 0.0)
         assert state.stage == "preparing"
-        assert refinement.as_before(1.0).bias is None
+        assert solver.as_before(1.0).refinement.bias is None
         np.testing.assert_array_equal(once.views, reconstructor.solve(displacement).views)
-        until(refinement, reconstructor, frame, "applied")
+        until(solver, reconstructor, frame, "applied")
         time.sleep(1.0)  # some more rounds
-        corrected, state = refinement.refine(displacement, time.monotonic())
+        corrected, (_, state) = solver.solve(displacement, time.monotonic())
         assert state.age_s > 0
         assert state.moved_rad < 0.2
         now_s = time.monotonic()
-        corrected, state = refinement.refine(displacement, now_s)
-        later = refinement.as_before(now_s + 0.25)  # for a skipped frame
+        corrected, (_, state) = solver.solve(displacement, now_s)
+        later = solver.as_before(now_s + 0.25).refinement  # for a skipped frame
         assert later.bias is state.bias is not None
         assert later.age_s == pytest.approx(state.age_s + 0.25)
         assert rms(corrected.views - once.views).mean() > 0.005
 
-        gone = reconstructor.register(bowl(small_bench, -1.0))
-        found, state = refinement.refine(gone, time.monotonic())
+        gone = reconstructor.register(bowl(paper_bench, -1.0))
+        found, (_, state) = solver.solve(gone, time.monotonic())
         assert state.stage == "moved"
-        assert refinement.as_before(time.monotonic()).bias is None
+        assert solver.as_before(time.monotonic()).refinement.bias is None
         assert state.moved_rad == pytest.approx(2 * rms(once.views).mean(), rel=0.1)
         np.testing.assert_array_equal(found.views, reconstructor.solve(gone).views)
-        until(refinement, reconstructor, bowl(small_bench, -1.0), "applied")
+        until(solver, reconstructor, bowl(paper_bench, -1.0), "applied")
     finally:
-        refinement.close()
+        solver.close()
 
 
-def test_nearly_flat_wavefront_keeps_bias(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
-    until(refinement, reconstructor, small_bench.reference, "applied")
-    noise = np.random.default_rng(0).normal(0, 0.002 * small_bench.reference.max(), small_bench.frame_shape)
-    displacement = reconstructor.register((small_bench.reference + noise).astype(np.float32))
-    assert refinement.refine(displacement, 1.0)[1].stage == "applied"
-    refinement.close()
+def test_nearly_flat_wavefront_keeps_bias(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
+    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    until(solver, reconstructor, paper_bench.reference, "applied")
+    noise = np.random.default_rng(0).normal(0, 0.002 * paper_bench.reference.max(), paper_bench.frame_shape)
+    displacement = reconstructor.register((paper_bench.reference + noise).astype(np.float32))
+    assert solver.solve(displacement, 1.0)[1].refinement.stage == "applied"
+    solver.close()
 
 
-def test_refinement_thread_ends(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
-    until(refinement, reconstructor, small_bench.reference, "applied")
-    refinement.close()
-    wait_until(lambda: not any(thread.name == "refinement" for thread in threading.enumerate()))
+def test_refinement_thread_ends(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
+    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    until(solver, reconstructor, paper_bench.reference, "applied")
+    solver.close()
+    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
 
 
 @pytest.mark.parametrize("closes", [True, False])
 def test_round_cut_short_by_exit_is_no_error(
-    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch, *, closes: bool
+    paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch, *, closes: bool
 ) -> None:
     def cut_short(*_: object) -> None:
         if closes:
-            refinement.close()
+            solver.close()
         raise RuntimeError("cannot schedule new futures after shutdown")
 
     raised: list[object] = []
     monkeypatch.setattr(threading, "excepthook", raised.append)
-    monkeypatch.setattr("app.measurement.live_refinement.Refinement.bias", cut_short)
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
-    refinement.refine(reconstructor.register(small_bench.reference), 0.0)
-    wait_until(lambda: not any(thread.name == "refinement" for thread in threading.enumerate()))
+    monkeypatch.setattr("app.measurement.live_solver.Refinement.bias", cut_short)
+    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    solver.solve(reconstructor.register(paper_bench.reference), 0.0)
+    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
     assert len(raised) == (0 if closes else 1)
 
 
 def test_impossible_model_is_reported(
-    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
+    paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
         raise ValueError("no such source")
 
-    monkeypatch.setattr("app.measurement.live_refinement.BenchModel", fail)
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
-    until(refinement, reconstructor, small_bench.reference, "failed")
-    assert refinement.refine(reconstructor.register(small_bench.reference), 0.0)[1].problem == "no such source"
+    monkeypatch.setattr("app.measurement.live_solver.BenchModel", fail)
+    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    until(solver, reconstructor, paper_bench.reference, "failed")
+    assert solver.solve(reconstructor.register(paper_bench.reference), 0.0)[1].refinement.problem == "no such source"
 
 
 def test_refinement_is_off_by_default() -> None:
@@ -132,56 +138,163 @@ def test_refinement_is_off_by_default() -> None:
 
 
 def test_bias_that_worsens_the_misfit_is_rejected(
-    small_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
+    paper_bench: SmallBench, reconstructor: Reconstructor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A model that is nearly right for the first wavefront and wrong for its correction."""
 
     class Wild:
-        sample_x_m, sample_y_m = small_bench.model.sample_x_m, small_bench.model.sample_y_m
+        sample_x_m, sample_y_m = paper_bench.model.sample_x_m, paper_bench.model.sample_y_m
         first_rad = math.nan
 
         def __init__(self, *_: object) -> None:
             pass
 
-        def image(self, phase: PointPhase | None) -> NDArray[np.float32]:
-            if phase is None:
-                return small_bench.reference
-            rms_rad = float(np.std(phase(0.0, 0.0)))
+        def image(self, field: PointField | None) -> NDArray[np.float32]:
+            if field is None:
+                return paper_bench.reference
+            rms_rad = float(np.std(np.unwrap(np.unwrap(np.angle(field(0.0, 0.0)), axis=0), axis=1)))
             if math.isnan(self.first_rad):
                 self.first_rad = rms_rad
-            return bowl(small_bench, 1.05 if abs(rms_rad / self.first_rad - 1) < 0.01 else 0.85)
+            return bowl(paper_bench, 1.05 if abs(rms_rad / self.first_rad - 1) < 0.01 else 0.85)
 
-    monkeypatch.setattr("app.measurement.live_refinement.BenchModel", Wild)
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
+    monkeypatch.setattr("app.measurement.live_solver.BenchModel", Wild)
+    solver = LiveSolver(bench_of(paper_bench), reconstructor)
     try:
-        frame = bowl(small_bench, 1.0)
-        until(refinement, reconstructor, frame, "worse")
+        frame = bowl(paper_bench, 1.0)
+        until(solver, reconstructor, frame, "worse")
         displacement = reconstructor.register(frame)
         for _ in range(10):  # it stays rejected
             time.sleep(0.05)
-            wavefront, state = refinement.refine(displacement, time.monotonic())
+            wavefront, (_, state) = solver.solve(displacement, time.monotonic())
             assert state.stage == "worse"
             assert state.bias is None
         np.testing.assert_array_equal(wavefront.views, reconstructor.solve(displacement).views)
-        until(refinement, reconstructor, bowl(small_bench, -1.0), "moved")
+        until(solver, reconstructor, bowl(paper_bench, -1.0), "moved")
     finally:
-        refinement.close()
+        solver.close()
 
 
-def test_helpful_bias_in_noise_is_kept(small_bench: SmallBench, reconstructor: Reconstructor) -> None:
+def test_helpful_bias_in_noise_is_kept(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     """Rounds at one strong wavefront, each frame with noise of its own."""
-    refinement = LiveRefinement(bench_of(small_bench), reconstructor)
-    random, clean = np.random.default_rng(0), bowl(small_bench, 1.0)
+    solver = LiveSolver(bench_of(paper_bench), reconstructor)
+    random, clean = np.random.default_rng(0), bowl(paper_bench, 1.0)
     try:
-        until(refinement, reconstructor, clean, "applied")
+        until(solver, reconstructor, clean, "applied")
         ages_s: list[float] = []
         deadline_s = time.monotonic() + HANG_S
         while len(ages_s) < 40 or np.sum(np.diff(ages_s) < 0) < 2:  # rounds that were judged
             assert time.monotonic() < deadline_s
             frame = clean + random.normal(0, 0.02 * clean.max(), clean.shape).astype(np.float32)
-            _, state = refinement.refine(reconstructor.register(frame), time.monotonic())
+            _, (_, state) = solver.solve(reconstructor.register(frame), time.monotonic())
             assert state.stage == "applied"
             ages_s.append(state.age_s)
             time.sleep(0.05)
     finally:
-        refinement.close()
+        solver.close()
+
+
+def behind_layer(bench: SmallBench, ratio: float) -> NDArray[np.float32]:
+    """A frame behind one thin layer, met at s = u + ratio x."""
+    half_width_m = bench.sensor.pupil_half_width_m[0]
+    u, v = bench.samples()
+
+    def phase(x_m: float, y_m: float) -> NDArray[np.float32]:
+        s, t = (u + ratio * x_m) / half_width_m, (v + ratio * y_m) / half_width_m
+        return (0.3 * (4 * s**2 - 3 * s * t + 2 * t**3 + 1.5 * s**4 - s**2 * t**3)).astype("f4")
+
+    return bench.frame(phase)
+
+
+def until_ratio(solver: LiveSolver, displacement: Displacement, ratio: float) -> tuple[Wavefront, Assumptions]:
+    """Solve a frame every 20 ms until one layer at about that ratio is assumed."""
+    begin_s = time.monotonic()
+    while True:
+        wavefront, assumed = solver.solve(displacement, time.monotonic())
+        sample, refinement = assumed
+        is_found = sample is not None and sample.ratios == pytest.approx((ratio,), abs=0.03)
+        if is_found and refinement.stage in {"off", "applied"}:
+            return wavefront, assumed
+        assert time.monotonic() - begin_s < HANG_S
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def layered(paper_bench: SmallBench) -> Reconstructor:
+    return paper_bench.reconstructor("cubic", pupil_modes=None)
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_layers_found_in_the_background_serve_later_frames(
+    paper_bench: SmallBench, layered: Reconstructor, *, refine: bool
+) -> None:
+    solver = LiveSolver(bench_of(paper_bench, refine=refine), layered)
+    try:
+        displacement = layered.register(behind_layer(paper_bench, -0.8))
+        first, assumed = solver.solve(displacement, 0.0)
+        assert (assumed.sample, first.sample) == (None, FREE)
+        assert solver.as_before(1.0).sample is None
+        np.testing.assert_array_equal(first.views, layered.solve(displacement).views)
+        wavefront, (sample, refinement) = until_ratio(solver, displacement, -0.8)
+        assert sample is wavefront.sample is solver.as_before(1.0).sample
+        again = layered.solve(displacement, bias=refinement.bias, sample=wavefront.sample)
+        np.testing.assert_array_equal(wavefront.views, again.views)
+        assert (refinement.bias is not None) == refine
+
+        until_ratio(solver, layered.register(behind_layer(paper_bench, 0.5)), 0.5)  # searches go on
+    finally:
+        solver.close()
+
+
+def test_bias_is_found_with_the_sample_of_the_frames(
+    paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tuple[AssumedSample, Bias]] = []
+    original = Refinement.bias
+
+    def noted(self: Refinement, wavefront: Wavefront) -> Bias:
+        bias = original(self, wavefront)
+        seen.append((wavefront.sample, bias))
+        return bias
+
+    monkeypatch.setattr("app.measurement.live_solver.Refinement.bias", noted)
+    solver = LiveSolver(bench_of(paper_bench), layered)
+    try:
+        displacement = layered.register(behind_layer(paper_bench, -0.8))
+        applied: list[Assumptions] = []
+        deadline_s = time.monotonic() + HANG_S
+        while len({id(each.sample) for each in applied}) < 2:  # two searches
+            assert time.monotonic() < deadline_s
+            _, assumed = solver.solve(displacement, time.monotonic())
+            applied += [assumed] if assumed.refinement.bias is not None else []
+            time.sleep(0.02)
+        for sample, refinement in applied:
+            assert any(sample is of and refinement.bias is bias.displacement for of, bias in seen)
+    finally:
+        solver.close()
+
+
+def test_close_ends_a_search(paper_bench: SmallBench, layered: Reconstructor, monkeypatch: pytest.MonkeyPatch) -> None:
+    searching = threading.Event()
+
+    def search(_: Reconstructor, __: Displacement, check: Callable[[], None]) -> AssumedSample:
+        searching.set()
+        while True:
+            check()
+            time.sleep(0.01)
+
+    monkeypatch.setattr(Reconstructor, "find_sample", search)
+    solver = LiveSolver(bench_of(paper_bench, refine=False), layered)
+    solver.solve(layered.register(paper_bench.reference), 0.0)
+    assert searching.wait(HANG_S)
+    solver.close()
+    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
+
+
+def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
+    solver = LiveSolver(bench_of(paper_bench, refine=False), reconstructor)
+    assert not solver.prepares
+    displacement = reconstructor.register(bowl(paper_bench, 1.0))
+    wavefront, assumed = solver.solve(displacement, 0.0)
+    assert assumed == (FREE, RefinementState())
+    np.testing.assert_array_equal(wavefront.views, reconstructor.solve(displacement).views)
+    assert not any(thread.name == "live-solver" for thread in threading.enumerate())

@@ -38,14 +38,20 @@ def test_bench_of_0_1_loads_with_all_its_settings() -> None:
     assert bench.lattice.rotation_rad == 0.003
     assert bench.reconstruction.refine
     then, now = tomllib.loads((FILES / "bench.toml").read_text()), tomllib.loads(write_bench(bench))
+    assert then["registration"].pop("conserve_flux")
+    assert now["field"]["neglect_propagation"]
     for table, settings in then.items():
         assert now[table] == now[table] | settings
 
 
 def as_in_0_1(bench: Bench) -> Bench:
-    """The bench with what version 0.1 did before there were settings for it: subimages could rotate, no response."""
+    """The bench with what version 0.1 did before there were settings for it.
+
+    Subimages could rotate, there was no response, and no search for layers; `conserve_flux` neglects propagation.
+    """
     registration = replace(bench.registration, rotation=True, warp=bench.registration.warp or "quadratic")
-    return replace(bench, registration=registration, reconstruction=replace(bench.reconstruction, response=False))
+    reconstruction = replace(bench.reconstruction, response=False, sample="free")
+    return replace(bench, registration=registration, reconstruction=reconstruction)
 
 
 def test_bench_of_0_1_by_itself_has_the_present_defaults() -> None:
@@ -126,6 +132,16 @@ def test_verification_names_the_other_version(
     assert f"{FRAMES} of {FRAMES} frames differ from what was recorded" in capsys.readouterr().err
 
 
+def test_replay_says_that_propagation_was_neglected(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    notice = "recorded by version 0.1 or 0.2 with neglected propagation of light, and reconstructed so again"
+    assert run(monkeypatch, "replay", RECORDING) == 0
+    assert notice in capsys.readouterr().out
+    assert run(monkeypatch, "replay", RECORDING, "--set", "field.neglect_propagation=false") == 0
+    assert notice not in capsys.readouterr().out
+
+
 def test_recording_of_0_1_plays_as_a_camera() -> None:
     camera = RecordingSettings(folder=str(RECORDING), pace="fastest")
     recording = Recording(RECORDING)
@@ -189,8 +205,9 @@ def test_result_of_0_1_has_the_names_dimensions_and_units_of_today() -> None:
         assert (result.attrs["frame"], result.attrs["dark"]) == ("frame.tif", "dark.tif")
         assert parse_bench(result.attrs["bench"], "result.nc").field.view_columns == 2
         then, now = schema(result), schema(today)
-        added = {"rotation", "rotation_sigma", "rotation_significance", "circulation_chi_square", "contradicts_layers"}
-        assert now == then | {name: now[name] for name in added}  # what rotates since 0.1 is also reported
+        rotation = {"rotation", "rotation_sigma", "rotation_significance", "circulation_chi_square"}
+        layers = {"contradicts_layers", "assumed_layers", "layer_distance", "layer_distance_sigma"}
+        assert now == then | {name: now[name] for name in rotation | layers}  # what is reported since 0.1
         np.testing.assert_allclose(
             result["rms"], result["wavefront"].std(dim=("lenslet_row", "lenslet_column")), rtol=1e-12
         )

@@ -1,0 +1,47 @@
+"""What was assumed of the sample, and what the mask shows, in words."""
+
+import math
+
+from reconstruction.geometry import Field
+from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.pipeline import Reconstructor
+from reconstruction.settings import FIELD_MODES
+
+_COUNTS = {1: "one layer", 2: "two layers"}
+
+
+def sample_sentence(sample: AssumedSample, field: Field) -> str:
+    """Say what was assumed, as "one layer 195 +- 1 mm in front of the lenslets"."""
+    if not sample.ratios:
+        return "any wavefront"
+    places = [
+        _place(-ratio * field.collimator_focal_length_m, sigma * field.collimator_focal_length_m)
+        for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
+    ]
+    return f"{_COUNTS[len(places)]} {' and '.join(places)}"
+
+
+def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = None) -> str:
+    """Say which displacements the mask hides, and what they follow from; empty if it shows all.
+
+    Without a `sample`, of frames in general.
+    """
+    warp, hidden = reconstructor.registration.warp, reconstructor.hidden
+    if warp is None or not hidden:
+        return ""
+    fields = FIELD_MODES[warp]
+    degree = (math.isqrt(8 * fields + 1) - 3) // 2
+    count = 2 * fields if reconstructor.registration.rotation else fields + degree + 1  # gradients of a potential
+    source = "follow from layers, or only from the prior"
+    if sample is not None:
+        layers = "the layer" if len(sample.ratios) == 1 else "the layers"
+        source = f"follow from {layers}" if sample.ratios else "are known only by the prior"
+    return f"the mask shows {count - hidden} of {count} displacements of a {warp} warp; the others {source}"
+
+
+def _place(distance_m: float, sigma_m: float) -> str:
+    """Describe a distance, positive towards the source."""
+    side = "in front of" if distance_m >= 0 else "behind"
+    decimals = 0 if sigma_m <= 0 else max(0, -math.floor(math.log10(sigma_m * 1e3)))
+    error = f" +- {sigma_m * 1e3:.{decimals}f}" if sigma_m > 0 else ""
+    return f"{abs(distance_m) * 1e3:.{decimals}f}{error} mm {side} the lenslets"
