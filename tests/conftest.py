@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 from support.leftovers import no_leftovers
-from support.optics import SmallBench
+from support.optics import PAPER, SmallBench, checkerboard
 
 from app.acquisition.devices import simulated_bench
 from simulated_devices.clock import ManualClock
@@ -67,8 +67,20 @@ def default_signals() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def small_bench() -> SmallBench:
-    """A 7 x 9 lattice, off centre and turned, on a non-square camera."""
+    """A 7 x 9 lattice, off centre and turned, on a non-square camera, with a uniform square as its source."""
     return SmallBench()
+
+
+@pytest.fixture(scope="session")
+def paper_bench() -> SmallBench:
+    """The small bench in the paper's world, which conserves flux: a uniform square shows every displacement."""
+    return SmallBench(field=PAPER)
+
+
+@pytest.fixture(scope="session")
+def checker_bench() -> SmallBench:
+    """The small bench with a checkerboard, which shows every displacement in real light."""
+    return SmallBench(source=checkerboard())
 
 
 @pytest.fixture(scope="session")

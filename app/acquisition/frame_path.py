@@ -91,7 +91,7 @@ class FramePath:
             self.counts,
             exposure_end_s,
             latency_s=time.perf_counter() - exposure_end_s,
-            refinement=made.refinement,
+            assumed=made.assumed,
             calibration=made.calibration,
             start=made.start,
             registered=made.registered,

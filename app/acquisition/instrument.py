@@ -10,7 +10,7 @@ from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.validity import Validity
 from app.bench.config import Bench, with_known
 from app.measurement.calibration import Calibration, surveyed
-from app.measurement.live_refinement import LiveRefinement, RefinementState
+from app.measurement.live_solver import Assumptions, LiveSolver
 from app.measurement.measurement import SKIPPED
 from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
 from app.measurement.routines.averages import Average, take_dark, take_reference
@@ -85,7 +85,7 @@ class Reconstruction:
     calibration: Calibration | None = None
     start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
     registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
-    refinement: RefinementState = RefinementState()
+    assumed: Assumptions = Assumptions()
     quality: Quality = Quality()
 
 
@@ -100,7 +100,7 @@ class Instrument:
         self.calibration: Calibration | None = None  # None if frames cannot be reconstructed
         self._lattice = bench.lattice
         self._reconstructor: Reconstructor | None = None
-        self._refinement: LiveRefinement | None = None
+        self._solver: LiveSolver | None = None
         self._judge: FrameJudge | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
@@ -224,41 +224,39 @@ class Instrument:
             raise BadValue(str(error)) from error
         self._prepare()
 
+    @property
+    def prepares(self) -> bool:
+        """True if the first frames show what is assumed of later ones: layers, or a correction."""
+        return self._solver is not None and self._solver.prepares
+
     def measure(self, frame: Frame) -> Reconstruction:
         """Reconstruct a frame, or say why that is impossible."""
         calibration, start = self.calibration, self._before
         previous, self._previous = self._previous, frame
-        if self._reconstructor is None or self._judge is None:
+        if self._reconstructor is None or self._solver is None or self._judge is None:
             return Reconstruction(None, self._problem)
         try:
             with self._timings.of("register"):
                 registered = self._reconstructor.register(frame.pixels, start=start)
             with self._timings.of("reconstruct"):
-                wavefront, refinement = self._solve(self._reconstructor, registered, frame.camera_time_s)
+                wavefront, assumed = self._solver.solve(registered, frame.camera_time_s)
                 quality = self._judge(frame.pixels, wavefront.displacement) | _beside(previous, frame)
         except ReconstructionError as error:
             return Reconstruction(None, str(error), calibration, start)
         self._before = registered
-        return Reconstruction(wavefront, "", calibration, start, registered, refinement, quality)
+        return Reconstruction(wavefront, "", calibration, start, registered, assumed, quality)
 
     def skip(self, frame: Frame) -> Reconstruction:
-        """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's correction."""
+        """Skip a frame, keeping what a later reconstruction needs: calibration and the previous frame's assumptions."""
         self._previous = frame
-        refinement = RefinementState() if self._refinement is None else self._refinement.as_before(frame.camera_time_s)
-        return Reconstruction(None, SKIPPED, self.calibration, refinement=refinement)
+        assumed = Assumptions() if self._solver is None else self._solver.as_before(frame.camera_time_s)
+        return Reconstruction(None, SKIPPED, self.calibration, assumed=assumed)
 
     def close(self) -> None:
-        """Stop the refinement thread; the caller closes the devices."""
-        if self._refinement is not None:
-            self._refinement.close()
-        self._refinement = None
-
-    def _solve(
-        self, reconstructor: Reconstructor, registered: Displacement, time_s: float
-    ) -> tuple[Wavefront, RefinementState]:
-        if self._refinement is None:
-            return reconstructor.solve(registered), RefinementState()
-        return self._refinement.refine(registered, time_s)
+        """Stop the thread of the solver; the caller closes the devices."""
+        if self._solver is not None:
+            self._solver.close()
+        self._solver = None
 
     def _now(self) -> Circumstances:
         return Circumstances.of(self.devices)
@@ -286,9 +284,8 @@ class Instrument:
                 self._lattice = calibration.lattice
                 self._reconstructor = calibration.reconstructor()
                 self._judge = calibration.judge(self._reconstructor)
+                self._solver = LiveSolver(bench, self._reconstructor)
                 self.calibration = calibration
-                if bench.reconstruction.refine:
-                    self._refinement = LiveRefinement(bench, self._reconstructor)
         except ReconstructionError as error:
             self._problem = str(error)
 

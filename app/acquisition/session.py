@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from app.acquisition.devices import open_devices
-from app.acquisition.start_up import FRAMES, start_up
+from app.acquisition.start_up import FRAMES, knows_sample, start_up
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
@@ -118,6 +118,8 @@ class LiveBench:
     def record(self, folder: Path | str, frames: int) -> Path:
         """Record the next `frames` frames into a new folder, wait for the last one, and return the folder.
 
+        It begins when layers of the sample have been searched for, if they may be assumed.
+
         Raises
         ------
         InputError
@@ -126,6 +128,9 @@ class LiveBench:
             If the recording ended early; the frames so far are kept.
         """
         folder, acquisition = Path(folder), self._acquisition
+        while acquisition.is_alive and not knows_sample(acquisition):
+            with self._arrived:
+                self._arrived.wait(_WAIT_S)
         self._result(
             acquisition.start_recording(folder, command="python", limit=Limit(frames=whole_number(frames, "frames")))
         )

@@ -58,6 +58,17 @@ def start_camera(acquisition: Acquisition) -> Future[None]:
     return acquisition.submit(lambda instrument: instrument.devices.camera.start())
 
 
+def knows_sample(acquisition: Acquisition) -> bool:
+    """True if sample and correction of the newest frame are known, if it has any.
+
+    It stays false with few frames: the first search takes some seconds, the first correction some more.
+    """
+    newest = acquisition.newest
+    if newest is None or not newest.counts.acquired:
+        return False
+    return newest.assumed.sample is not None and newest.assumed.refinement.stage != "preparing"
+
+
 def _turn_light_on(instrument: Instrument) -> None:
     instrument.devices.light.set_on(True)
 

@@ -20,6 +20,7 @@ from app.bench.bench_error import BenchError, line_of_setting, line_of_syntax
 from app.bench.bench_files import bench_file, read_bench_text
 from app.bench.conversion import UNKNOWN, converter, sentence_of
 from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
+from app.bench.earlier_versions import replace_conserve_flux, set_recorded_defaults
 from app.bench.settings import RecordingSettings, StreamSettings
 from app.errors import InputError
 from app.files import in_words
@@ -40,13 +41,6 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 AUTOMATIC = "automatic"  # same as omitting the setting
 _CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
-# What version 0.1 did before these settings existed. Every later version writes `registration.rotation`: a recorded
-# bench without it is of 0.1 and keeps its meaning.
-_OF_VERSION_0_1 = {
-    ("registration", "rotation"): True,
-    ("registration", "warp"): "quadratic",
-    ("reconstruction", "response"): False,
-}
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,13 +169,11 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         sentence = in_words(error)
         raise BenchError(f"{name}: not valid TOML: {sentence}", line_of_syntax(text, sentence)) from error
-    of_registration = tree.get("registration", {})
-    if is_recorded and isinstance(of_registration, dict) and "rotation" not in of_registration:
-        for (section, key), value in _OF_VERSION_0_1.items():
-            if isinstance(tree.setdefault(section, {}), dict):
-                tree[section].setdefault(key, value)
+    if is_recorded:
+        set_recorded_defaults(tree)
     for override in overrides:
         _override(tree, override)
+    replace_conserve_flux(tree, text, name, is_recorded=is_recorded)
     for section, key in _CHOSEN_IF_OMITTED:
         if isinstance(tree.get(section), dict) and tree[section].get(key) == AUTOMATIC:
             del tree[section][key]

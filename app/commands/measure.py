@@ -8,10 +8,11 @@ from typing import Any
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
-from app.acquisition.start_up import FRAMES, calibrate, move_sample_in, start_camera
+from app.acquisition.start_up import FRAMES, calibrate, knows_sample, move_sample_in, start_camera
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
+from app.bench.settings import RecordingSettings
 from app.commands.prompt import LIGHT_BY_HAND, ask, remind
 from app.errors import InputError, Interrupted, RunError
 from app.files import check_outputs
@@ -126,21 +127,26 @@ def _problem(instrument: Instrument) -> str:
     return "" if instrument.calibration is not None else instrument.status().warning
 
 
+def _prepares(instrument: Instrument) -> bool:
+    """True if the first frames show what is assumed of later ones."""
+    return instrument.prepares
+
+
 def _record(acquisition: Acquisition, bench: Bench, frames: int, out: Path, progress: Progress) -> None:
-    """Record from the first frame with the sample, or from the first refined one."""
+    """Record from the first frame of which sample and correction are known; of played frames from the first one."""
 
     def begin() -> Future[None]:
         return acquisition.start_recording(out, command="measure", limit=Limit(frames=frames))
 
     moved = move_sample_in(acquisition)
-    if bench.reconstruction.refine:
+    if isinstance(bench.camera, RecordingSettings) or not acquisition.submit(_prepares).result():
+        _wait([moved, begin(), start_camera(acquisition)], acquisition, progress)  # no frame comes before it records
+    else:
         _wait([moved, start_camera(acquisition)], acquisition, progress)
-        while acquisition.is_alive and not _is_refined(acquisition):
-            progress("waiting for the first refinement", 0.0)
+        while acquisition.is_alive and not knows_sample(acquisition):
+            progress("finding layers and correction with the first frames", 0.0)
             time.sleep(_POLL_S)
         _wait([begin()], acquisition, progress)
-    else:
-        _wait([moved, begin(), start_camera(acquisition)], acquisition, progress)  # no frame comes before it records
     while acquisition.is_alive and (state := acquisition.recording) is not None and state.stage == "recording":
         progress(f"recording {counted(frames)}", state.frames / frames)
         time.sleep(_POLL_S)
@@ -152,9 +158,3 @@ def _wait(steps: Iterable[Future[Any]], acquisition: Acquisition, progress: Prog
             progress(acquisition.activity.text, acquisition.activity.progress)
             time.sleep(_POLL_S)
         step.result()
-
-
-def _is_refined(acquisition: Acquisition) -> bool:
-    """True if the newest frame was refined, or cannot be reconstructed."""
-    newest = acquisition.newest
-    return newest is not None and newest.counts.acquired > 0 and newest.refinement.stage != "preparing"

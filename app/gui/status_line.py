@@ -18,7 +18,7 @@ from app.gui import theme
 from app.gui.timing_row import TimingRow, timing_table
 from app.gui.widgets import colour_text, column, label, row
 from app.gui.wording import lenslet_summary
-from app.measurement.live_refinement import RefinementState
+from app.measurement.live_solver import RefinementState
 from app.timing import Timings
 from reconstruction.displacement import Displacement
 
@@ -100,7 +100,7 @@ class StatusLine(QWidget):
         self.delay.setText(_duration(median(delay_s for _, _, delay_s in self._recent)))
         self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
-        self._show_correction(last.refinement)
+        self._show_correction(last.assumed.refinement)
         self.row.fit()
 
     def _show_valid(self, displacement: Displacement | None) -> None:

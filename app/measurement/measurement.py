@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from app.measurement.calibration import Calibration
-from app.measurement.live_refinement import RefinementState
+from app.measurement.live_solver import Assumptions
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement
 from reconstruction.quality.verdict import Quality
@@ -39,7 +39,7 @@ class Measurement:
     counts: FrameTotals
     exposure_end_s: float  # end of the exposure on this computer's clock, time.perf_counter()
     latency_s: float  # from then to this result
-    refinement: RefinementState = RefinementState()  # with the bias that was applied, if any
+    assumed: Assumptions = Assumptions()  # of the sample, with the bias that was applied, if any
     calibration: Calibration | None = None  # shared by all frames that used it
     start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
     registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cattrs
 
 _DIGITS = 18  # of whole numbers, so that they fit into 64 bits
 UNREADABLE = b"{}\n"  # replaces a line that cannot be read, so that the others keep their places
+
+
+@dataclass(frozen=True, slots=True)
+class SampleLine:
+    """Sample assumed for a frame; see `AssumedSample`."""
+
+    ratios: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...] | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,10 +41,11 @@ class FrameLine:
     problem: str  # why it was not reconstructed; empty if it was
     rms_rad: float | None  # RMS of the wavefront, mean over the views
     valid: int | None  # lenslets that yield a slope
+    sample: SampleLine | None = None  # None: any wavefront, because no sample was found yet
 
     def to_json(self) -> str:
         """Return the line without its newline."""
-        return json.dumps({field.name: getattr(self, field.name) for field in fields(self)}, allow_nan=False)
+        return json.dumps(asdict(self), allow_nan=False)
 
     @classmethod
     def from_json(cls, line: str | bytes) -> FrameLine:

@@ -1,7 +1,8 @@
 """Recorded frames through the pipeline again: the same software makes the same results, bit for bit.
 
 The result of a frame does not depend on which other frames are reconstructed: with the recorded registration it starts
-where it did live, with another one in a block of `BLOCK_FRAMES` whose first frame starts from zero displacement.
+where it did live, with another one in a block of `BLOCK_FRAMES` whose first frame starts from zero displacement. With
+the recorded settings the sample is the one assumed live, with others that of the first frame of a block.
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ import numpy as np
 from app.bench.imaging_model import BenchModel
 from app.errors import InputError
 from app.measurement.calibration import Calibration
+from app.recording.assumed_samples import assumed_sample
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from reconstruction.arrays import Counts, Floats
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
@@ -80,22 +83,24 @@ class Reprocessing:
         before: Displacement | None = None
         previous = _seen_before(recording, chosen[0]) if chosen else None
         block = -1
+        sample: AssumedSample | None = None
         with one_blas_thread():
             for index in chosen:
                 line = recording.line(index)
                 if index // BLOCK_FRAMES != block:
-                    block, before = index // BLOCK_FRAMES, None
+                    block, before, sample = index // BLOCK_FRAMES, None, None
                 if line.calibration is None:
                     yield Reprocessed(line, None, line.problem, None, None)
                     continue
                 if self._in_force is None or line.calibration != self._in_force.number:
                     self._in_force = _InForce.of(recording, line.calibration, self._change, self._rounds)
-                    before = None
+                    before = sample = None
                 in_force = self._in_force
                 start = _as_start(recording.start(index)) if in_force.registers_as_recorded else before
                 pixels = recording.pixels(index)
-                made = in_force.reconstruct(recording, line, pixels, start, previous)
+                made = in_force.reconstruct(recording, line, pixels, start, previous, sample)
                 before, previous = made.registered or before, (line, pixels)
+                sample = sample or (None if made.wavefront is None else made.wavefront.sample)
                 yield made
 
 
@@ -135,6 +140,7 @@ class _InForce:
     reconstructor: Reconstructor
     judge: FrameJudge
     registers_as_recorded: bool
+    solves_as_recorded: bool
     refinement: Refinement | None
     rounds: int
 
@@ -143,39 +149,63 @@ class _InForce:
         recorded = recording.calibration(number)
         try:
             calibration = recorded if change is None else change(recorded)
-            same = _of_registration(calibration) == _of_registration(recorded)
+            registers = _of_registration(calibration) == _of_registration(recorded)
+            solves = registers and calibration.bench.reconstruction == recorded.bench.reconstruction
             reconstructor = calibration.reconstructor()
             judge = calibration.judge(reconstructor)
             refinement = None
             if rounds:  # in one thread, because threads add the model's light in an order of their own
                 refinement = Refinement(reconstructor, BenchModel(calibration.bench, reconstructor, threads=1))
-            return cls(number, calibration, reconstructor, judge, same, refinement, rounds)
+            return cls(number, calibration, reconstructor, judge, registers, solves, refinement, rounds)
         except (ReconstructionError, ValueError) as error:  # ValueError: the reference does not allow a model
             raise InputError(f"{recording.folder}: calibration {number} does not fit this bench: {error}") from error
 
     def reconstruct(
-        self, recording: Recording, line: FrameLine, pixels: Counts, start: Displacement | None, previous: _Seen | None
+        self,
+        recording: Recording,
+        line: FrameLine,
+        pixels: Counts,
+        start: Displacement | None,
+        previous: _Seen | None,
+        sample: AssumedSample | None,
     ) -> Reprocessed:
+        """Reconstruct a frame; `sample` is that of an earlier frame of the block, if there is one."""
         try:
             registered = self.reconstructor.register(pixels, start=start)
-            wavefront, bias_age_s = self._solve(recording, line, registered)
+            if self.solves_as_recorded:
+                sample = _recorded_sample(recording, line)
+            elif sample is None:
+                sample = self.reconstructor.find_sample(registered)
+            wavefront, bias_age_s = self._solve(recording, line, registered, sample)
         except ReconstructionError as error:
             return Reprocessed(line, None, str(error), None, self.calibration)
         quality = self.judge(pixels, wavefront.displacement) | _beside(previous, line, pixels)
         return Reprocessed(line, wavefront, "", registered, self.calibration, bias_age_s, quality)
 
-    def _solve(self, recording: Recording, line: FrameLine, registered: Displacement) -> tuple[Wavefront, float | None]:
+    def _solve(
+        self, recording: Recording, line: FrameLine, registered: Displacement, sample: AssumedSample
+    ) -> tuple[Wavefront, float | None]:
         """Wavefront, and age of the bias that was subtracted, s; None without one."""
         if self.refinement is not None:
-            rounds = list(self.refinement.rounds(registered, self.rounds))
-            return (rounds[-1].wavefront, 0.0) if rounds else (self.reconstructor.solve(registered), None)
+            rounds = list(self.refinement.rounds(registered, self.rounds, sample))
+            return (
+                (rounds[-1].wavefront, 0.0) if rounds else (self.reconstructor.solve(registered, sample=sample), None)
+            )
         if line.bias is None or not self.registers_as_recorded:
-            return self.reconstructor.solve(registered), None
+            return self.reconstructor.solve(registered, sample=sample), None
         bias = recording.bias(line.bias)
         if bias.shape != registered.coefficients.shape:
             raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
         age_s = math.nan if line.bias_age_s is None else line.bias_age_s
-        return self.reconstructor.solve(registered, bias=bias), age_s
+        return self.reconstructor.solve(registered, bias=bias, sample=sample), age_s
+
+
+def _recorded_sample(recording: Recording, line: FrameLine) -> AssumedSample:
+    """Sample assumed for a frame live; any wavefront before one was found."""
+    try:
+        return FREE if line.sample is None else assumed_sample(line.sample)
+    except ValueError as error:
+        raise InputError(f"{recording.folder}: the line of frame {line.index} is damaged: {error}") from error
 
 
 def _seen_before(recording: Recording, index: int) -> _Seen | None:

@@ -18,6 +18,7 @@ from app.errors import InputError, RunError
 from app.files import make_folder, sync
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import LightState, Measurement
+from app.recording.assumed_samples import sample_line
 from app.recording.calibration_files import write_array, write_calibration
 from app.recording.folder import (
     BEFORE,
@@ -38,6 +39,7 @@ from app.recording.frame_lines import FrameLine
 from app.run_facts import now, software_facts, write_record
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
+from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import rms
 
@@ -61,6 +63,7 @@ class Record:
     calibration: Calibration | None
     bias: Floats | None  # px, (lenslet_row, lenslet_column, field_mode, xy)
     bias_age_s: float | None
+    sample: AssumedSample | None
     start: Floats | None  # px, as bias: starting point of the registration
     displacement: Floats | None  # px, as bias
     coefficients: Floats | None  # rad, (pupil_mode, field_mode)
@@ -72,15 +75,16 @@ class Record:
         """Take the recorded parts of a measurement, without a copy."""
         wavefront, registered, start = measurement.wavefront, measurement.registered, measurement.start
         solution = None if wavefront is None else wavefront.solution
-        bias = measurement.refinement.bias
+        sample, refinement = measurement.assumed
         return cls(
             frame=measurement.frame,
             lost=lost,
             light=measurement.light,
             problem=measurement.problem,
             calibration=measurement.calibration,
-            bias=bias,
-            bias_age_s=None if bias is None else measurement.refinement.age_s,
+            bias=refinement.bias,
+            bias_age_s=None if refinement.bias is None else refinement.age_s,
+            sample=sample,
             start=None if start is None else start.coefficients,
             displacement=None if registered is None else registered.coefficients,
             coefficients=solution.coefficients if isinstance(solution, ModalSolution) else None,
@@ -263,6 +267,7 @@ def _line(record: Record, index: int, calibration: int | None, bias: int | None,
         problem=record.problem,
         rms_rad=record.rms_rad,
         valid=record.valid,
+        sample=None if record.sample is None else sample_line(record.sample),
     )
 
 

@@ -15,7 +15,7 @@ from reconstruction.geometry import Sensor
 from reconstruction.modes.legendre import legendre_products
 from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence
 
-_UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
+UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 
 Footprints = tuple[tuple[float, Floats], ...]  # ratio and half width (xy,), m, of each layer
 
@@ -87,7 +87,7 @@ class Spectrum:
 
     def __init__(self, gram: Floats) -> None:
         square, self._vectors = np.linalg.eigh(gram)
-        self._square = np.where(square > _UNSEEN * square[-1], square, 0.0)  # unseen ones keep the prior's variance
+        self._square = np.where(square > UNSEEN * square[-1], square, 0.0)  # unseen ones keep the prior's variance
 
     def fit(self, moments: Moments, scale: Floats, footprints: Footprints) -> LayerFit:
         """Fit layers with those footprints; `scale` (column,) is the prior's standard deviation over its strength."""

@@ -24,8 +24,8 @@ Verdict = Literal["one layer", "two layers", "not a single layer", "not one or t
 # The search runs over t = ratio / (1 + |ratio|), even between layers at the lenslets (0) and at the source (-1).
 _GRID, _GRID_OF_TWO = np.linspace(-0.96, 0.96, 49), np.linspace(-0.95, 0.95, 39)
 FARTHEST_RATIO = float(_GRID[-1] / (1 - _GRID[-1]))
-_FARTHEST = 0.998  # of |t|
-_ROUGH, _TOLERANCE = 1e-3, 1e-5  # of t
+_FARTHEST = 0.97  # of |t|
+_ROUGH, _TOLERANCE = 2e-3, 1e-4  # of t
 _SPACING = float(_GRID[1] - _GRID[0])
 _STEP = 2e-3  # of t, for the curvature
 # Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first it may
@@ -164,7 +164,7 @@ def _refined(
 def _minimum(cost: Callable[[Floats], float], start: Floats, step: float, tolerance: float) -> Floats:
     """Minimise a cost by the method of Nelder and Mead from a simplex of that size."""
     simplex = start + step * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
-    options = {"initial_simplex": simplex, "xatol": tolerance, "fatol": 1e-3, "maxiter": 200}
+    options = {"initial_simplex": simplex, "xatol": tolerance, "fatol": 0.02, "maxiter": 200}
     found = optimize.minimize(cost, start.ravel(), method="Nelder-Mead", options=options)  # type: ignore[call-overload] # its own stubs want 1-D
     return np.asarray(found.x)
 
@@ -180,10 +180,9 @@ def _curvature(cost: Callable[[Floats], float], at: Floats) -> Floats:
 
 
 def _inverse(curvature: Floats) -> Floats:
-    """Inverse of a matrix of second derivatives; infinite where there is no minimum."""
+    """Inverse of a matrix of second derivatives; where there is no minimum, the variance is that of the grid."""
     values, vectors = np.linalg.eigh(curvature)
-    with np.errstate(divide="ignore"):
-        return np.asarray((vectors * (1 / np.maximum(values, 0.0))) @ vectors.T)
+    return np.asarray((vectors * (1 / np.maximum(values, 1 / _SPACING**2))) @ vectors.T)
 
 
 def _beyond(fit: FitQuality, other: FitQuality) -> float:

@@ -30,6 +30,17 @@ _REMEMBERED_BYTES = 1e8  # of design matrices
 _SYSTEMATIC_SHARE = 0.002
 
 
+def prior_scale(degree: int) -> Floats:
+    """Standard deviation of a layer's polynomials up to a degree over the prior's strength, (k,)."""
+    return np.asarray(np.sum(layer_orders(degree), axis=1) ** -_PRIOR_EXPONENT)
+
+
+def require_lenslets(lenslets: int) -> None:
+    """Raise `ReconstructionError` if there are too few valid lenslets for layers."""
+    if lenslets < _LEAST_LENSLETS:
+        raise ReconstructionError(f"layers need at least {_LEAST_LENSLETS} valid lenslets")
+
+
 class LayerSolver:
     """Fits layers to the displacements measured against one reference.
 
@@ -85,8 +96,7 @@ class FrameEquations:
         self.solver, self._displacement, self._weights = solver, displacement, weights
         self._share = solver.errors.share(displacement, weights)  # (L,)
         lenslets = np.count_nonzero(self._share)
-        if lenslets < _LEAST_LENSLETS:
-            raise ReconstructionError(f"layers need at least {_LEAST_LENSLETS} valid lenslets")
+        require_lenslets(lenslets)
         data = solver.errors.whitened(displacement)
         self._weighted = self._share[:, None] * data
         self._total, self._count = float(np.vdot(data, self._weighted)), lenslets * data.shape[1]
@@ -128,13 +138,8 @@ class FrameEquations:
         each = [self.solver.rows(layer.ratio, self.solver.degree) @ layer.coefficients for layer in fit.layers]
         return np.asarray(np.sum(each, axis=0))
 
-    def freedom(self, fit: LayerFit) -> float:
-        """Number of displacements minus that of the components which they determine."""
-        left = (self._total * fit.quality.misfit**2) / max(fit.quality.chi_square, np.finfo(float).tiny)
-        return float(left)
-
     def _problem(self, ratios: tuple[float, ...], degree: int) -> tuple[Spectrum, Moments, Floats]:
-        scale = np.sum(layer_orders(degree), axis=1) ** -_PRIOR_EXPONENT
+        scale = prior_scale(degree)
         for ratio in ratios:
             if (ratio, degree) not in self._columns:
                 # In double precision, as the products below: layers close to each other differ little.

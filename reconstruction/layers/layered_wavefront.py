@@ -11,11 +11,12 @@ import numpy as np
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
-from reconstruction.layers.layer_fit import LayerFit
+from reconstruction.layers.layer_fit import UNSEEN
 from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import LayerSearch
-from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
-from reconstruction.solve.modal_solution import ModalSolution, known_modes
+from reconstruction.layers.layer_solver import LayerSolver, prior_scale, require_lenslets
+from reconstruction.solve.evidence import maximize_evidence
+from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 
@@ -42,64 +43,137 @@ def most_probable(search: LayerSearch, *, free: bool = True) -> AssumedSample:
     best = max(fits, key=lambda fit: fit.quality.log_evidence)
     if free and best.quality.log_evidence < search.any_wavefront.log_evidence:
         return FREE
-    known = np.isfinite(best.ratio_covariance).all()
-    return AssumedSample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance if known else None)
+    return AssumedSample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """Layers at some ratios in units of the prior, for all lenslets."""
+
+    rows: Image  # whitened displacements of each polynomial, (L * K, n)
+    gram: Floats  # their products, (n, n)
+    wavefronts: Image  # rad, (column, n)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """The same for lenslets with some shares, in independent components: data = singular x + noise."""
+
+    design: _Design
+    singular: Floats  # (n,); 0 where the displacements show nothing
+    vectors: Floats  # of the components, (n, n)
+    known: KnownModes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Layers fitted to one frame, with the strength of the prior and the noise by the evidence."""
+
+    equations: _Equations
+    components: Floats  # x, (n,)
+    variance: Floats  # of x, (n,)
+    freedom: float  # number of displacements minus that of the components which they determine
+
+    @property
+    def polynomials(self) -> Image:
+        """The layers' polynomials, in units of the prior, (n,)."""
+        return (self.equations.vectors @ self.components).astype(np.float32)
+
+    @property
+    def wavefront(self) -> Image:
+        """Coefficients of the wavefront, rad, (column,)."""
+        return self.equations.design.wavefronts @ self.polynomials
 
 
 class LayeredWavefronts:
-    """Wavefronts of layers fitted to the displacements measured against one reference."""
+    """Wavefronts of layers fitted to the displacements measured against one reference.
+
+    What depends on the layers' ratios and on the lenslets in use is prepared once, so that a frame costs two
+    matrix-vector products.
+    """
 
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
         self.solver, self._modes, self._parameters = solver, modes, parameters
-        self._basis = lru_cache(maxsize=12)(modes)
+        self._design = lru_cache(maxsize=10)(self._prepared)  # two layers need five for their error bars
+        self._equations = lru_cache(maxsize=20)(self._down_dated)
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
         """Fit layers at the ratios of the sample.
 
         Raises `ReconstructionError` if too few lenslets are valid.
         """
-        equations = self.solver(displacement, weights)
-        fit = equations.fit(*sample.ratios)
+        errors, columns = self.solver.errors, self._modes.columns
+        share, data = errors.share(displacement, weights), errors.whitened(displacement)
+        require_lenslets(int(np.count_nonzero(share)))
+        fit = self._fit(sample.ratios, share, data)
         shape = len(self._modes.pupil_modes.degree), displacement.modes.count
         coefficients = np.zeros(shape)
-        coefficients[1:][self._modes.columns] = self._wavefront(fit)
+        coefficients[1:][columns] = fit.wavefront
 
         def root_covariance() -> Image:
-            parts = [self._basis(layer.ratio) @ layer.root_covariance for layer in fit.layers]
-            columns = np.concatenate([np.sum(parts, axis=0), self._of_distances(equations, sample)], axis=1)
-            root = np.zeros((shape[0] - 1, shape[1], columns.shape[1]), np.float32)
-            root[self._modes.columns] = columns
+            design, vectors = fit.equations.design, fit.equations.vectors
+            root = np.zeros((shape[0] - 1, shape[1], len(vectors) + len(sample.ratios)), np.float32)
+            of_noise = design.wavefronts @ (vectors * np.sqrt(fit.variance)).astype(np.float32)
+            root[columns] = np.concatenate([of_noise, self._of_distances(sample, share, data)], axis=1)
             return root
 
         def fitted() -> Floats:
-            return np.asarray(np.matvec(self.solver.errors.colour, equations.explained(fit)))
+            whitened = (fit.equations.design.rows @ fit.polynomials).reshape(data.shape)
+            return np.asarray(np.matvec(errors.colour, whitened))
 
         return ModalSolution(
-            coefficients,
-            known_modes(self._modes.pupil_modes, displacement.valid, extrapolate=True),
-            root_covariance,
-            equations.freedom(fit),
-            displacement,
-            self._parameters,
-            fitted,
+            coefficients, fit.equations.known, root_covariance, fit.freedom, displacement, self._parameters, fitted
         )
 
-    def _wavefront(self, fit: LayerFit) -> Floats:
-        """Coefficients of the wavefront of layers, rad, (column,)."""
-        return np.asarray(np.sum([self._basis(layer.ratio) @ layer.coefficients for layer in fit.layers], axis=0))
+    def _fit(self, ratios: tuple[float, ...], share: Floats, data: Floats) -> _Fit:
+        """Fit layers to whitened displacements (L, K) of lenslets with some shares (L,)."""
+        equations = self._equations(ratios, share.tobytes())
+        singular, weighted = equations.singular, share[:, None] * data
+        square, seen = singular**2, singular > 0
+        columns = weighted.ravel().astype(np.float32) @ equations.design.rows
+        along = np.divide(columns @ equations.vectors, singular, where=seen, out=np.zeros_like(singular))
+        count = np.count_nonzero(share) * data.shape[1]
+        total = float(np.vdot(data, weighted))
+        ratio, noise = maximize_evidence(square / square[-1], along, total, count)
+        variance = ratio / square[-1] / (1 + ratio / square[-1] * square)  # over that of the noise
+        freedom = count - float(np.sum(variance * square))
+        return _Fit(equations, variance * singular * along, noise * variance, freedom)
 
-    def _of_distances(self, equations: FrameEquations, sample: AssumedSample) -> Floats:
-        """Deviations of the coefficients that the uncertain distances cause, (column, layer)."""
-        slopes = []
+    def _prepared(self, ratios: tuple[float, ...]) -> _Design:
+        degree = self.solver.degree
+        scale = prior_scale(degree).astype(np.float32)
+        rows = np.concatenate([self.solver.rows(ratio, degree) * scale for ratio in ratios], axis=2)
+        rows = rows.reshape(-1, rows.shape[2])
+        wavefronts = np.concatenate([self._modes(ratio) * scale for ratio in ratios], axis=1)
+        # In double precision: the prior makes small eigenvalues count.
+        exact = rows.astype(np.float64)
+        return _Design(rows, exact.T @ exact, wavefronts.astype(np.float32))
+
+    def _down_dated(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Equations:
+        """Equations of lenslets with some shares (L,) of their certainty."""
+        design, share = self._design(ratios), np.frombuffer(share_bytes)
+        lost = np.flatnonzero(self.solver.errors.is_usable & (share < 1))
+        missing = design.rows.reshape(len(share), -1, len(design.gram))[lost].astype(np.float64)
+        weighted = (1 - share[lost, None, None]) * missing
+        gram = design.gram - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
+        square, vectors = np.linalg.eigh(gram)
+        square = np.where(square > UNSEEN * square[-1], square, 0.0)  # unseen ones keep the prior's variance
+        modes = self._modes.pupil_modes
+        known = known_modes(modes, (share > 0).reshape(modes.inside.shape), extrapolate=True)
+        return _Equations(design, np.sqrt(square), vectors, known)
+
+    def _of_distances(self, sample: AssumedSample, share: Floats, data: Floats) -> Floats:
+        """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""
         if sample.covariance is None:
-            return np.zeros((np.count_nonzero(self._modes.columns), 0))
+            return np.zeros((np.count_nonzero(self._modes.columns), len(sample.ratios)))
+        slopes = []
         for place, ratio in enumerate(sample.ratios):
             step = _STEP * (1 + abs(ratio))
             near, far = (
-                self._wavefront(equations.fit(*(r + side * step * (i == place) for i, r in enumerate(sample.ratios))))
+                self._fit(tuple(r + side * step * (i == place) for i, r in enumerate(sample.ratios)), share, data)
                 for side in (-1, 1)
             )
-            slopes.append((far - near) / (2 * step))
+            slopes.append((far.wavefront - near.wavefront) / (2 * step))
         values, vectors = np.linalg.eigh(sample.covariance)
         return np.asarray(np.transpose(slopes) @ (vectors * np.sqrt(np.maximum(values, 0.0))))

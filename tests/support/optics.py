@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -16,12 +17,13 @@ from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from simulated_devices.optics.forward_model import ForwardModel, Images, phase_only
-from simulated_devices.optics.source import square
+from simulated_devices.optics.source import SourcePoints, square
 from simulated_devices.settings import Source
 
 VIEWS = np.array([-5.0, 0.0, 5.0]) / 6  # where the views of FIELD lie, in units of its half width
 FLOW_MODES: dict[str, FieldModes] = {"warp": LegendreModes(3), "views": SampledModes(VIEWS, VIEWS)}
-FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
+FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)  # in real light
+PAPER = replace(FIELD, neglect_propagation=True)  # the paper's simulation: uniform light, conserved flux
 
 
 def sensor_of(rows: int, columns: int) -> Sensor:
@@ -50,10 +52,32 @@ def converged(modes: FieldModes, coefficients: Floats, variance: Floats) -> Disp
     )
 
 
-class SmallBench:
-    """A non-square lattice, off centre and turned, on a non-square camera; renders without noise."""
+PointValues = Callable[[float, float], Images]  # of an object point (x_m, y_m), at the pupil samples
 
-    def __init__(self, rows: int = 7, columns: int = 9, rotation_rad: float = 0.004) -> None:
+
+def checkerboard(cells: int = 6, object_samples: int = 24) -> SourcePoints:
+    """A square of bright and dark cells, whose inside shows displacements in real light, too."""
+    points = square(Source(), object_samples=object_samples)
+    cell = np.floor((points.position_m / FIELD.half_width_m + 1) / 2 * cells * (1 - 1e-9)).astype(int)
+    return SourcePoints(position_m=points.position_m, area_m2=points.area_m2 * (cell.sum(axis=1) % 2 == 0))
+
+
+class SmallBench:
+    """A non-square lattice, off centre and turned, on a non-square camera; renders without noise.
+
+    Its source is a uniform square, unless given.
+    """
+
+    def __init__(
+        self,
+        rows: int = 7,
+        columns: int = 9,
+        rotation_rad: float = 0.004,
+        *,
+        field: Field = FIELD,
+        source: SourcePoints | None = None,
+    ) -> None:
+        self.field = field
         self.sensor = sensor_of(rows, columns)
         self.frame_shape = (int(rows * 31.25) + 14, int(columns * 31.25) + 30)
         self.lattice = Lattice(
@@ -63,28 +87,33 @@ class SmallBench:
             rotation_rad=rotation_rad,
         )
         self.model = ForwardModel(
-            self.sensor, self.lattice, FIELD, rows=self.frame_shape[0], columns=self.frame_shape[1], pupil_samples=12
+            self.sensor, self.lattice, field, rows=self.frame_shape[0], columns=self.frame_shape[1], pupil_samples=12
         )
-        self.source = square(Source(), object_samples=19)
+        self.source = source or square(Source(), object_samples=19)
         self.reference = self.model.irradiance(self.source) * 1e14
         y, x = np.meshgrid(self.sensor.pupil_y_m, self.sensor.pupil_x_m, indexing="ij")
         self.pupil_x_m, self.pupil_y_m = x, y  # of the lenslet centres, (lenslet_row, lenslet_column)
 
-    def frame(self, phase: Callable[[float, float], Images]) -> NDArray[np.float32]:
-        """Render the frame behind a phase that each object point sees, phase(x_m, y_m) at the pupil samples."""
-        return self.model.irradiance(self.source, phase_only(phase)) * np.float32(1e14)
+    def frame(self, phase: PointValues, amplitude: PointValues | None = None) -> NDArray[np.float32]:
+        """Render the frame behind a phase that each object point sees, phase(x_m, y_m) at the pupil samples.
+
+        In real light a phase that changes over the field gathers light: `amplitude` is sqrt(det(1 + f1/k d2phi/dxdu)).
+        """
+        wave = phase_only(phase)
+        field = wave if amplitude is None else lambda x_m, y_m: (amplitude(x_m, y_m) * wave(x_m, y_m))
+        return self.model.irradiance(self.source, field) * np.float32(1e14)
 
     def tilted(self, tilt: float, growth: float) -> tuple[NDArray[np.float32], Floats]:
         """A frame of a tilt that grows with the field's x, rad/m, and the displacements at the views it makes, px."""
         u, v = self.samples()
-        half_m = FIELD.half_width_m
+        half_m = self.field.half_width_m
         frame = self.frame(lambda x, _y: ((tilt + growth * x / half_m) * u + 1000.0 * v).astype(np.float32))
         slopes = np.stack(np.broadcast_arrays(tilt + growth * VIEWS, np.full((3, 3), 1000.0)), axis=-1)
         return frame, slopes / self.sensor.slope_per_px
 
     def subimages(self) -> ReferenceSubimages:
         """The reference as the methods of registration see it."""
-        return ReferenceSubimages(self.reference, sensor=self.sensor, lattice=self.lattice, field=FIELD)
+        return ReferenceSubimages(self.reference, sensor=self.sensor, lattice=self.lattice, field=self.field)
 
     def samples(self) -> tuple[Floats, Floats]:
         """Pupil positions x (1, sample_column) and y (sample_row, 1) at which a phase is asked for."""
@@ -98,7 +127,7 @@ class SmallBench:
             "reference": self.reference,
             "sensor": self.sensor,
             "lattice": self.lattice,
-            "field": FIELD,
+            "field": self.field,
             "registration": RegistrationSettings(warp=cast("Warp", warp)),
             "reconstruction": ReconstructionSettings(
                 method=cast("Literal['zonal', 'modal']", method), pupil_modes=pupil_modes

@@ -56,7 +56,8 @@ def record(
             else:
                 made = instrument.measure(frame)
                 assert not made.problem
-            if not bench.reconstruction.refine or made.refinement.stage == "applied":
+            sample, refinement = made.assumed
+            if sample is not None and (not bench.reconstruction.refine or refinement.stage == "applied"):
                 measurement = Measurement(
                     frame,
                     made.wavefront,
@@ -64,7 +65,7 @@ def record(
                     FrameTotals(),
                     exposure_end_s=0.0,
                     latency_s=0.0,
-                    refinement=made.refinement,
+                    assumed=made.assumed,
                     calibration=made.calibration,
                     start=made.start,
                     registered=made.registered,

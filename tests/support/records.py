@@ -41,6 +41,7 @@ def make_record(index: int, calibration: Calibration | None = None, **changes: A
         calibration=calibration,
         bias=None,
         bias_age_s=None,
+        sample=None,
         start=None,
         displacement=RANDOM.normal(size=(7, 9, 3, 2)) if has else None,
         coefficients=RANDOM.normal(size=(15, 3)) if has else None,

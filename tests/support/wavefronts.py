@@ -10,7 +10,7 @@ from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import geometric_sensitivity
+from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront
 from support.gui_bench import FIELD, SENSOR
@@ -49,5 +49,5 @@ def modal(
         pixels = pixels + noise.normal(0, sigma_px, pixels.shape)
     displacement = converged(LegendreModes(count), pixels, np.full(pixels.shape, sigma_px**2))
     parameters = np.eye(2 * count)
-    solver = ModalSolver(modes, geometric_sensitivity(SENSOR, parameters), parameters, displacement.covariance)
+    solver = ModalSolver(modes, MeanGradients(SENSOR, parameters), parameters, displacement.covariance)
     return Wavefront.of(SENSOR, FIELD, displacement, solver(displacement))

@@ -65,7 +65,7 @@ def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -
 
 def _frame_facts(measurement: Measurement) -> dict[str, Any]:
     """Header entries on the frame."""
-    frame, refinement = measurement.frame, measurement.refinement
+    frame, (sample, refinement) = measurement.frame, measurement.assumed
     unix_s = time.time() - time.perf_counter()  # calendar time at which perf_counter is zero
     return {
         "frame": frame.index,

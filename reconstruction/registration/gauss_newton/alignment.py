@@ -100,7 +100,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
             if is_partial:
                 _exclude(frame, lenslet, scratch)
                 left = _left_over(inverse, grid.descent[lenslet], scratch.excluded)
-        square = _subtract(gain, offset, grid.light[lenslet], weight, scratch)
+        square = _subtract(gain, offset, grid, lenslet, scratch)
         if is_partial:
             square = _zero_excluded(weight, scratch)
         if not square < np.inf:
@@ -197,14 +197,19 @@ def _brightness(light: Image, template: Image) -> tuple[np.float32, np.float32, 
 
 
 @compiled
-def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Image, scratch: Scratch) -> np.float32:
+def _subtract(gain: np.float32, offset: np.float32, grid: Grid, lenslet: int, scratch: Scratch) -> np.float32:
     """Compute the residual; return its weighted sum of squares."""
+    template, weight = grid.light[lenslet], grid.weight[lenslet]
     light, stretch, residual = scratch.light, scratch.stretch, scratch.residual
-    for n in range(light.size):
-        residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
     square = np.float32(0.0)
-    for n in range(light.size):
-        square += weight[n] * residual[n] * residual[n]
+    if grid.scale[1] > 0:
+        for n in range(light.size):
+            residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
+            square += weight[n] * residual[n] * residual[n]
+    else:
+        for n in range(light.size):
+            residual[n] = gain * light[n] + offset - template[n]
+            square += weight[n] * residual[n] * residual[n]
     return square
 
 

@@ -176,7 +176,7 @@ def prepare_template(
 
 
 def _shown(descent: Floats, weight: Floats, basis: Floats) -> Floats:
-    """Orthonormal basis (K, 2Q) of the displacements that a mean reference shows, the best determined first.
+    """Orthonormal basis (K, 2Q) of the displacements that a mean reference shows: the given one if it shows all.
 
     `descent` (P, N) are its steepest-descent images for the whole `basis` (P - 2, 2Q), gain and offset last.
     """
@@ -185,7 +185,7 @@ def _shown(descent: Floats, weight: Floats, basis: Floats) -> Floats:
     shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
     certainty, vectors = np.linalg.eigh(shown)
     kept = certainty > certainty[-1] / _BLIND**2
-    return np.asarray((vectors[:, kept].T @ basis)[::-1])
+    return basis if kept.all() else np.asarray(vectors[:, kept].T @ basis)
 
 
 def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:

@@ -41,7 +41,7 @@ def new_scratch(width: int) -> Scratch:
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
-        np.empty(pixels, np.float32),
+        np.ones(pixels, np.float32),
         np.empty(pixels, np.uint64),
         np.empty((8, pixels), np.float32),
         np.empty(pixels, np.float32),
@@ -107,7 +107,7 @@ def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their
     The frame is given by its spline coefficients (row, column); beyond its border the nearest inner position is
     sampled. `steps` are the normalised positions of the window's columns, and of its rows. center_px (xy,), turn
     (cosine, sine) and warp (xy, monomial), px, place the window. `scale`: px per unit of u and v, and its inverse to
-    conserve flux or 0.
+    conserve flux or 0, which leaves the determinant at 1.
     """
     rows, columns = coefficients.shape
     last_x, last_y = np.float32(columns - 3), np.float32(rows - 3)
@@ -115,7 +115,6 @@ def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their
     width = steps.size
     for row in range(width):
         (x0, x1, x2, x3, x4), (y0, y1, y2, y3, y4) = _camera_row(warp, steps[row], center_px, turn, scale[0])
-        s0, s1, s2, s3, s4, s5, s6 = _stretch_row(warp, steps[row], scale[1])
         first = row * width
         for column in range(width):
             u = steps[column]
@@ -123,7 +122,11 @@ def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their
             y = y0 + u * (y1 + u * (y2 + u * (y3 + u * y4)))
             x_all[first + column] = min(max(x, _ONE), last_x)
             y_all[first + column] = min(max(y, _ONE), last_y)
-            stretch[first + column] = s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * (s5 + u * s6)))))
+        if scale[1] > 0:
+            s0, s1, s2, s3, s4, s5, s6 = _stretch_row(warp, steps[row], scale[1])
+            for column in range(width):
+                u = steps[column]
+                stretch[first + column] = s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * (s5 + u * s6)))))
     for n in range(x_all.size):
         left, above = np.int32(x_all[n]), np.int32(y_all[n])
         t, w = x_all[n] - np.float32(left), y_all[n] - np.float32(above)

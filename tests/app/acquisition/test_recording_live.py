@@ -43,7 +43,7 @@ class Live:
         return devices
 
     def until_refined(self) -> None:
-        wait_until(lambda: bool(self.measurements) and self.measurements[-1].refinement.stage == "applied")
+        wait_until(lambda: bool(self.measurements) and self.measurements[-1].assumed.refinement.stage == "applied")
 
     @property
     def recording(self) -> RecordingState:
@@ -153,7 +153,7 @@ def test_skipped_frames_keep_previous_refinement(
     make_live: Callable[..., Live], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     live = make_live("camera.exposure_s=0.0139", "reconstruction.refine=true")
-    wait_until(lambda: any(each.refinement.stage == "applied" for each in live.measurements))
+    wait_until(lambda: any(each.assumed.refinement.stage == "applied" for each in live.measurements))
     measure_slowly(monkeypatch)
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     wait_until(lambda: live.recording.frames > 50)

@@ -33,7 +33,7 @@ from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.bench.settings import StreamSettings
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration
-from app.measurement.live_refinement import RefinementState
+from app.measurement.live_solver import RefinementState
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines.averages import Average
 from app.recording.reader import Recording
@@ -79,7 +79,7 @@ def _measured(wavefront: Wavefront | None, index: int, problem: str = "") -> Mea
         em_gain=8.0,
     )
     refinement = RefinementState("applied", 0.75, 0.01) if index % 2 else RefinementState()
-    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, refinement)
+    return Measurement(frame, wavefront, problem, FrameTotals(9, 8, 1), now_s - 0.02, 0.02, Assumptions(refinement=refinement))
 
 
 class Subscriber:

@@ -8,12 +8,15 @@ from pathlib import Path
 import pytest
 from support.paths import FOREIGN_FRAMES
 
+from app.bench.bench_error import BenchError
 from app.bench.config import load_bench, parse_bench, write_bench
+from app.bench.earlier_versions import neglected_propagation
 from app.bench.presets import PRESETS
 from app.errors import InputError
 from drivers.genicam.settings import GenicamSettings
 
-MINIMAL = (FOREIGN_FRAMES / "bench.toml").read_text()
+OF_VERSION_0_2 = (FOREIGN_FRAMES / "bench.toml").read_text()
+MINIMAL = OF_VERSION_0_2.replace("conserve_flux = true\n", "")
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -27,7 +30,7 @@ def test_documented_bench_is_read() -> None:
     assert bench.sensor.lenslet_focal_length_m == 46.7e-3
     assert bench.lattice is not None
     assert bench.lattice.pitch_px == 31.25
-    assert (bench.registration.warp, bench.field.neglect_propagation) == ("quadratic", False)
+    assert (bench.registration.warp, bench.field.neglect_propagation) == ("quadratic", True)
     assert (bench.reconstruction.method, bench.reconstruction.pupil_modes) == ("modal", 66)
 
 
@@ -97,6 +100,45 @@ def test_invalid_bench_error_names_key(name: str) -> None:
     assert str(fault.value).startswith("bench.toml: ")
     assert sentence in str(fault.value)
     assert "\n" not in str(fault.value)
+
+
+def with_flux(value: str) -> str:
+    """A bench of version 0.2."""
+    return OF_VERSION_0_2.replace("conserve_flux = true", f"conserve_flux = {value}")
+
+
+@pytest.mark.parametrize("is_recorded", [True, False])
+def test_conserved_flux_is_read_as_neglected_propagation(is_recorded: bool) -> None:
+    bench = parse_bench(with_flux("true"), "b", is_recorded=is_recorded)
+    assert bench.field.neglect_propagation
+    assert bench.reconstruction.sample == ("free" if is_recorded else "automatic")
+    assert "conserve_flux" not in write_bench(bench)
+
+
+def test_flux_not_conserved_is_dropped_from_a_recorded_bench_and_refused_in_a_new_one() -> None:
+    bench = parse_bench(with_flux("false"), "b", is_recorded=True)
+    assert bench == parse_bench(with_flux("true"), "b", is_recorded=True)
+    with pytest.raises(BenchError, match=r"b: registration\.conserve_flux = false is no longer offered") as fault:
+        parse_bench(with_flux("false"), "b")
+    assert fault.value.line == with_flux("false").splitlines().index("conserve_flux = false") + 1
+    with pytest.raises(BenchError, match=r"conserve_flux = false is no longer offered"):
+        parse_bench(MINIMAL, "b", ("registration.conserve_flux=false",))
+    with pytest.raises(BenchError, match="unknown key conserve_flux"):
+        parse_bench(with_flux("3"), "b")
+
+
+def test_recorded_bench_of_version_0_2_neglects_propagation_and_says_so() -> None:
+    bench = parse_bench(MINIMAL, "b", is_recorded=True)
+    assert (bench.field.neglect_propagation, bench.reconstruction.sample) == (True, "free")
+    assert "neglected propagation" in neglected_propagation(MINIMAL)
+    assert "conserve_flux = false is no longer offered" in neglected_propagation(with_flux("false"))
+
+
+@pytest.mark.parametrize("settings", [(), ("field.neglect_propagation=true", "reconstruction.sample=layers")])
+def test_recorded_bench_of_today_keeps_its_settings(settings: tuple[str, ...]) -> None:
+    bench = parse_bench(MINIMAL, "b", settings)
+    assert parse_bench(write_bench(bench), "again", is_recorded=True) == bench
+    assert neglected_propagation(write_bench(bench)) == ""
 
 
 def test_unknown_driver_error_lists_drivers() -> None:

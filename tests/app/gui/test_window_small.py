@@ -29,7 +29,7 @@ from app.gui.main_window import MainWindow
 from app.gui.number_field import NumberField
 from app.gui.status_line import FittingRow, StatusLine
 from app.gui.theme import apply_theme
-from app.measurement.live_refinement import RefinementState
+from app.measurement.live_solver import Assumptions, RefinementState
 from app.measurement.measurement import FrameTotals
 
 LONG = "the recording ended early, 1203 frames are saved: the disk is full, free some space and start another recording"
@@ -50,7 +50,12 @@ def fill(window: MainWindow) -> None:
     """Show the large numbers of a long run and a long alarm."""
     measurement = make_measurement(dim_frame(), views())
     refinement = RefinementState(stage="applied", age_s=12.3)
-    many = replace(measurement, counts=FrameTotals(1234567, 1204567, 30123), latency_s=0.9876, refinement=refinement)
+    many = replace(
+        measurement,
+        counts=FrameTotals(1234567, 1204567, 30123),
+        latency_s=0.9876,
+        assumed=Assumptions(refinement=refinement),
+    )
     window.messages.alarm(LONG)
     window.status_line.timing_row.show()
     window.show_measurement(many)

@@ -49,7 +49,7 @@ def test_calibration_reproduces_frames_bit_by_bit(small_toml: Path, tmp_path: Pa
 
     def is_enough(measurements: list[Measurement]) -> bool:
         made = [measurement for measurement in measurements if measurement.wavefront is not None]
-        return len(made) > 8 and (refine == "false" or made[-1].refinement.stage == "applied")
+        return len(made) > 8 and (refine == "false" or made[-1].assumed.refinement.stage == "applied")
 
     measurements = measured(toml, is_enough, f"reconstruction.refine={refine}")
     reconstructors: dict[Calibration, Reconstructor] = {}
@@ -69,11 +69,11 @@ def test_calibration_reproduces_frames_bit_by_bit(small_toml: Path, tmp_path: Pa
             registered = measurement.registered
             assert registered is not None
             np.testing.assert_array_equal(again.coefficients, registered.coefficients)
-            solved = reconstructors[calibration].solve(again, bias=measurement.refinement.bias)
+            solved = reconstructors[calibration].solve(again, bias=measurement.assumed.refinement.bias)
             assert measurement.wavefront is not None
             np.testing.assert_array_equal(solved.views, measurement.wavefront.views)
             assert isinstance(solved.solution, ModalSolution)
             assert isinstance(measurement.wavefront.solution, ModalSolution)
             np.testing.assert_array_equal(solved.solution.coefficients, measurement.wavefront.solution.coefficients)
     assert len(reconstructors) == 2
-    assert any(measurement.refinement.bias is not None for measurement in measurements) == (refine == "true")
+    assert any(measurement.assumed.refinement.bias is not None for measurement in measurements) == (refine == "true")

@@ -8,12 +8,12 @@ import time
 
 import numpy as np
 import pytest
+from app.measurement.live_refinement import LiveRefinement, RefinementState
 from numpy.typing import NDArray
 from support.optics import FIELD, SmallBench
 from support.patience import HANG_S, wait_until
 
 from app.bench.config import Bench
-from app.measurement.live_refinement import LiveRefinement, RefinementState
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import PointPhase
 from reconstruction.wavefront import rms
