@@ -21,9 +21,15 @@ def displacement(checker_bench: SmallBench) -> Displacement:
     """Quadratic gradients of a frame at rest, its first lenslet dark."""
     reference = checker_bench.reference * np.float32(1000 / checker_bench.reference.max())
     subimages = ReferenceSubimages(
-        reference, sensor=checker_bench.sensor, lattice=checker_bench.lattice, field=checker_bench.field, noise=CameraNoise(1.0, 8.0)
+        reference,
+        sensor=checker_bench.sensor,
+        lattice=checker_bench.lattice,
+        field=checker_bench.field,
+        noise=CameraNoise(1.0, 8.0),
     )
-    estimate = prepare_registration(subimages, RegistrationSettings(warp="quadratic", rotation=False), checker_bench.field)
+    estimate = prepare_registration(
+        subimages, RegistrationSettings(warp="quadratic", rotation=False), checker_bench.field
+    )
     frame = reference.copy()
     row, column = np.indices(frame.shape)
     x, y = checker_bench.lattice.lenslet_centers_px(7, 9)[0, 0]

@@ -44,7 +44,9 @@ def _estimator(
 ) -> RegistrationMethod:
     """Quadratic registration against a reference with that many electrons in its brightest pixel."""
     reference = bench.reference * np.float32(electrons / bench.reference.max())
-    subimages = ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=noise)
+    subimages = ReferenceSubimages(
+        reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=noise
+    )
     return prepare_registration(subimages, RegistrationSettings(rotation=rotation), bench.field)
 
 

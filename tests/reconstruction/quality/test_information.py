@@ -72,7 +72,9 @@ def test_information_matches_finite_differences_of_forward_model(neglect_propaga
                 for axis, half_m in ((2, half_x_m), (1, half_y_m))
             )  # (field_mode, y, x)
             stretch = np.tensordot(slopes.T, np.stack([of_u, of_v], axis=1), axes=1)  # (xy, uv, y, x)
-            stretch = np.eye(2)[..., None, None] + stretch * FIELD.collimator_focal_length_m / SENSOR.wavenumber_rad_per_m
+            stretch = (
+                np.eye(2)[..., None, None] + stretch * FIELD.collimator_focal_length_m / SENSOR.wavenumber_rad_per_m
+            )
             determinant = stretch[0, 0] * stretch[1, 1] - stretch[0, 1] * stretch[1, 0]
             return np.asarray(np.sqrt(determinant) * np.exp(1j * phase), np.complex64)
 

@@ -50,7 +50,12 @@ def _register(
     method: Method = "gauss_newton",
 ) -> Displacement:
     subimages = ReferenceSubimages(
-        reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=CameraNoise(1.0, READ_NOISE), bad=bad
+        reference,
+        sensor=bench.sensor,
+        lattice=bench.lattice,
+        field=bench.field,
+        noise=CameraNoise(1.0, READ_NOISE),
+        bad=bad,
     )
     estimate = prepare_registration(subimages, RegistrationSettings(method=method), bench.field)
     return estimate(light, saturated=np.zeros(light.shape, np.bool_) if saturated is None else saturated)
@@ -142,7 +147,9 @@ def test_scatter_with_excluded_pixels_matches_covariance(
 def test_lenslet_with_too_many_bad_pixels_is_lost(checker_bench: SmallBench, electrons: tuple[Image, Image]) -> None:
     reference, light = electrons
     half = _pixels(checker_bench, [(x, y) for x in range(13) for y in range(-12, 13)])
-    found = _register(checker_bench, reference, np.where(half, PEAK_ELECTRONS, light).astype(np.float32), saturated=half)
+    found = _register(
+        checker_bench, reference, np.where(half, PEAK_ELECTRONS, light).astype(np.float32), saturated=half
+    )
     expected = np.zeros((7, 9), np.int8)
     expected[CENTER] = Outcome.SATURATED
     np.testing.assert_array_equal(found.outcome, expected)
@@ -159,9 +166,7 @@ def test_all_pixels_bad_loses_all_lenslets(checker_bench: SmallBench, electrons:
 
 
 @pytest.mark.parametrize("method", ["correlation", "correlation_fft", "block_flow"])
-def test_other_methods_tolerate_dead_pixels(
-    small_bench: SmallBench, method: Method
-) -> None:
+def test_other_methods_tolerate_dead_pixels(small_bench: SmallBench, method: Method) -> None:
     reference, light = _electrons(small_bench)
     bad = _pixels(small_bench, SPOTS["one"])
     clean = _register(small_bench, reference, light, method=method)
