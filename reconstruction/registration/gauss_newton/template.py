@@ -30,6 +30,7 @@ _NOTHING = 1e-12
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
 # Standard error over the least one, of a displacement that the reference hardly shows.
 _BLIND = 6.0
+_ROUGHER = 3.0  # weight of a degree over the one below it, in choosing the smoothest of displacements that look alike
 _AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
 
 
@@ -137,7 +138,7 @@ def prepare_template(
         for of_lenslets in (reference.light[:, pixels], reference.gradient[:, pixels], smooth)
     )
     of_mean = _steepest_descent(mean, slope, values, slopes, basis)[0]
-    basis = _shown(of_mean, np.ones(1) if noise is None else _weight(expected, noise)[0], basis)
+    basis = _shown(of_mean, np.ones(1) if noise is None else _weight(expected, noise)[0], basis, modes.degree)
     lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
     grid = Grid(
         steps=(reference.steps_px[columns] / reference.half_width_px).astype(np.float32),
@@ -175,17 +176,22 @@ def prepare_template(
     return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
 
 
-def _shown(descent: Floats, weight: Floats, basis: Floats) -> Floats:
+def _shown(descent: Floats, weight: Floats, basis: Floats, degree: Floats) -> Floats:
     """Orthonormal basis (K, 2Q) of the displacements that a mean reference shows: the given one if it shows all.
 
-    `descent` (P, N) are its steepest-descent images for the whole `basis` (P - 2, 2Q), gain and offset last.
+    Of displacements that look alike, the smoothest stand for the others. `descent` (P, N) are the reference's
+    steepest-descent images for the whole `basis` (P - 2, 2Q), gain and offset last; `degree` (Q,) of the field modes.
     """
     normal = (descent * weight) @ descent.T
     # Without what gain and offset explain.
     shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
     certainty, vectors = np.linalg.eigh(shown)
     kept = certainty > certainty[-1] / _BLIND**2
-    return basis if kept.all() else np.asarray(vectors[:, kept].T @ basis)
+    if kept.all():
+        return basis
+    roughness = (basis * np.tile(_ROUGHER ** (2 * degree), 2)) @ basis.T
+    smoothest = np.linalg.solve(roughness, vectors[:, kept])  # with what does not show
+    return np.asarray(np.linalg.qr(smoothest)[0].T @ basis)
 
 
 def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
