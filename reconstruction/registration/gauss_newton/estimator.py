@@ -123,6 +123,11 @@ class GaussNewton:
         """Displacement (x modes, y modes) of each parameter of the warp, orthonormal rows, (K, 2Q)."""
         return self._warp.grid.basis.astype(np.float64)
 
+    @property
+    def alike(self) -> Floats:
+        """Parameters found for a displacement (x modes, y modes), (K, 2Q): of the smoothest one that looks alike."""
+        return self._warp.alike
+
     def response(self, image: Floats, changes: Floats) -> Floats:
         """Parameters found for small changes of a subimage, to first order.
 

@@ -48,6 +48,7 @@ class Template:
     """The reference prepared for one warp: L lenslets, N pixels, Q field modes, P parameters."""
 
     grid: Grid
+    alike: Floats  # from any displacement (x modes, y modes) to the parameters of one that looks like it, (P - 2, 2Q)
     contrast: Floats  # standard deviation of the light, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
@@ -138,7 +139,7 @@ def prepare_template(
         for of_lenslets in (reference.light[:, pixels], reference.gradient[:, pixels], smooth)
     )
     of_mean = _steepest_descent(mean, slope, values, slopes, basis)[0]
-    basis = _shown(of_mean, np.ones(1) if noise is None else _weight(expected, noise)[0], basis, modes.degree)
+    basis, alike = _shown(of_mean, np.ones(1) if noise is None else _weight(expected, noise)[0], basis, modes.degree)
     lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
     grid = Grid(
         steps=(reference.steps_px[columns] / reference.half_width_px).astype(np.float32),
@@ -173,14 +174,15 @@ def prepare_template(
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
-    return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
+    return Template(grid, alike, reference.light[:, pixels].std(axis=1), *whole)
 
 
-def _shown(descent: Floats, weight: Floats, basis: Floats, degree: Floats) -> Floats:
+def _shown(descent: Floats, weight: Floats, basis: Floats, degree: Floats) -> tuple[Floats, Floats]:
     """Orthonormal basis (K, 2Q) of the displacements that a mean reference shows: the given one if it shows all.
 
-    Of displacements that look alike, the smoothest stand for the others. `descent` (P, N) are the reference's
-    steepest-descent images for the whole `basis` (P - 2, 2Q), gain and offset last; `degree` (Q,) of the field modes.
+    Of displacements that look alike, the smoothest stand for the others: the second array (K, 2Q) takes any to the
+    parameters of that which looks like it. `descent` (P, N) are the reference's steepest-descent images for the whole
+    `basis` (P - 2, 2Q), gain and offset last; `degree` (Q,) of the field modes.
     """
     normal = (descent * weight) @ descent.T
     # Without what gain and offset explain.
@@ -188,10 +190,11 @@ def _shown(descent: Floats, weight: Floats, basis: Floats, degree: Floats) -> Fl
     certainty, vectors = np.linalg.eigh(shown)
     kept = certainty > certainty[-1] / _BLIND**2
     if kept.all():
-        return basis
+        return basis, basis
     roughness = (basis * np.tile(_ROUGHER ** (2 * degree), 2)) @ basis.T
-    smoothest = np.linalg.solve(roughness, vectors[:, kept])  # with what does not show
-    return np.asarray(np.linalg.qr(smoothest)[0].T @ basis)
+    smoothest = np.linalg.qr(np.linalg.solve(roughness, vectors[:, kept]))[0].T
+    alike = np.linalg.solve(vectors[:, kept].T @ smoothest.T, vectors[:, kept].T)
+    return smoothest @ basis, alike @ basis
 
 
 def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
