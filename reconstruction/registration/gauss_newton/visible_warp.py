@@ -14,6 +14,7 @@ from reconstruction.registration.subimages import ReferenceSubimages
 
 # Standard error over the least one, of a displacement that the reference hardly shows.
 _BLIND = 6.0
+_ROUGHER = 3.0  # weight of a degree over the one below it, in choosing the smoothest of displacements that look alike
 # By which the standard errors may grow for fewer pixels: with 1.01, systematic errors grow by a third.
 _SCATTER = 1.002
 
@@ -23,7 +24,8 @@ def visible_warp(
 ) -> tuple[Floats, Mask]:
     """Find what the mean subimage shows of a warp with some field modes on some pixels (width, width).
 
-    Without `rotation` the displacement is the gradient of a potential over the field.
+    Without `rotation` the displacement is the gradient of a potential over the field. Of displacements that look
+    alike, the smoothest stand for the others.
 
     Returns
     -------
@@ -39,15 +41,13 @@ def visible_warp(
     shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
     certainty, vectors = np.linalg.eigh(shown)
     kept = certainty > certainty[-1] / _BLIND**2
-    basis = possible if kept.all() else np.asarray(vectors[:, kept].T @ possible)
-    part = (
-        np.eye(len(descent))
-        if kept.all()
-        else np.block([[vectors[:, kept].T, np.zeros((kept.sum(), 2))], [np.zeros((2, len(kept))), np.eye(2)]])
-    )
+    combined = np.eye(len(certainty))
+    if not kept.all():
+        roughness = (possible * np.tile(_ROUGHER ** (2 * modes.degree), 2)) @ possible.T
+        combined = np.linalg.qr(np.linalg.solve(roughness, vectors[:, kept]))[0].T  # with what does not show
     chosen = pixels.copy()
-    chosen[pixels] = _informative(part @ descent, weight)
-    return basis, chosen
+    chosen[pixels] = _informative(np.concatenate([combined @ descent[:-2], descent[-2:]]), weight)
+    return np.asarray(combined @ possible), chosen
 
 
 def _mean_descent(
