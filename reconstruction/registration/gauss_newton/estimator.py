@@ -4,7 +4,7 @@ Light imaged at x in the reference arrives at x + d(x), and flux is conserved:
 
     I0(x) = (gain I1(x + d(x)) + offset) det(1 + dd/dx),    d(x) = sum_q c_q T_q(x / h)
 
-with T_q the field modes and h the half width of the field on the subimage (docs/flux_conserving_warp.md). The fit
+with T_q the field modes and h the half width of the field on the subimage (docs/brightness.md). The fit
 starts from the previous frame, or from a translation found on every other pixel, or, if that does not match, from the
 whole-pixel shift with the best correlation.
 """
