@@ -96,7 +96,7 @@ class FrameEquations:
         self.solver, self._displacement, self._weights = solver, displacement, weights
         self._share = solver.errors.share(displacement, weights)  # (L,)
         lenslets = np.count_nonzero(self._share)
-        require_lenslets(lenslets)
+        require_lenslets(int(lenslets))
         data = solver.errors.whitened(displacement)
         self._weighted = self._share[:, None] * data
         self._total, self._count = float(np.vdot(data, self._weighted)), lenslets * data.shape[1]
