@@ -1,4 +1,4 @@
-"""Displacements of polynomial layers in closed form, and a solver for them."""
+"""Polynomial layers in closed form: their displacements, wavefronts and light, and a solver for them."""
 
 from __future__ import annotations
 
@@ -8,21 +8,16 @@ from numpy.polynomial import polynomial as powers
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, diagonal_covariance
-from reconstruction.geometry import Field, Sensor, centered_steps
+from reconstruction.geometry import centered_steps
 from reconstruction.layers.layer_solver import LayerSolver
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
-from reconstruction.solve.expected_errors import ExpectedErrors
-from reconstruction.solve.sensitivity import geometric_sensitivity
+from reconstruction.modes.layered_modes import layered_wavefronts
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.sensitivity import MeanGradients
+from support.optics import FIELD, sensor_of
 
-SENSOR = Sensor(
-    lenslet_rows=7,
-    lenslet_columns=9,
-    lenslet_pitch_m=500e-6,
-    lenslet_focal_length_m=46.7e-3,
-    wavelength_m=462e-9,
-    pixel_pitch_m=16e-6,
-)
-FIELD = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3)
+SENSOR = sensor_of(7, 9)
 MODES = LegendreModes(15)
 NOISE_PX = 0.01
 # Phi = sum c[j, i] x^i y^j, rad, x and y in mm: no symmetry
@@ -55,13 +50,41 @@ def displacements_px(phase: Floats, ratio: float) -> Floats:
     return found * 1e3 / SENSOR.slope_per_px
 
 
+def wavefront(phase: Floats, ratio: float, x_m: float, y_m: float) -> Floats:
+    """Wavefront of a field position at the lenslet centres, rad, without piston, (lenslet_row, lenslet_column)."""
+    u_mm, v_mm = (SENSOR.pupil_x_m + ratio * x_m) * 1e3, (SENSOR.pupil_y_m + ratio * y_m) * 1e3
+    values = powers.polygrid2d(v_mm, u_mm, phase)
+    return np.asarray(values - values.mean())
+
+
+def light(phase: Floats, ratio: float, u_m: Floats, v_m: Floats, x_m: float, y_m: float) -> tuple[Floats, Floats]:
+    """Phase, rad, and amplitude in real light at pupil positions u (1, column) and v (row, 1).
+
+    The amplitude is sqrt(det(1 + f1/k ratio H)), H the layer's second derivatives at u + ratio x.
+    """
+    s_mm, t_mm = (u_m.ravel() + ratio * x_m) * 1e3, (v_m.ravel() + ratio * y_m) * 1e3
+    along_s, along_t = powers.polyder(phase, axis=1), powers.polyder(phase, axis=0)
+    gathered = ratio * FIELD.collimator_focal_length_m / SENSOR.wavenumber_rad_per_m * 1e6
+    ss, tt, st = (
+        gathered * powers.polygrid2d(t_mm, s_mm, curvature)
+        for curvature in (powers.polyder(along_s, axis=1), powers.polyder(along_t), powers.polyder(along_s))
+    )
+    return powers.polygrid2d(t_mm, s_mm, phase), np.sqrt((1 + ss) * (1 + tt) - st**2)
+
+
 def solver(modes: LegendreModes = MODES) -> LayerSolver:
-    parameters = gradient_basis(modes)
+    """Solver for displacements with the error NOISE_PX, and mean gradients."""
+    parameters, smooth = gradient_basis(modes), pupil_modes(SENSOR, "legendre", None)
     variance = np.full((SENSOR.lenslet_rows, SENSOR.lenslet_columns, modes.count, 2), NOISE_PX**2)
-    everywhere = np.ones(variance.shape[:2], np.bool_)
-    sensitivity = geometric_sensitivity(SENSOR, parameters)
-    errors = ExpectedErrors(sensitivity, parameters, diagonal_covariance(variance), everywhere)
-    return LayerSolver(SENSOR, FIELD, modes, errors)
+    free = ModalSolver(
+        smooth,
+        MeanGradients(SENSOR, parameters),
+        parameters,
+        diagonal_covariance(variance),
+        layered=layered_wavefronts(SENSOR, smooth, modes, parameters),
+        field_degree=modes.degree,
+    )
+    return LayerSolver(SENSOR, FIELD, modes, free)
 
 
 def displacement(coefficients: Floats, *, lost: int = 0) -> Displacement:
