@@ -1,0 +1,148 @@
+"""Wavefronts of layers against closed forms and the scatter of many draws, and the choice of what to assume."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from support.polynomial_layers import (
+    FIELD,
+    MODES,
+    NOISE_PX,
+    OTHER,
+    PHASE,
+    SENSOR,
+    displacement,
+    displacements_px,
+    noisy,
+    solver,
+    wavefront,
+)
+
+from reconstruction.arrays import Floats
+from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layer_modes import LayerModes
+from reconstruction.layers.layer_search import LayerSearch, find_layers
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
+from reconstruction.modes.field_modes import gradient_basis
+
+SOLVER = solver()
+WAVEFRONTS = LayeredWavefronts(SOLVER, LayerModes(SOLVER.degree, SENSOR, FIELD, MODES), gradient_basis(MODES))
+NEAR, FAR = -0.4, -1.6
+VIEWS_M = [(0.0, 0.0), (0.5e-3, -0.3e-3), (-0.5e-3, -0.5e-3)]
+
+
+def at(x_m: float, y_m: float) -> Floats:
+    """Field modes at a field position, (field_mode,)."""
+    return np.asarray(MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m))
+
+
+@pytest.mark.parametrize("ratio", [-0.975, 0.5])
+def test_wavefront_is_that_of_the_layer(ratio: float) -> None:
+    solution = WAVEFRONTS(displacement(displacements_px(PHASE, ratio)), None, AssumedSample((ratio,)))
+    for x_m, y_m in VIEWS_M:
+        true = wavefront(PHASE, ratio, x_m, y_m)
+        np.testing.assert_allclose(solution.wavefront(at(x_m, y_m)), true, atol=3e-3 * np.std(true))
+
+
+def test_wavefront_of_two_layers_is_their_sum() -> None:
+    """Also with lost lenslets, beside which it is known."""
+    both = displacements_px(PHASE, NEAR) + displacements_px(OTHER, FAR)
+    solution = WAVEFRONTS(displacement(both, lost=3), None, AssumedSample((NEAR, FAR)))
+    assert solution.known.all()
+    for x_m, y_m in VIEWS_M:
+        true = wavefront(PHASE, NEAR, x_m, y_m) + wavefront(OTHER, FAR, x_m, y_m)
+        np.testing.assert_allclose(solution.wavefront(at(x_m, y_m)), true, atol=0.01 * np.std(true))
+
+
+def test_displacement_is_the_design_times_the_layer() -> None:
+    measured = displacement(noisy(displacements_px(PHASE, -0.975), 1))
+    solution = WAVEFRONTS(measured, None, AssumedSample((-0.8,)))
+    (layer,) = SOLVER(measured).fit(-0.8).layers
+    parameters = SOLVER.rows(-0.8, SOLVER.degree) @ layer.coefficients
+    parameters = np.matvec(SOLVER.errors.colour, parameters)  # px, (L, K)
+    expected = (parameters @ gradient_basis(MODES)).reshape(*measured.valid.shape, 2, MODES.count)
+    np.testing.assert_allclose(solution.displacement, np.swapaxes(expected, 2, 3), atol=1e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(solution.misfit, measured.coefficients - solution.displacement)
+
+
+@pytest.mark.parametrize("distance", ["known", "found"])
+def test_sigma_covers_the_truth(distance: str) -> None:
+    """Also where the error of the distance is larger than all others together."""
+    ratio, sigma, draws = -0.975, 0.02, 40
+    strength = 4 if distance == "found" else 1
+    clean, errors, sigmas = displacements_px(strength * PHASE, ratio), [], []
+    for seed, deviation in enumerate(norm.ppf((np.arange(draws) + 0.5) / draws)):  # evenly drawn
+        assumed = AssumedSample((ratio,))
+        if distance == "found":
+            assumed = AssumedSample((ratio + sigma * deviation,), np.array([[sigma**2]]))
+        solution = WAVEFRONTS(displacement(noisy(clean, seed)), None, assumed)
+        for view_m in VIEWS_M:
+            errors.append(solution.wavefront(at(*view_m)) - strength * wavefront(PHASE, ratio, *view_m))
+            sigmas.append(solution.sigma(at(*view_m)))
+    share = np.mean(np.abs(errors) < np.array(sigmas))
+    assert share == pytest.approx(0.683, abs=0.08)
+    if distance == "found":
+        known = WAVEFRONTS(displacement(noisy(clean, 0)), None, AssumedSample((ratio,)))
+        assert np.mean(sigmas[0]) > 2 * np.mean(known.sigma(at(*VIEWS_M[0])))
+
+
+def test_faint_lenslets_count_less() -> None:
+    measured = displacement(noisy(displacements_px(PHASE / 10, -0.975), 3))
+    weights = np.where(np.arange(measured.valid.size) % 3, 1.0, 1 / 16).reshape(measured.valid.shape)
+    few, all_alike = (WAVEFRONTS(measured, given, AssumedSample((-0.975,))) for given in (weights, None))
+    assert np.mean(few.sigma(at(0, 0))) > 1.1 * np.mean(all_alike.sigma(at(0, 0)))
+    as_lost = displacement(np.where(weights[..., None, None] < 1, np.nan, measured.coefficients))
+    outcome = np.where(weights < 1, 1, 0).astype(np.int8)
+    lost = WAVEFRONTS(replace(as_lost, outcome=outcome), None, AssumedSample((-0.975,)))
+    none = WAVEFRONTS(measured, np.where(weights < 1, 1e-9, 1.0), AssumedSample((-0.975,)))
+    np.testing.assert_allclose(none.wavefront(at(0, 0)), lost.wavefront(at(0, 0)), atol=1e-3)
+
+
+def test_too_few_lenslets_are_refused() -> None:
+    few = displacement(displacements_px(PHASE, 0.6), lost=SENSOR.lenslet_rows * SENSOR.lenslet_columns - 8)
+    with pytest.raises(ReconstructionError, match="at least 9 valid lenslets"):
+        WAVEFRONTS(few, None, AssumedSample((0.6,)))
+
+
+def unlayered() -> Floats:
+    """Displacements of a wavefront that two layers cannot make, px: six layers all over the depth."""
+    generator = np.random.default_rng(3)
+    degree = np.add.outer(np.arange(5), np.arange(5))
+    phases = np.where((degree > 1) & (degree < 5), generator.normal(0, 2, (6, 5, 5)) / 2.0**degree, 0)
+    ratios = (-3.0, -1.5, -0.7, -0.2, 0.3, 1.0)
+    return np.asarray(sum(displacements_px(phase, ratio) for phase, ratio in zip(phases, ratios, strict=True)))
+
+
+SAMPLES = {
+    "one": lambda: displacements_px(PHASE, -0.975),
+    "two": lambda: displacements_px(3 * PHASE, NEAR) + displacements_px(3 * OTHER, FAR),
+    "more": unlayered,
+}
+
+
+@cache
+def searched(name: str) -> LayerSearch:
+    return find_layers(SOLVER(displacement(noisy(SAMPLES[name](), 0))), None)
+
+
+@pytest.mark.parametrize(("name", "layers"), [("one", 1), ("two", 2), ("more", 0)])
+def test_most_probable_sample_is_assumed(name: str, layers: int) -> None:
+    search = searched(name)
+    assert len(most_probable(search).ratios) == layers
+    assert (search.two is None) == (layers == 1)  # not searched where one layer suffices
+    assert len(most_probable(search, free=False).ratios) in {1, 2}
+    if not layers:
+        assert most_probable(search) is FREE
+
+
+def test_error_of_the_distance_is_kept() -> None:
+    search = searched("one")
+    assumed = most_probable(search)
+    np.testing.assert_allclose(assumed.sigma, [layer.ratio_sigma for layer in search.one.layers])
+    assert abs(assumed.ratios[0] + 0.975) < 4 * assumed.sigma[0]
+    assert assumed.sigma[0] < NOISE_PX
+    assert FREE.sigma.shape == (0,)
