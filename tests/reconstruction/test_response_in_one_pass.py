@@ -2,50 +2,66 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
 import pytest
-from support.optics import SmallBench
+from support.optics import PAPER, SmallBench
+from support.polynomial_layers import light, wavefront
 
 from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
 from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Field
+from reconstruction.layers.layer_fit import Layer, LayerFit
+from reconstruction.layers.layer_search import LayerSearch
+from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import mean_rms
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
+from reconstruction.solve.evidence import FitQuality
 from simulated_devices.optics import source
+from simulated_devices.optics.source import SourcePoints
 from simulated_devices.settings import Source
 
 Shape = Literal["square", "circle"]
-CENTRAL = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, view_spacing_m=0.4e-3)  # views inside the circle
+CENTRAL = replace(PAPER, view_spacing_m=0.4e-3)  # views inside the circle
 
 
-def layer(u: Floats, v: Floats, x: float, y: float) -> Floats:
-    """A layer 60 mm before the pupil, of the fifth degree, rad."""
-    u, v = (u + 0.3 * x) / 1.75e-3, (v + 0.3 * y) / 1.75e-3
-    return np.asarray(1.5 * (u**4 - 2 * u**2 * v**2) + u**3 * v**2 - u * v**4 - 2 * u**2 + 3 * v**3)
+RATIO = -0.3  # of a layer 60 mm before the lenslets
+LAYER = np.zeros((5, 5))  # rad, sum of c[j, i] x^i y^j, x and y in mm, of the fifth degree
+for j, i, strength in ((0, 4, 1.5), (2, 2, -3.0), (2, 3, 1.0), (4, 1, -1.0), (0, 2, -2.0), (3, 0, 3.0)):
+    LAYER[j, i] = strength / 1.75 ** (i + j)
+
+
+def seen(bench: SmallBench) -> Image:
+    """Frame behind the layer, in real light or in the paper's world."""
+    u, v = bench.samples()
+
+    def part(index: int) -> Callable[[float, float], Image]:
+        return lambda x, y: light(LAYER, RATIO, u, v, x, y)[index].astype(np.float32)
+
+    return bench.frame(part(0), None if bench.field.neglect_propagation else part(1))
 
 
 @pytest.fixture(scope="module")
-def frames(small_bench: SmallBench) -> dict[Shape, tuple[Image, Image]]:
-    """Reference and frame of each source."""
-    u, v = small_bench.samples()
-
-    def seen(shape: Shape) -> tuple[Image, Image]:
-        points = getattr(source, shape)(Source(), object_samples=19)
-        frame = small_bench.model.irradiance(points, lambda x, y: layer(u, v, x, y).astype(np.float32))
-        return small_bench.model.irradiance(points) * np.float32(1e14), frame * np.float32(1e14)
-
-    return {"square": seen("square"), "circle": seen("circle")}
+def frames() -> dict[Shape, tuple[Image, Image]]:
+    """Reference and frame of each source in the paper's world."""
+    sources: dict[Shape, SourcePoints] = {
+        "square": source.square(Source(), object_samples=19),
+        "circle": source.circle(Source(), object_samples=19),
+    }
+    benches = {shape: SmallBench(field=PAPER, source=points) for shape, points in sources.items()}
+    return {shape: (bench.reference, seen(bench)) for shape, bench in benches.items()}
 
 
 def reconstructor(bench: SmallBench, reference: Image, *, response: bool = True, **changes: object) -> Reconstructor:
     settings = {
         "registration": RegistrationSettings(warp="quadratic", rotation=False),
-        "reconstruction": ReconstructionSettings(response=response),
+        "reconstruction": ReconstructionSettings(response=response, sample="free"),
         "lenslet_model": partial(lenslet_model, Bench(sensor=bench.sensor, field=CENTRAL, lattice=bench.lattice)),
     }
     return Reconstructor(
@@ -58,12 +74,13 @@ def reconstructor(bench: SmallBench, reference: Image, *, response: bool = True,
 
 
 def error_rad(bench: SmallBench, frame: Image, prepared: Reconstructor) -> float:
-    wavefront = prepared(frame)
-    assert wavefront.displacement.valid.all()
-    truth = np.array(
-        [[layer(bench.pupil_x_m, bench.pupil_y_m, x, y) for x in CENTRAL.view_x_m] for y in CENTRAL.view_y_m]
-    )
-    return mean_rms(wavefront.views - (truth - truth.mean(axis=(2, 3), keepdims=True)))
+    found = prepared(frame)
+    assert found.displacement.valid.all()
+    return mean_rms(found.views - truth_of(CENTRAL))
+
+
+def truth_of(field: Field) -> Floats:
+    return np.array([[wavefront(LAYER, RATIO, x, y) for x in field.view_x_m] for y in field.view_y_m])
 
 
 def test_response_removes_most_of_the_bias(small_bench: SmallBench, frames: dict[Shape, tuple[Image, Image]]) -> None:
@@ -77,6 +94,55 @@ def test_response_removes_most_of_the_bias(small_bench: SmallBench, frames: dict
     assert error["square", True] < error["square", False] / 3
     assert error["circle", True] < error["circle", False] / 3
     assert error["circle", True] < 1.5 * error["square", True]
+
+
+def real_reconstructor(bench: SmallBench, sample: SampleModel) -> Reconstructor:
+    """With the response and the warp that the instrument chooses."""
+    return bench.reconstructor(
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(sample=sample),
+        lenslet_model=partial(lenslet_model, Bench(sensor=bench.sensor, field=bench.field, lattice=bench.lattice)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "sample", "most_rad"),
+    [("small_bench", "automatic", 0.003), ("checker_bench", "automatic", 0.003), ("checker_bench", "free", 0.006)],
+)
+def test_wavefront_is_found_in_real_light(
+    request: pytest.FixtureRequest, name: str, sample: SampleModel, most_rad: float
+) -> None:
+    """The square alone leaves 0.05 rad: the layer is found, and shows what the square hides."""
+    bench: SmallBench = request.getfixturevalue(name)
+    prepared = real_reconstructor(bench, sample)
+    found = prepared(seen(bench))
+    error = found.views - truth_of(bench.field)
+    assert mean_rms(error) < most_rad < 0.01 * mean_rms(truth_of(bench.field))
+    assert np.mean(np.abs(error) < found.sigma()) > 0.6
+    if sample == "free":
+        assert found.sample is FREE
+    else:
+        assert found.sample.ratios == pytest.approx((RATIO,), abs=0.003)
+    assert (prepared.hidden > 0) == (name == "small_bench")
+
+
+def test_setting_decides_what_is_assumed(checker_bench: SmallBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame that any wavefront explains better than layers do."""
+    worse, better = (FitQuality(evidence, 1.0, 0.1) for evidence in (-100.0, 0.0))
+    one = LayerFit((Layer(-0.7, 0.1, np.ones(2), np.zeros(2), np.zeros((2, 2)), 1),), worse, np.full((1, 1), 0.01))
+    none = np.zeros(0)
+    search = LayerSearch(none, none, none, one, None, None, better)
+    asked: list[object] = []
+    monkeypatch.setattr("reconstruction.pipeline.find_layers", lambda *args, **_: asked.append(args) or search)
+    samples = {}
+    for setting in ("automatic", "layers", "free"):
+        prepared = checker_bench.reconstructor("quadratic", pupil_modes=None, sample=setting)
+        samples[setting] = prepared.find_sample(prepared.register(seen(checker_bench)))
+    assert samples["automatic"] is samples["free"] is FREE
+    assert samples["layers"].ratios == (-0.7,)
+    assert len(asked) == 2  # not for any wavefront
+    fixed = checker_bench.reconstructor("quadratic", pupil_modes=21, sample="automatic")
+    assert not fixed.may_be_layered
 
 
 def test_reason_is_kept_where_there_is_no_response(small_bench: SmallBench) -> None:
