@@ -210,7 +210,9 @@ def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
     window = MainWindow(None)
     window.show()
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
-    assert "neglected propagation of light" in window.messages.text.text()
+    window.update_text()
+    told = window.messages.text.text()
     window.close()
     window.deleteLater()
     qapp.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+    assert "neglected propagation of light" in told

@@ -182,7 +182,7 @@ def test_least_important_numbers_are_hidden_first(qtbot: QtBot) -> None:
         "valid",
     ]
     seen = set()
-    for width in range(1200, 100, -20):
+    for width in range(1400, 100, -20):
         line.resize(width, 40)
         seen.add(len(row.hidden_names))
         assert set(row.hidden_names) == set(order[: len(row.hidden_names)])
