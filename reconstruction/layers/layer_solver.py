@@ -95,7 +95,7 @@ class FrameEquations:
     def __init__(self, solver: LayerSolver, displacement: Displacement, weights: Floats | None) -> None:
         self.solver, self._displacement, self._weights = solver, displacement, weights
         self._share = solver.errors.share(displacement, weights)  # (L,)
-        lenslets = np.count_nonzero(self._share)
+        lenslets = int(np.count_nonzero(self._share))
         require_lenslets(lenslets)
         data = solver.errors.whitened(displacement)
         self._weighted = self._share[:, None] * data
