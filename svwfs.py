@@ -353,7 +353,7 @@ def psf(wavefront: Wavefront, x_m: float, y_m: float) -> xr.DataArray:
 def find_layers(
     reconstructor: BenchReconstructor, wavefront: Wavefront, count: int = 1, *, distances_m: tuple[float, ...] = ()
 ) -> xr.Dataset:
-    """Find at which distance from the lenslets the aberration originates (docs/layers.md).
+    """Find at which distance in front of the lenslets the aberration originates, or behind them (docs/layers.md).
 
     Parameters
     ----------
@@ -364,7 +364,7 @@ def find_layers(
     count
         Number of layers to look for, 1 or 2.
     distances_m
-        Known distances of the layers; found if omitted.
+        Known distances of the layers, negative behind the lenslets; found if omitted.
 
     Returns
     -------
@@ -418,7 +418,7 @@ def find_corrector(
     count
         Number of modes, the piston included, or of actuators, which is a square.
     distance_m
-        Distance of the corrector from the lenslets; the best one if omitted.
+        Distance of the corrector in front of the lenslets, negative behind them; the best one if omitted.
 
     Returns
     -------

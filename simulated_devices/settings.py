@@ -13,7 +13,7 @@ from reconstruction.geometry import require
 
 Amplifier = Literal["normal", "em"]
 
-Mask = Literal["square", "stars", "circle", "ellipse", "octagon", "peaks", "image"]
+Mask = Literal["square", "stars", "checkerboard", "circle", "ellipse", "octagon", "peaks", "image"]
 MASKS: tuple[Mask, ...] = get_args(Mask)
 
 # From Hamamatsu's property sheet (propC9100-23B_en.html): the shortest exposure is the time of the read-out; only the
@@ -84,6 +84,7 @@ class Source:
 
     mask: Mask = "square"  # the initial one
     half_width_m: float = 0.6e-3  # of the square, the circle and the octagon; along x, of the ellipse
+    checker_cells: int = 6  # of the checkerboard that fills the square, along each side
     ellipse_ratio: float = 0.6  # the ellipse's width along y over that along x
     file: str = ""  # a grey image (TIFF, NPY, PNG) that fills the square: the mask "image"
     star_rows: int = 3
@@ -97,6 +98,7 @@ class Source:
                 f"mask must be one of {', '.join(MASKS)}": self.mask in MASKS,
                 'mask = "image" needs a file': self.mask in self.masks,
                 "half_width_m must be 1e-6 ... 0.1": 1e-6 <= self.half_width_m <= 0.1,
+                "checker_cells must be 2 ... 100": 2 <= self.checker_cells <= 100,
                 "ellipse_ratio must be above 0 and at most 1": 0 < self.ellipse_ratio <= 1,
                 "star_rows must be 1 ... 99": 1 <= self.star_rows <= 99,
                 "star_columns must be 1 ... 99": 1 <= self.star_columns <= 99,

@@ -108,18 +108,19 @@ def trial_figure(study: TrialStudy, data: xr.Dataset) -> Figure:
 
 
 def table_figure(table: ComparisonTable, data: xr.Dataset) -> Figure:
-    """Draw truth, reconstruction and residual of every method for its last seed, all on one colour scale."""
-    known = data["seconds"].notnull().values  # (method, repeat)
-    shown = [(method, repeats.nonzero()[0][-1]) for method, repeats in enumerate(known) if repeats.any()]
-    names, means = data["method"].values, table.summary(data)["mean_rad"].values
+    """Draw truth, reconstruction and residual of every method and light for its last seed, all on one colour scale."""
+    known = data["seconds"].notnull().values  # (method, light, repeat)
+    shown = [(*place, known[place].nonzero()[0][-1]) for place in np.ndindex(known.shape[:2]) if known[place].any()]
+    means = table.summary(data)["mean_rad"].values
     wavefronts = [[data[kind].values[place] for kind in ("truth", "views")] for place in shown]
     limit = max(float(np.nanmax(abs(truth))) for truth, _ in wavefronts)
     scale = Normalize(-limit, limit)
     figure = Figure(figsize=(8.6, 2.4 * len(shown) + 0.6), layout="constrained")
     axes = figure.subplots(len(shown), 3, squeeze=False)
-    for row, (method, _), (truth, views) in zip(axes, shown, wavefronts, strict=True):
-        residual = f"residual, mean RMS {means[method]:.3f} rad"
-        titled = {table.compared_to: truth, str(names[method]): views, residual: views - truth}
+    for row, (method, light, _), (truth, views) in zip(axes, shown, wavefronts, strict=True):
+        residual = f"residual, mean RMS {means[method, light]:.3f} rad"
+        name = str(data["method"].values[method]) + ", real light" * (data["light"].values[light] == "real")
+        titled = {table.compared_to: truth, name: views, residual: views - truth}
         for axis, (title, values) in zip(row, titled.items(), strict=True):
             axis.imshow(_mosaic(without_piston(values)), cmap="RdBu_r", norm=scale, interpolation="nearest")
             axis.set_title(title, fontsize=8)

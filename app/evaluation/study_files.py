@@ -13,6 +13,7 @@ from app.errors import InputError
 from app.evaluation.cases import rows
 from app.evaluation.study_figures import photograph_figure, sweep_figure, table_figure, trial_figure
 from app.evaluation.study_kinds import (
+    LIGHTS,
     PAPER_NUMBERS,
     ComparisonTable,
     PhotographStudy,
@@ -116,12 +117,17 @@ def _write_table(table: ComparisonTable, data: xr.Dataset, out: Path) -> None:
     if "views" not in data:
         raise InputError("; ".join(f"{method}: {problem}" for method, problem in problems.items()))
     paper = {method: dict(zip(PAPER_NUMBERS, numbers, strict=True)) for method, numbers in table.paper.items()}
-    ours = {row.pop("method"): row | {"seeds": int(row["seeds"])} for row in rows(table.summary(data), table.dims)}
-    write_json(out / f"{table.name}.json", {"paper": paper, "ours": ours, "problems": problems})
+    ours: dict[str, dict[str, Any]] = {light: {} for light in LIGHTS}
+    for row in rows(table.summary(data), table.dims):
+        ours[row.pop("light")][row.pop("method")] = row | {"seeds": int(row["seeds"])}
+    tree = {"paper": paper, "ours": ours["neglected"], "in_real_light": ours["real"], "problems": problems}
+    write_json(out / f"{table.name}.json", tree)
     lines = [
-        {"method": method, **{f"paper_{name}": value for name, value in paper.get(method, {}).items()}, **summary}
-        for method, summary in ours.items()
+        {"method": method}
+        | {f"paper_{name}": value for name, value in paper.get(method, {}).items()}
+        | ours["neglected"].get(method, {})
+        | {f"real_{name}": value for name, value in ours["real"].get(method, {}).items()}
+        for method in dict.fromkeys([*ours["neglected"], *ours["real"]])
     ]
-    columns = ("method", *(f"paper_{name}" for name in PAPER_NUMBERS), *next(iter(ours.values())))
-    _write_csv(out / f"{table.name}.csv", columns, lines)
+    _write_csv(out / f"{table.name}.csv", dict.fromkeys(name for line in lines for name in line), lines)
     _write_png(out / f"{table.name}.png", table_figure(table, data))

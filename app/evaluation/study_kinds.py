@@ -14,6 +14,7 @@ from app.progress import Progress
 from reconstruction.wavefront import rms
 
 PAPER_NUMBERS = ("min_rad", "max_rad", "mean_rad")
+LIGHTS = {"neglected": True, "real": False}  # ways of the light to the lenslets, and `Field.neglect_propagation`
 VIEWS = ("view_row", "view_column")
 LENSLETS = ("lenslet_row", "lenslet_column")
 
@@ -117,12 +118,12 @@ def trial(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparisonTable(Study):
-    """Residuals of several methods on the same frames, beside the numbers of the paper."""
+    """Residuals of several methods on the same frames, in both lights, beside the numbers of the paper."""
 
-    paper: Mapping[str, tuple[float, float, float]]  # by method, see PAPER_NUMBERS, rad
+    paper: Mapping[str, tuple[float, float, float]]  # by method, see PAPER_NUMBERS, rad; with neglected propagation
     compared_to: str  # where the true wavefronts are from
 
-    dims: ClassVar = ("method",)
+    dims: ClassVar = ("method", "light")
 
     def summary(self, data: xr.Dataset) -> xr.Dataset:
         """Minimum, maximum and mean over the views, averaged over the seeds, and the spread of the means."""
@@ -143,9 +144,14 @@ class ComparisonTable(Study):
 
     @staticmethod
     def problems(data: xr.Dataset) -> dict[str, str]:
-        """Return the last problem of each method that had one."""
-        of_methods = zip(data["method"].values.tolist(), data["problem"].values.tolist(), strict=True)
-        return {method: known[-1] for method, texts in of_methods if (known := [text for text in texts if text])}
+        """Return the last problem of each method that had one; real light is named."""
+        found = {}
+        for method in data["method"].values.tolist():
+            for light in data["light"].values.tolist():
+                texts = data["problem"].sel({"method": method, "light": light}).values.tolist()
+                if known := [text for text in texts if text]:
+                    found[method + " in real light" * (light == "real")] = known[-1]
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -110,12 +110,18 @@ def _print_photographs(study: PhotographStudy, data: xr.Dataset) -> None:
 
 
 def _print_comparison(table: ComparisonTable, data: xr.Dataset) -> None:
-    lines = []
+    lines: dict[str, list[str]] = {}
+    lights = data["light"].values.tolist()
     for row in rows(table.summary(data), table.dims):
-        paper = " ".join(f"{value:6.3f}" for value in table.paper.get(row["method"], ()))
+        method = row["method"]
+        paper = " ".join(f"{value:6.3f}" for value in table.paper.get(method, ()))
+        cells = lines.setdefault(method, [method, paper, *("",) * 2 * len(lights)])
         ours = " ".join(f"{row[number]:6.3f}" for number in PAPER_NUMBERS)
         spread = f" +- {row['spread_rad']:.3f}" if row["seeds"] > 1 else ""
-        lines.append([row["method"], paper, ours + spread, f"{row['lost_lenslets']:.0f}"])
-    print_table(table.title, ("method", "paper: min, max, mean", "ours: min, max, mean", "lost"), lines, width=96)
+        place = 2 + 2 * lights.index(row["light"])
+        cells[place : place + 2] = ours + spread, f"{row['lost_lenslets']:.0f}"
+    headings = {"neglected": "ours: min, max, mean", "real": "in real light"}
+    of_lights = [heading for light in lights for heading in (headings[light], "lost")]
+    print_table(table.title, ("method", "paper: min, max, mean", *of_lights), lines.values(), width=130)
     for method, problem in table.problems(data).items():
         print_line(f"{method}: {problem}")

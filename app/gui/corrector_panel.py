@@ -10,7 +10,7 @@ from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
 from app.results.layers.answers import CorrectorRequest, FoundCorrectors
 from app.results.layers.correction import in_words
-from app.results.layers.dataset import shown_to_m
+from app.results.layers.dataset import axis_label, shown_range_m
 from reconstruction.layers.corrector import Corrector
 
 _CORRECTORS = (
@@ -34,7 +34,7 @@ class CorrectorPanel(QWidget):
         self.corrector.setToolTip("Shapes that the corrector can take over its footprint")
         self.origin = origin_choice()
         keys = (("best command", theme.ACCENT), ("best distance", theme.AMBER), ("no corrector", theme.DIM))
-        self.plot = Plot("Residual (rad RMS)", "conjugate distance of the corrector (mm)", keys, widest="00.0")
+        self.plot = Plot("Residual (rad RMS)", axis_label("lenslets"), keys, widest="00.0")
         self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
         self.plot.setToolTip(
             "RMS of the wavefronts over field and pupil after the best command of one corrector,\n"
@@ -60,12 +60,15 @@ class CorrectorPanel(QWidget):
             return
         distance_mm, residual_rad = found["distance"].values * 1e3, found["residual"].values
         at_mm, without_rad = float(found["corrector_distance_m"]) * 1e3, float(found["uncorrected"])
-        farthest_mm = 1e3 * shown_to_m(found["corrector_distance_m"].values, found["distance"].values)
+        origin = found.attrs["distances_from"]
+        range_m = shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
+        low_mm, high_mm = (1e3 * end_m for end_m in range_m)
         top = 1.1 * max(without_rad, 1e-6)
         self._curve.setData(distance_mm, residual_rad)
-        self._limit.setData([0.0, farthest_mm], [without_rad, without_rad])
+        self._limit.setData([low_mm, high_mm], [without_rad, without_rad])
+        self.plot.axes["bottom"].setLabel(axis_label(origin))
         self._mark.setData([at_mm, at_mm], [0.0, top])
-        self.plot.set_ranges((0, farthest_mm), (0, top))
+        self.plot.set_ranges((low_mm, high_mm), (0, top))
         text = in_words(found)
         self.sentence.setText(text[0].upper() + text[1:])
 

@@ -1,6 +1,5 @@
 """The layers panel: misfit over the distance, the layers found with their phase, or one at a known distance, live."""
 
-import math
 from typing import get_args
 
 import numpy as np
@@ -18,14 +17,22 @@ from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
 from app.results.layers.answers import FoundLayers, LayersRequest
-from app.results.layers.dataset import Origin, distance_m, distance_range_m, ratio_at, shown_to_m
+from app.results.layers.dataset import (
+    Origin,
+    axis_label,
+    distance_in_words,
+    distance_m,
+    distance_range_m,
+    possible_origin,
+    ratio_at,
+    shown_range_m,
+)
 from app.results.shown_wavefront import Unit
 from drivers.interface import Range
 from reconstruction.layers.layer_search import LayerSearch
 
 _MODES = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
 _INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
-_FINE_M = 1e-4  # errors below it have two decimals in mm
 
 
 def origin_choice() -> Choice:
@@ -33,7 +40,10 @@ def origin_choice() -> Choice:
     made = Choice()
     for origin in get_args(Origin):
         made.addItem(f"from the {origin}", origin)
-    made.setToolTip("Where distances are measured from: lenslets, in the collimated beam, or mask")
+    made.setToolTip(
+        "Where distances are measured from: lenslets, in the collimated beam, or mask.\n"
+        "From the lenslets, negative distances lie behind them; there is no distance from the mask there."
+    )
     return made
 
 
@@ -60,7 +70,7 @@ class LayersPanel(QWidget):
         self.origin = origin_choice()
         self.origin.currentIndexChanged.connect(self._show_distance)
         keys = (("one layer", theme.ACCENT), ("found", theme.AMBER), ("limit", theme.DIM))
-        self.plot = Plot("Unexplained (%)", "distance (mm)", keys, widest="100")
+        self.plot = Plot("Unexplained (%)", axis_label("lenslets"), keys, widest="100")
         self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
         self.plot.setToolTip(
             "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
@@ -101,6 +111,7 @@ class LayersPanel(QWidget):
             self.show_stale()
             return
         self.sentence.setText(_in_words(found))
+        self._choose_origin(found.origin)
         if found.search is not None:
             self._ratio = found.ratios[0]
             self._show_distance()
@@ -114,13 +125,15 @@ class LayersPanel(QWidget):
             self.map.show_stale(is_stale=True)
 
     def _show_curve(self, found: FoundLayers, search: LayerSearch) -> None:
-        order = np.argsort(found.curve_m)
+        order = np.argsort(found.curve_m)[: np.count_nonzero(np.isfinite(found.curve_m))]  # NaN comes last
         distance_mm, percent = found.curve_m[order] * 1e3, 100 * search.misfits[order]
         self._curve.setData(distance_mm, percent)
         least = 100 * search.any_wavefront.misfit
-        farthest_mm = 1e3 * shown_to_m(found.distances_m, found.curve_m)
-        self._limit.setData([0.0, farthest_mm], [least, least])
-        self.plot.set_ranges((0, farthest_mm), (0, 1.1 * max(float(percent[distance_mm <= farthest_mm].max()), least)))
+        low_mm, high_mm = (1e3 * end_m for end_m in shown_range_m(found.distances_m, found.curve_m, found.origin))
+        self._limit.setData([low_mm, high_mm], [least, least])
+        self.plot.axes["bottom"].setLabel(axis_label(found.origin))
+        shown = percent[(low_mm <= distance_mm) & (distance_mm <= high_mm)]
+        self.plot.set_ranges((low_mm, high_mm), (0, 1.1 * max(float(shown.max()), least)))
 
     def _mark(self, found: FoundLayers) -> None:
         """Draw a vertical line at each distance."""
@@ -155,29 +168,28 @@ class LayersPanel(QWidget):
         """Show the distance of the layer, to be changed while it is the known one."""
         self.distance.setEnabled(not self.mode.currentData() and self._bench is not None)
         if self._bench is not None:
-            origin = self.origin.currentData()
+            origin = possible_origin(self.origin.currentData(), [self._ratio])
+            self._choose_origin(origin)
             allowed = Range(*distance_range_m(origin, self._bench))
             self.distance.show_value(float(distance_m(self._ratio, origin, self._bench)), allowed)
+
+    def _choose_origin(self, origin: Origin) -> None:
+        """Choose another origin than was chosen, if a layer has no distance from that one."""
+        self.origin.blockSignals(True)
+        self.origin.setCurrentIndex(self.origin.findData(origin))
+        self.origin.blockSignals(False)
 
 
 def _in_words(found: FoundLayers) -> str:
     """Verdict, distances and what they leave."""
-    places = " and ".join(_place(*values) for values in zip(found.distances_m, found.sigma_m, strict=True))
-    places += f" mm from the {found.request.origin}"
+    at = zip(found.distances_m, found.sigma_m, strict=True)
+    places = " and ".join(distance_in_words(*each, found.origin) for each in at)
     share = f"{number(100 * found.misfit, 2)} % of the displacements unexplained"
     if found.search is None:
-        return f"Layer at {places}, as given: {share}"
+        return f"Layer {places}, as given: {share}"
     verdict = found.search.verdict
     share += f" (any wavefront: {number(100 * found.search.any_wavefront.misfit, 2)} %)"
     doubt = f"; but {found.search.doubt}" if found.search.doubt else ""
     if verdict.startswith("not"):
-        return f"{verdict.capitalize()}: the best at {places} leave{'s' * (len(found.ratios) == 1)} {share}{doubt}"
-    return f"{verdict.capitalize()} at {places}: {share}{doubt}"
-
-
-def _place(at_m: float, sigma_m: float) -> str:
-    """Distance in mm with its error, if that is known."""
-    if not math.isfinite(sigma_m):
-        return f"{at_m * 1e3:.1f}"
-    decimals = 1 if sigma_m > _FINE_M else 2
-    return f"{at_m * 1e3:.{decimals}f} \N{PLUS-MINUS SIGN} {sigma_m * 1e3:.{decimals}f}"
+        return f"{verdict.capitalize()}: the best, {places}, leave{'s' * (len(found.ratios) == 1)} {share}{doubt}"
+    return f"{verdict.capitalize()} {places}: {share}{doubt}"

@@ -13,7 +13,7 @@ from numpy.polynomial import legendre as series
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Sensor
 from reconstruction.modes.legendre import legendre_products
-from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence
+from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence, prior_and_noise
 
 UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 
@@ -92,8 +92,9 @@ class Spectrum:
     def fit(self, moments: Moments, scale: Floats, footprints: Footprints) -> LayerFit:
         """Fit layers with those footprints; `scale` (column,) is the prior's standard deviation over its strength."""
         square, vectors = self._square, self._vectors
-        ratio, noise, along = self._evidence(moments)
+        along = self._along(moments)
         singular, relative = np.sqrt(square), square / square[-1]
+        ratio, noise = prior_and_noise(relative, along, moments.total, moments.count)
         variance = noise * ratio / square[-1]  # of the prior
         found = scale * (vectors @ (variance / noise / (1 + ratio * relative) * singular * along))
         root = scale[:, None] * vectors * np.sqrt(variance / (1 + ratio * relative))
@@ -103,21 +104,16 @@ class Spectrum:
             Layer(at, math.nan, half_width_m, coefficients, covariance, first)
             for (at, half_width_m), coefficients, covariance in zip(footprints, *parts, strict=True)
         )
-        return LayerFit(
-            layers,
-            fit_quality(ratio, relative, along, moments.total, moments.count),
-            np.zeros((len(layers), len(layers))),
-        )
+        return LayerFit(layers, self.quality(moments), np.zeros((len(layers), len(layers))))
 
     def quality(self, moments: Moments) -> FitQuality:
         """Quality of the fit alone."""
-        ratio, _, along = self._evidence(moments)
-        return fit_quality(ratio, self._square / self._square[-1], along, moments.total, moments.count)
+        along, relative = self._along(moments), self._square / self._square[-1]
+        ratio, _ = maximize_evidence(relative, along, moments.total, moments.count)
+        return fit_quality(ratio, relative, along, moments.total, moments.count)
 
-    def _evidence(self, moments: Moments) -> tuple[float, float, Floats]:
-        """Ratio of prior to noise variance, noise variance, and the data along the singular vectors."""
-        square, along = self._square, np.zeros_like(self._square)
-        seen = square > 0
-        along[seen] = (moments.columns @ self._vectors)[seen] / np.sqrt(square[seen])
-        ratio, noise = maximize_evidence(square / square[-1], along, moments.total, moments.count)
-        return ratio, noise, along
+    def _along(self, moments: Moments) -> Floats:
+        """The data along the singular vectors, (n,); 0 where nothing is seen."""
+        along, seen = np.zeros_like(self._square), self._square > 0
+        along[seen] = (moments.columns @ self._vectors)[seen] / np.sqrt(self._square[seen])
+        return along

@@ -95,8 +95,8 @@ class FrameEquations:
     def __init__(self, solver: LayerSolver, displacement: Displacement, weights: Floats | None) -> None:
         self.solver, self._displacement, self._weights = solver, displacement, weights
         self._share = solver.errors.share(displacement, weights)  # (L,)
-        lenslets = int(np.count_nonzero(self._share))
-        require_lenslets(lenslets)
+        lenslets = np.count_nonzero(self._share)
+        require_lenslets(int(lenslets))
         data = solver.errors.whitened(displacement)
         self._weighted = self._share[:, None] * data
         self._total, self._count = float(np.vdot(data, self._weighted)), lenslets * data.shape[1]
@@ -142,8 +142,8 @@ class FrameEquations:
         scale = prior_scale(degree)
         for ratio in ratios:
             if (ratio, degree) not in self._columns:
-                found = self._weighted.ravel().astype(np.float32) @ self._rows(ratio, degree)
-                self._columns[ratio, degree] = scale * found
+                # In double precision, as the products below: layers close to each other differ little.
+                self._columns[ratio, degree] = scale * (self._weighted.ravel() @ self._rows(ratio, degree))
         gram = np.block([[self._product(one, other, degree, scale) for other in ratios] for one in ratios])
         columns = np.concatenate([self._columns[ratio, degree] for ratio in ratios])
         return Spectrum(gram), Moments(columns, self._total, self._count), np.tile(scale, len(ratios))

@@ -15,10 +15,11 @@ from reconstruction.layers.layer_fit import UNSEEN
 from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import LayerSearch
 from reconstruction.layers.layer_solver import LayerSolver, prior_scale, require_lenslets
-from reconstruction.solve.evidence import maximize_evidence
+from reconstruction.solve.evidence import prior_and_noise
 from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
+_DECISIVE = 5.0  # by which the log evidence must favour layers, at distances found among many
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +42,7 @@ def most_probable(search: LayerSearch, *, free: bool = True) -> AssumedSample:
     """Assumption with the highest evidence: one layer, two, or with `free` any wavefront."""
     fits = [fit for fit in (search.one, search.two) if fit is not None]
     best = max(fits, key=lambda fit: fit.quality.log_evidence)
-    if free and best.quality.log_evidence < search.any_wavefront.log_evidence:
+    if free and best.quality.log_evidence < search.any_wavefront.log_evidence + _DECISIVE:
         return FREE
     return AssumedSample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance)
 
@@ -135,7 +136,7 @@ class LayeredWavefronts:
         along = np.divide(columns @ equations.vectors, singular, where=seen, out=np.zeros_like(singular))
         count = np.count_nonzero(share) * data.shape[1]
         total = float(np.vdot(data, weighted))
-        ratio, noise = maximize_evidence(square / square[-1], along, total, count)
+        ratio, noise = prior_and_noise(square / square[-1], along, total, count)
         variance = ratio / square[-1] / (1 + ratio / square[-1] * square)  # over that of the noise
         freedom = count - float(np.sum(variance * square))
         return _Fit(equations, variance * singular * along, noise * variance, freedom)

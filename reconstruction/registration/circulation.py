@@ -27,6 +27,7 @@ _ROTATING_SIGMA = 5.0  # mean rotation over its error
 _ROTATING_CHI_SQUARE = 4.0  # circulation typically twice its error
 _SHOWN = 0.5  # share of a rotation that must lie in the judged directions
 _NOTHING = 1e-9  # share of the variance that rounding leaves in directions without any
+_UNCERTAIN = 1e6  # variance over that of all other directions, of what the source hides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,8 +73,8 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
     Returns
     -------
     Circulation or None
-        None if the registration excludes rotation or does not know how errors are correlated, or if no lenslet
-        converged.
+        None if the registration excludes rotation, or leaves it out because the source hides it, or does not know how
+        errors are correlated, or if no lenslet converged.
     """
     valid, modes = displacement.valid, displacement.modes
     if not _is_polynomial(modes) or modes.count < 3 or not valid.any():
@@ -88,6 +89,8 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
     if not knows_correlation or np.einsum("lkk->", noise) <= _NOTHING * np.einsum("lkk->", covariance):
         return None
 
+    covariance = covariance + _hidden(covariance)
+    noise = part.circulation @ covariance @ part.circulation.T
     best = np.linalg.eigvalsh(covariance)[:, :1, None]
     ratio, directions = np.linalg.eigh(np.mean(noise / np.maximum(best, np.finfo(np.float64).tiny), axis=0))
     judged, ratio = directions.T[ratio < _OBSERVABLE**2], ratio[ratio < _OBSERVABLE**2]
@@ -122,6 +125,17 @@ class _Parts(NamedTuple):
     circulation: Floats  # orthonormal, no gradients of potentials, (C, 2Q)
     deformation: Floats  # orthonormal, such gradients except the two translations, (D, 2Q)
     rigid: Floats  # circulation of the rotation (-y, x), (C,)
+
+
+def _hidden(covariance: Floats) -> Floats:
+    """Variance of displacements that a registration leaves out because the source hides them, (L, 2Q, 2Q).
+
+    `covariance` (L, 2Q, 2Q) is zero there; what the source hides is uncertain.
+    """
+    total = np.einsum("lkk->l", covariance)
+    values, vectors = np.linalg.eigh(np.mean(covariance / total[:, None, None], axis=0))
+    left_out = vectors[:, values < _NOTHING]
+    return np.asarray(_UNCERTAIN * total[:, None, None] * (left_out @ left_out.T))
 
 
 @lru_cache(maxsize=16)

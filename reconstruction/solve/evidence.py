@@ -23,7 +23,19 @@ class FitQuality(NamedTuple):
 # Ratios of prior to noise variance tried: every decade, then every quarter of a decade about the best.
 _PRIOR_DECADES = np.linspace(-4.0, 14.0, 19)
 _BETWEEN_DECADES = np.linspace(-0.75, 0.75, 7)
+_SIGNAL = 1000.0  # least expected variance of the displacements over that of their noise
+_TINY = np.finfo(np.float64).tiny
 _FACTORS = 16  # factors of up to 1e15, whose product does not overflow, per logarithm
+
+
+def prior_and_noise(square: Floats, along: Floats, total: float, count: int) -> tuple[float, float]:
+    """Ratio of prior to noise variance for a solution, and noise variance; arguments as in `maximize_evidence`.
+
+    The evidence of a weak wavefront allows any prior down to none, which would shrink the wavefront and its error bars
+    to nothing. So the prior expects at least `_SIGNAL` times the noise in the displacements.
+    """
+    ratio, noise = maximize_evidence(square, along, total, count)
+    return max(ratio, _SIGNAL * count / max(float(np.sum(square)), _TINY)), noise
 
 
 @compiled

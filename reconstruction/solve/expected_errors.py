@@ -7,6 +7,7 @@ from reconstruction.displacement import SYSTEMATIC_PX, Displacement
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.solve.sensitivity import Lenslets, Sensitivity
 
+_ALIKE = 0.1  # share of the systematic error that all parameters have alike, if the noise is unknown
 _LEAST_NOISE = 1e-6  # variance of the noise over that of the systematic error, below which the noise is unknown
 
 
@@ -68,7 +69,8 @@ class ExpectedErrors:
 def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Floats, Mask, float]:
     """Covariance of the parameters, (lenslet, K, K), the lenslets where it is known, and the share of the noise.
 
-    It is that of the noise, enlarged by the systematic error; if the noise is unknown, that error alone.
+    It is that of the noise, enlarged by the systematic error; if the noise is unknown, that error alone, shared among
+    the parameters as noise would be.
     """
     lenslets, columns = covariance.shape[0] * covariance.shape[1], len(to_parameters)
     covariance = covariance.reshape(lenslets, columns, columns)
@@ -78,6 +80,10 @@ def _expected_covariance(covariance: Floats, to_parameters: Floats) -> tuple[Flo
     variance = np.trace(of_noise, axis1=1, axis2=2) / len(alike)
     usual = float(np.median(variance[is_known])) if is_known.any() else 0.0
     if usual < _LEAST_NOISE * SYSTEMATIC_PX**2:
+        seen = is_known & (variance > 0)
+        if seen.any():  # as much more uncertain as noise would make them
+            shape = np.mean(of_noise[seen] / variance[seen, None, None], axis=0)
+            alike = (1 - _ALIKE) * shape + _ALIKE * alike
         return np.broadcast_to(SYSTEMATIC_PX**2 * alike, of_noise.shape), is_known, 0.0
     expected = (1 + SYSTEMATIC_PX**2 / usual) * of_noise + _LEAST_NOISE * usual * alike
     expected[~is_known] = alike

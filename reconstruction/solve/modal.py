@@ -24,7 +24,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
-from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence
+from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence, prior_and_noise
 from reconstruction.solve.expected_errors import ExpectedErrors
 from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
 from reconstruction.solve.sensitivity import Sensitivity
@@ -110,14 +110,14 @@ class ModalSolver:
         equations, along, total, count, share = self._components(displacement, weights)
         singular, square = equations.singular, equations.singular**2
         if self._is_smooth:
-            ratio, noise = maximize_evidence(square / np.max(square), along, total, count)
+            ratio, noise = prior_and_noise(square / np.max(square), along, total, count)
             ratio /= np.max(square)
             variance = ratio / (1 + ratio * square)  # over that of the noise
         else:
             variance = 1 / square
-            noise = self.errors.share_of_noise
-            if noise == 0 and count > len(square):  # unknown: the misfit shows it
-                noise = max(total - float(along @ along), _TINY) / (count - len(square))
+            noise = 1.0 if self.errors.share_of_noise else _TINY
+            if count > len(square):  # what the modes leave shows errors that the noise does not explain
+                noise = max((total - float(along @ along)) / (count - len(square)), noise)
         found = variance * singular * along
         coefficients = np.zeros((len(self._modes.degree), len(displacement.coefficients[0, 0])))
         coefficients[1:] = (equations.scaled @ found.astype(np.float32)).reshape(coefficients[1:].shape)

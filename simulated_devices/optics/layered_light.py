@@ -68,7 +68,7 @@ class LayeredLight:
         margins_m = [
             margin_m(slope_rad_per_m, step_m, self._wavenumber_rad_per_m) if step_m else 0.0 for step_m in self._steps_m
         ]
-        self._spacing_m, self._margins_m = spacing_m, margins_m
+        self._spacing_m = spacing_m
         self._x_m, self._y_m = (
             _grid(half_m + sum(margins_m[1:]) + EDGE * spacing_m, spacing_m) for half_m in pupil_half_width_m
         )
@@ -118,9 +118,8 @@ class LayeredLight:
         step_m = self._steps_m[index]
         if step_m == 0:
             return np.asarray(field, np.complex128)
-        width = max(1, math.ceil(self._margins_m[index] / 2 / self._spacing_m))
-        along_y, along_x = (edge_taper(count, width) for count in field.shape)
-        tapered = np.asarray(field * along_y[:, None] * along_x, np.complex128)
+        taper = edge_taper(field.shape, self._spacing_m, step_m, self._wavenumber_rad_per_m)
+        tapered = np.asarray(field * taper, np.complex128)
         return fresnel_propagated(tapered, self._spacing_m, step_m, self._wavenumber_rad_per_m)
 
 

@@ -1,24 +1,27 @@
 """Photographs of flat, incoherent objects through a phase screen.
 
-Every object pixel has its own point-spread function, by a fast Fourier transform of the pupil with the screen's phase
-at each sample. They are computed on a dense grid over the image and interpolated linearly between its nodes.
+Every object pixel has its own point-spread function, by a fast Fourier transform of the light in the pupil. They are
+computed on a dense grid over the image and interpolated linearly between its nodes.
 """
 
 from collections.abc import Callable
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft, signal
 
 from reconstruction.arrays import Floats
 
-TruePhase = Callable[[Floats, Floats], Floats]
-"""Phase, rad, (y, x), at all combinations of pupil positions x and y, m."""
+PupilField = Callable[[Floats, Floats], NDArray[np.complexfloating]]
+"""Field of the light, (y, x), at all combinations of pupil positions x and y, m."""
 
 _SMALLEST_TRANSFORM = 256
 
 
-def true_psf(phase: TruePhase, *, pixel_rad: float, wavelength_m: float, pupil_width_m: float, reach_px: int) -> Floats:
+def true_psf(
+    pupil_field: PupilField, *, pixel_rad: float, wavelength_m: float, pupil_width_m: float, reach_px: int
+) -> Floats:
     """Point-spread function (2 reach + 1, 2 reach + 1) of a square pupil, sum 1; a positive slope moves it towards +x.
 
     The pupil is sampled such that the transform has steps of a pixel, `pixel_rad` in angle.
@@ -30,7 +33,7 @@ def true_psf(phase: TruePhase, *, pixel_rad: float, wavelength_m: float, pupil_w
     lit = slice(*np.flatnonzero(share)[[0, -1]] + [0, 1])
     inner_m = np.clip(at_m[lit], -pupil_width_m / 2, pupil_width_m / 2)
     field = np.zeros((size, size), np.complex128)
-    field[lit, lit] = share[lit] * share[lit, None] * np.exp(1j * phase(inner_m, inner_m))
+    field[lit, lit] = share[lit] * share[lit, None] * pupil_field(inner_m, inner_m)
     light = np.abs(fft.fftshift(fft.fft2(fft.ifftshift(field)))) ** 2
     middle = slice(size // 2 - reach_px, size // 2 + reach_px + 1)
     return np.asarray(light[middle, middle] / light[middle, middle].sum())

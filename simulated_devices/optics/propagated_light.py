@@ -23,7 +23,7 @@ from simulated_devices.optics.ray_map import RayMap
 LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
 _LARGEST_SIDE = 8192  # samples; takes 4 GB
 _ROUNDING = 1e-6
-_FRESNEL_LENGTHS = 4.0  # of margin, half of it tapered
+_TAPER = 2.0  # Fresnel lengths
 
 
 def fresnel_propagated(
@@ -41,10 +41,18 @@ def fresnel_propagated(
     return np.asarray(fft.ifft2(spectrum, overwrite_x=True), np.complex128)
 
 
+def fresnel_length_m(distance_m: float, wavenumber_rad_per_m: float) -> float:
+    """Width sqrt(lambda z) over which diffraction blurs an edge."""
+    return math.sqrt(2 * math.pi / wavenumber_rad_per_m * abs(distance_m))
+
+
 def margin_m(slope_rad_per_m: float, distance_m: float, wavenumber_rad_per_m: float) -> float:
-    """Width of the rim of a field whose light may reach the middle over `distance_m`: refraction and diffraction."""
-    diffraction_m = math.sqrt(2 * math.pi / wavenumber_rad_per_m * abs(distance_m))
-    return slope_rad_per_m / wavenumber_rad_per_m * abs(distance_m) + _FRESNEL_LENGTHS * diffraction_m
+    """Width of the rim of a field from which light may reach the middle, by refraction and diffraction.
+
+    The outer half of what diffraction needs is for the taper, `edge_taper`.
+    """
+    refraction_m = slope_rad_per_m / wavenumber_rad_per_m * abs(distance_m)
+    return refraction_m + 2 * _TAPER * fresnel_length_m(distance_m, wavenumber_rad_per_m)
 
 
 def largest_step_rad(phase_rad: Floats) -> float:
@@ -52,10 +60,16 @@ def largest_step_rad(phase_rad: Floats) -> float:
     return max(float(np.abs(np.diff(phase_rad, axis=axis)).max()) for axis in range(2))
 
 
-def edge_taper(count: int, width: int) -> Floats:
-    """Amplitude that rises from 0 at both ends to 1 over `width` samples, (count,)."""
-    rise = np.minimum(np.arange(count) + 0.5, np.arange(count)[::-1] + 0.5) / width
-    return np.asarray(np.sin(np.pi / 2 * np.minimum(rise, 1)) ** 2, np.float64)
+def edge_taper(
+    shape: tuple[int, ...], sample_spacing_m: float, distance_m: float, wavenumber_rad_per_m: float
+) -> Floats:
+    """Amplitude (row, column) that falls to 0 at the edge so gently that little of it is diffracted."""
+    width = max(1.0, _TAPER * fresnel_length_m(distance_m, wavenumber_rad_per_m) / sample_spacing_m)
+    along_y, along_x = (
+        np.sin(np.pi / 2 * np.minimum(np.minimum(index + 0.5, index[::-1] + 0.5) / width, 1)) ** 2
+        for index in map(np.arange, shape)
+    )
+    return np.asarray(np.outer(along_y, along_x), np.float64)
 
 
 class PropagatedLight:
@@ -92,28 +106,25 @@ class PropagatedLight:
         finer = max(1, math.ceil(step_rad / LARGEST_STEP_RAD))
         spacing_m = screen.sample_spacing_m / rays.pupil_scale / finer
         slope_rad_per_m = step_rad / finer / spacing_m
-        margin = math.ceil(margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m) + EDGE
+        margin = margin_m(slope_rad_per_m, distance_m, wavenumber_rad_per_m) / spacing_m + EDGE
         fine = [(count - 1) * finer + 1 for count in screen.samples_rad.shape]
-        sides = [fft.next_fast_len(count + 2 * margin) for count in fine]
+        used = [half_m / rays.pupil_scale / spacing_m for half_m in half_width_m[::-1]]
+        # The rim of the screen is part of the margin.
+        pads = [max(0, math.ceil(half + margin - (count - 1) / 2)) for count, half in zip(fine, used, strict=True)]
+        sides = [fft.next_fast_len(count + 2 * pad) for count, pad in zip(fine, pads, strict=True)]
         if max(sides) > _LARGEST_SIDE:
             raise ValueError(
                 "rms_rad must be smaller, or correlation_length_m larger: the light of the screen would need "
                 f"{max(sides):,} samples a side, and the most is {_LARGEST_SIDE:,}"
             )
-        phase = _resampled(screen, finer)
-        pads = [(margin, side - count - margin) for side, count in zip(sides, fine, strict=True)]
-        field = np.exp(1j * np.pad(phase, pads, mode="reflect", reflect_type="odd"))
+        around = [(pad, side - count - pad) for pad, side, count in zip(pads, sides, fine, strict=True)]
+        field = np.exp(1j * np.pad(_resampled(screen, finer), around, mode="reflect", reflect_type="odd"))
         if amplitude is not None:
-            field *= np.pad(_resampled(amplitude, finer), pads, mode="reflect")
-        along_y, along_x = (edge_taper(side, margin // 2) for side in sides)
-        field *= along_y[:, None] * along_x
+            field *= np.pad(_resampled(amplitude, finer), around, mode="reflect")
+        field *= edge_taper(field.shape, spacing_m, distance_m, wavenumber_rad_per_m)
         field = fresnel_propagated(field, spacing_m, distance_m, wavenumber_rad_per_m)
-        field_half_m = [half_m / rays.pupil_scale for half_m in half_width_m[::-1]]
-        used = [
-            _middle(before, count, half_m / spacing_m)
-            for (before, _), count, half_m in zip(pads, phase.shape, field_half_m, strict=True)
-        ]
-        self._samples = field[used[0], used[1]]
+        rows, columns = (_middle(*sizes) for sizes in zip(pads, fine, used, strict=True))
+        self._samples = field[rows, columns]
         self._spacing_m = spacing_m
         self._spline = FieldSpline(self._samples, spacing_m)
 

@@ -46,6 +46,12 @@ def square(source: Source, *, object_samples: int) -> SourcePoints:
     return _with_brightness(source, np.ones((object_samples, object_samples)))
 
 
+def checkerboard(source: Source, *, object_samples: int) -> SourcePoints:
+    """Return the square in `checker_cells` x `checker_cells` cells, every other one lit: the one at lowest x, y is."""
+    row, column = np.indices(2 * (source.checker_cells,))
+    return _with_brightness(source, _pixels_on_grid(source, 1.0 - (row + column) % 2, object_samples))
+
+
 def circle(source: Source, *, object_samples: int) -> SourcePoints:
     """Return the circular opening that touches the square's four sides: area pi h^2, h the half width."""
     half_m = source.half_width_m
@@ -86,11 +92,7 @@ def image(source: Source, *, object_samples: int) -> SourcePoints:
     The image's longer side fills the square; the rest is dark. Each point gets the mean over its cell of the grid.
     Row 0 is at the lowest y.
     """
-    pixels = read_grey_image(Path(source.file))
-    pixel_m = 2 * source.half_width_m / max(pixels.shape)
-    edges_m = _cell_edges(source, object_samples)
-    along_y, along_x = (_overlap_shares(edges_m, count, pixel_m) for count in pixels.shape)
-    brightness = along_y @ pixels @ along_x.T
+    brightness = _pixels_on_grid(source, read_grey_image(Path(source.file)), object_samples)
     return _with_brightness(source, brightness / brightness.max())
 
 
@@ -183,6 +185,14 @@ def _opening(source: Source, half_chord_m: Callable[[Floats], Floats], object_sa
     return _with_brightness(source, inside_m.mean(axis=1) / np.diff(edges_m))
 
 
+def _pixels_on_grid(source: Source, pixels: Floats, object_samples: int) -> Floats:
+    """Mean brightness over each point's cell, of square pixels (row, column) whose longer side fills the square."""
+    pixel_m = 2 * source.half_width_m / max(pixels.shape)
+    edges_m = _cell_edges(source, object_samples)
+    along_y, along_x = (_overlap_shares(edges_m, count, pixel_m) for count in pixels.shape)
+    return np.asarray(along_y @ pixels @ along_x.T)
+
+
 def _overlap_shares(edges_m: Floats, count: int, pixel_m: float) -> Floats:
     """Share of each cell that each of `count` pixels about the axis covers: (cell, pixel)."""
     pixel_edges_m = centered_steps(count + 1) * pixel_m
@@ -193,6 +203,7 @@ def _overlap_shares(edges_m: Floats, count: int, pixel_m: float) -> Floats:
 
 _ON_THE_GRID = {
     "square": square,
+    "checkerboard": checkerboard,
     "circle": circle,
     "ellipse": ellipse,
     "octagon": octagon,

@@ -14,7 +14,7 @@ from reconstruction.modes.zernike import zernike
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import geometric_sensitivity
+from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.wavefront import rms
 
 CIRCLE = Field(collimator_focal_length_m=0.2, half_width_m=0.6e-3, shape="circle", view_spacing_m=0.4e-3)
@@ -28,7 +28,7 @@ def test_zernike_coefficients_are_recovered() -> None:
     px = np.einsum("prcv,pq->rcqv", modes.gradients, coefficients) / sensor.slope_per_px
     px[~modes.inside] = 1e9  # outside the pupil
     displacement = converged(ZernikeModes(2), px, np.full_like(px, 1e-4))
-    solver = ModalSolver(modes, geometric_sensitivity(sensor, np.eye(4)), np.eye(4), displacement.covariance)
+    solver = ModalSolver(modes, MeanGradients(sensor, np.eye(4)), np.eye(4), displacement.covariance)
     solution = solver(displacement)
     np.testing.assert_allclose(solution.coefficients, coefficients, atol=1e-5)
     wavefront = solution.wavefront(np.array([1.0, 0.0]))

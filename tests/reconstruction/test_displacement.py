@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.optics import FIELD, SmallBench
+from support.optics import SmallBench
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
@@ -17,16 +17,22 @@ from reconstruction.settings import RegistrationSettings
 
 
 @pytest.fixture
-def displacement(small_bench: SmallBench) -> Displacement:
+def displacement(checker_bench: SmallBench) -> Displacement:
     """Quadratic gradients of a frame at rest, its first lenslet dark."""
-    reference = small_bench.reference * np.float32(1000 / small_bench.reference.max())
+    reference = checker_bench.reference * np.float32(1000 / checker_bench.reference.max())
     subimages = ReferenceSubimages(
-        reference, sensor=small_bench.sensor, lattice=small_bench.lattice, field=FIELD, noise=CameraNoise(1.0, 8.0)
+        reference,
+        sensor=checker_bench.sensor,
+        lattice=checker_bench.lattice,
+        field=checker_bench.field,
+        noise=CameraNoise(1.0, 8.0),
     )
-    estimate = prepare_registration(subimages, RegistrationSettings(warp="quadratic", rotation=False), FIELD)
+    estimate = prepare_registration(
+        subimages, RegistrationSettings(warp="quadratic", rotation=False), checker_bench.field
+    )
     frame = reference.copy()
     row, column = np.indices(frame.shape)
-    x, y = small_bench.lattice.lenslet_centers_px(7, 9)[0, 0]
+    x, y = checker_bench.lattice.lenslet_centers_px(7, 9)[0, 0]
     frame[np.hypot(row - y, column - x) < 22] = 0
     return estimate(frame, saturated=np.zeros(frame.shape, np.bool_))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
-from support.optics import FIELD, SmallBench
+from support.optics import SmallBench
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import RegistrationMethod
@@ -27,16 +27,16 @@ NOISY_FRAMES = {  # electrons of the brightest pixel, read noise in electrons, e
 
 
 @pytest.fixture(scope="module")
-def deformed(small_bench: SmallBench) -> Image:
+def deformed(checker_bench: SmallBench) -> Image:
     """A frame whose subimages lie at all fractions of a pixel, sheared and stretched."""
-    u, v = small_bench.samples()
+    u, v = checker_bench.samples()
 
     def phase(x: float, y: float) -> Image:
         return (1500.0 * u + 500.0 * v + 4e5 * u * x + 3e5 * (u**2 + v**2) + 2e8 * v * (u * y + v * x / 2)).astype(
             np.float32
         )
 
-    return small_bench.frame(phase)
+    return checker_bench.frame(phase)
 
 
 def _estimator(
@@ -44,8 +44,10 @@ def _estimator(
 ) -> RegistrationMethod:
     """Quadratic registration against a reference with that many electrons in its brightest pixel."""
     reference = bench.reference * np.float32(electrons / bench.reference.max())
-    subimages = ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD, noise=noise)
-    return prepare_registration(subimages, RegistrationSettings(rotation=rotation), FIELD)
+    subimages = ReferenceSubimages(
+        reference, sensor=bench.sensor, lattice=bench.lattice, field=bench.field, noise=noise
+    )
+    return prepare_registration(subimages, RegistrationSettings(rotation=rotation), bench.field)
 
 
 def _exposed(light: Image, read_noise: float, excess_noise: float, rng: np.random.Generator) -> Image:
@@ -66,11 +68,11 @@ def _free_directions(*, rotation: bool) -> Floats:
 
 @pytest.mark.parametrize(("name", "rotation"), [*((name, False) for name in NOISY_FRAMES), ("dim", True)])
 def test_errors_match_sigma_and_chi_square_is_one(
-    small_bench: SmallBench, deformed: Image, name: str, *, rotation: bool
+    checker_bench: SmallBench, deformed: Image, name: str, *, rotation: bool
 ) -> None:
     electrons, read_noise, excess_noise, brightness = NOISY_FRAMES[name]
-    estimate = _estimator(small_bench, electrons, CameraNoise(1.0, read_noise, excess_noise), rotation=rotation)
-    light = np.maximum(deformed * np.float32(brightness * electrons / small_bench.reference.max()), 0)
+    estimate = _estimator(checker_bench, electrons, CameraNoise(1.0, read_noise, excess_noise), rotation=rotation)
+    light = np.maximum(deformed * np.float32(brightness * electrons / checker_bench.reference.max()), 0)
     nowhere: NDArray[np.bool_] = np.zeros(light.shape, np.bool_)
     still = estimate(light, saturated=nowhere)
     rng = np.random.default_rng(3)
@@ -90,20 +92,20 @@ def test_errors_match_sigma_and_chi_square_is_one(
     np.testing.assert_allclose(together, np.eye(len(basis)), atol=0.12)
 
 
-def test_residual_replaces_unknown_noise(small_bench: SmallBench, deformed: Image) -> None:
-    displacement = _estimator(small_bench, 300.0, None)(deformed, saturated=np.zeros(deformed.shape, np.bool_))
+def test_residual_replaces_unknown_noise(checker_bench: SmallBench, deformed: Image) -> None:
+    displacement = _estimator(checker_bench, 300.0, None)(deformed, saturated=np.zeros(deformed.shape, np.bool_))
     assert np.isnan(displacement.chi_square).all()
     basis = _free_directions(rotation=False)
     assert np.all(np.linalg.eigvalsh(basis @ displacement.covariance.reshape(-1, 12, 12) @ basis.T) > 0)
 
 
 @pytest.mark.parametrize(("is_known", "tolerance"), [(True, 0.1), (False, 0.25)])
-def test_scatter_of_coefficients_matches_sigma(small_bench: SmallBench, is_known: bool, tolerance: float) -> None:
-    u, v = small_bench.samples()
-    frame = small_bench.frame(lambda x, _y: (1500.0 * u + 500.0 * v + 4e5 * u * x).astype(np.float32))
+def test_scatter_of_coefficients_matches_sigma(checker_bench: SmallBench, is_known: bool, tolerance: float) -> None:
+    u, v = checker_bench.samples()
+    frame = checker_bench.frame(lambda x, _y: (1500.0 * u + 500.0 * v + 4e5 * u * x).astype(np.float32))
     noise = 0.03 * float(frame.max())  # well above the systematic error
     # If it is unknown, its share in each field mode is unknown, too, but not its mean.
-    reconstructor = small_bench.reconstructor(
+    reconstructor = checker_bench.reconstructor(
         "quadratic", pupil_modes=15, noise=CameraNoise(1e-9 * noise, noise) if is_known else None
     )
     generator = np.random.default_rng(0)

@@ -15,7 +15,7 @@ from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
 from reconstruction.pipeline import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel, Warp
 from simulated_devices.optics.forward_model import ForwardModel, Images, phase_only
 from simulated_devices.optics.source import SourcePoints, square
 from simulated_devices.settings import Source
@@ -120,7 +120,12 @@ class SmallBench:
         return self.model.sample_x_m[None, :], self.model.sample_y_m[:, None]
 
     def reconstructor(
-        self, warp: str = "affine", method: str = "modal", pupil_modes: int | None = 21, **changes: object
+        self,
+        warp: str = "affine",
+        method: str = "modal",
+        pupil_modes: int | None = 21,
+        sample: SampleModel = "free",
+        **changes: object,
     ) -> Reconstructor:
         """A reconstructor for this bench; `changes` are other arguments of `Reconstructor`."""
         settings: dict[str, Any] = {
@@ -130,7 +135,7 @@ class SmallBench:
             "field": self.field,
             "registration": RegistrationSettings(warp=cast("Warp", warp)),
             "reconstruction": ReconstructionSettings(
-                method=cast("Literal['zonal', 'modal']", method), pupil_modes=pupil_modes
+                method=cast("Literal['zonal', 'modal']", method), pupil_modes=pupil_modes, sample=sample
             ),
         }
         return Reconstructor(**{**settings, **changes})

@@ -1,7 +1,8 @@
 """Reference registration in plain NumPy and SciPy, to compare the fast one with.
 
-The residual I1(x + d) det(1 + dd/dx) gain + offset det - I0 is made orthogonal to the steepest-descent images
-d(I0 T_q)/dx, d(I0 T_q)/dy, I0 and 1, all pixels of the window weighted alike, by Gauss-Newton steps from zero.
+The residual gain I1(x + d) + offset - I0 is made orthogonal to the steepest-descent images T_q dI0/dx, T_q dI0/dy, I0
+and 1, all pixels of the window weighted alike, by Gauss-Newton steps from zero. In the paper's world, which conserves
+flux, the displaced light is multiplied by det(1 + dd/dx), and the images are d(I0 T_q)/dx and d(I0 T_q)/dy.
 """
 
 from __future__ import annotations
@@ -75,13 +76,16 @@ def plain_registration(
             return np.asarray(look(splines[0], x, y) * modes(x, y))
 
         light = look(splines[0], x, y)
-        descent = np.concatenate([basis @ np.concatenate([by_x(carried), by_y(carried)]), [light, np.ones_like(light)]])
+        changes = np.concatenate([by_x(carried), by_y(carried)])
+        if not field.neglect_propagation:
+            changes = changes - light * np.concatenate([mode_by_x, mode_by_y])
+        descent = np.concatenate([basis @ changes, [light, np.ones_like(light)]])
         inverse = np.linalg.pinv(descent @ descent.T, rcond=1e-12, hermitian=True) @ descent
         c, gain, offset = np.zeros((field_modes, 2)), 1.0, 0.0
         for _ in range(_STEPS):
             d = c.T @ mode_values
             (xu, yu), (xv, yv) = c.T @ mode_by_x, c.T @ mode_by_y
-            stretch = (1 + xu) * (1 + yv) - xv * yu
+            stretch = (1 + xu) * (1 + yv) - xv * yu if field.neglect_propagation else 1.0
             residual = (gain * look(splines[1], x + d[0], y + d[1]) + offset) * stretch - light
             step = inverse @ residual
             c = c - (step[:-2] @ basis).reshape(2, field_modes).T

@@ -56,6 +56,7 @@ METHODS: dict[str, Method] = {
     "quadratic_modal": Method(registration=_QUADRATIC, reconstruction=MODAL_MANY),
     "cubic_zonal": Method(registration=_CUBIC, reconstruction=ZONAL),
     "cubic_modal": Method(registration=_CUBIC, reconstruction=MODAL_MANY),
+    "automatic": Method(registration=RegistrationSettings(), reconstruction=ReconstructionSettings()),
 }
 
 # Minimum, maximum and mean over the views in the paper's tables, rad.

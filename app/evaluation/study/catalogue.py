@@ -8,6 +8,7 @@ from app.evaluation.study.camera_noise import EM_GAIN, PHOTONS
 from app.evaluation.study.corrector import CORRECTOR
 from app.evaluation.study.deconvolution import DECONVOLUTION
 from app.evaluation.study.defects import DEAD, FOCAL_LENGTH, LATTICE
+from app.evaluation.study.distances import DISTANCES
 from app.evaluation.study.exposure_trials import EXPOSURE
 from app.evaluation.study.lattice_trials import calibration_trials
 from app.evaluation.study.mask import mask_study
@@ -26,7 +27,8 @@ def chosen_studies(names: Sequence[str], frames: Path | None = None) -> list[Stu
     """
     names, masks = _split(names)
     known: dict[str, Study] = {
-        study.name: study for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR)
+        study.name: study
+        for study in (*SWEEPS, calibration_trials(frames), EXPOSURE, DECONVOLUTION, CORRECTOR, DISTANCES)
     }
     for name in names:
         if name not in known:

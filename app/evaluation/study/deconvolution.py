@@ -20,7 +20,7 @@ from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.deconvolution.psf_optics import reach_px
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.optics.flat_objects import cells, resolution_target, stars
-from simulated_devices.optics.photograph import TruePhase, photographs, true_psf
+from simulated_devices.optics.photograph import PupilField, photographs, true_psf
 from simulated_devices.sample import Sample
 
 # 20 mm behind the mask, so that the point-spread functions of the field have little in common
@@ -115,7 +115,7 @@ class _Photographs:
         def psf_at(x_px: float, y_px: float) -> Floats:
             x_m, y_m = self._imaging.field_m(np.array(x_px), np.array(y_px), truths.shape[1:])
             return true_psf(
-                screen_phase(self._sample, float(x_m), float(y_m)),
+                pupil_field(self._sample, float(x_m), float(y_m)),
                 pixel_rad=self._imaging.pixel_m / bench.field.collimator_focal_length_m,
                 wavelength_m=bench.sensor.wavelength_m,
                 pupil_width_m=2 * min(bench.sensor.pupil_half_width_m),
@@ -125,20 +125,17 @@ class _Photographs:
         return photographs(truths, psf_at, spacing_px=_NODES_PX)
 
     def _true_phase(self, x_m: float, y_m: float) -> Floats:
-        sensor = self._bench.sensor
-        return screen_phase(self._sample, x_m, y_m)(sensor.pupil_x_m, sensor.pupil_y_m)
+        light, sensor = self._sample.light, self._bench.sensor
+        u_m, v_m = np.moveaxis(sensor.lenslet_centers_m, -1, 0)
+        scale, ratio = light.ray_map.pupil_scale, light.ray_map.field_scale
+        return light.phase.at(scale * u_m + ratio * x_m, scale * v_m + ratio * y_m)
 
 
-def screen_phase(sample: Sample, x_m: float, y_m: float) -> TruePhase:
-    """Phase of a sample's light at the lenslets from one field position."""
-    rays, screen = sample.light.ray_map, sample.light.phase
-
-    def phase(u_m: Floats, v_m: Floats) -> Floats:
-        along_x = screen.basis_x(rays.pupil_scale * u_m + rays.field_scale * x_m)
-        along_y = screen.basis_y(rays.pupil_scale * v_m + rays.field_scale * y_m)
-        return np.asarray(along_y @ screen.coefficients @ along_x.T)
-
-    return phase
+def pupil_field(sample: Sample, x_m: float, y_m: float) -> PupilField:
+    """Light of a field position behind a sample, at the lenslets: phase and amplitude."""
+    light = sample.light
+    scale, from_x_m, from_y_m = light.ray_map.pupil_scale, *(light.ray_map.field_scale * at_m for at_m in (x_m, y_m))
+    return lambda u_m, v_m: light.column(scale * u_m + from_x_m)(scale * v_m + from_y_m)
 
 
 def _constant(phase: Floats) -> PhaseAt:

@@ -1,7 +1,7 @@
 """Estimators under study, prepared for one reference of one bench, and the wavefront from the true slopes of the light.
 
-The residual of the true slopes shows what the field and pupil modes cannot represent; any excess of an estimator comes
-from registration.
+The residual of the true slopes shows what the field and pupil modes cannot represent, and what the mask hides; any
+excess of an estimator comes from registration.
 """
 
 import math
@@ -20,6 +20,7 @@ from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.refinement import Refinement
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
@@ -70,11 +71,13 @@ class WarpEstimator:
             noise=self._noise,
         )
 
-    def rounds(self, displacement: Displacement, most: int = ROUNDS) -> list[tuple[Wavefront, float]]:
+    def rounds(
+        self, displacement: Displacement, most: int = ROUNDS, sample: AssumedSample = FREE
+    ) -> list[tuple[Wavefront, float]]:
         """Return the wavefront after each round of refinement and its seconds; early ends repeat the last wavefront."""
-        results, refinement = [(self.reconstructor.solve(displacement), math.nan)], self.refinement
+        results, refinement = [(self.reconstructor.solve(displacement, sample=sample), math.nan)], self.refinement
         start_s = time.perf_counter()
-        for step in refinement.rounds(displacement, most):
+        for step in refinement.rounds(displacement, most, sample):
             end_s = time.perf_counter()
             results.append((step.wavefront, end_s - start_s))
             start_s = end_s
@@ -82,7 +85,7 @@ class WarpEstimator:
 
 
 class WarpEstimators:
-    """Estimators of most sweeps: each warp in one pass, some of them refined."""
+    """Estimators of most sweeps: each warp in one pass, some of them with the layers found, and then refined."""
 
     def __init__(
         self,
@@ -120,8 +123,11 @@ class WarpEstimators:
                     wavefront = exact_wavefront(sample, estimator.by_gradients, displacement)
                     yield compared(f"{curve}, true slopes", at, wavefront, truth, views=views)
                 if warp in self._refined:
+                    found = estimator.reconstructor.find_sample(displacement)
+                    wavefront = estimator.reconstructor.solve(displacement, sample=found)
+                    yield compared(f"{curve} layers", at, wavefront, truth, views=views)
                     curve += " refined"
-                    wavefront, _ = estimator.rounds(displacement)[-1]
+                    wavefront, _ = estimator.rounds(displacement, sample=found)[-1]
                     yield compared(curve, at, wavefront, truth, views=views)
             except ReconstructionError:
                 lenslets = estimator.reconstructor.sensor.lenslet_rows * estimator.reconstructor.sensor.lenslet_columns

@@ -1,11 +1,16 @@
 """Accuracy of source masks, predicted before they are manufactured and beside a full simulation.
 
 Without noise, the prediction is the response of one pass to the screens of the bench: the local wavefronts of the
-screen over each lenslet change its image to first order, and the registration turns that change into a displacement.
-It includes what the warp and the modes cannot describe. The noise follows from the Fisher information of the reference
-(the Cramer-Rao bound) and from the estimator's own error bars.
+screen over each lenslet change its image to first order, light that they gather included, and the registration turns
+that change into a displacement. It includes what the warp and the modes cannot describe, but no error that grows with
+the square of strong wavefronts. The noise follows from the Fisher information of the reference (the Cramer-Rao bound)
+and from the estimator's own error bars.
+
+In real light, the inside of a uniform area shows no displacement. A mask may hide some displacements of every lenslet:
+then the bound is large, and only the layers of the sample determine the wavefront.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -24,11 +29,12 @@ from app.evaluation.study.sources import lit_views
 from app.evaluation.study_kinds import Sweep
 from app.progress import Progress
 from reconstruction.arrays import Floats, Image
+from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.settings import Warp
-from reconstruction.wavefront import Wavefront
 from simulated_devices.optics.source import read_grey_image
 from simulated_devices.sample import Sample
 from simulated_devices.settings import MASKS
@@ -52,8 +58,8 @@ def mask_study(masks: Sequence[str]) -> Sweep:
     sources = {name: _changes(name) for name in dict.fromkeys(("square", *masks))}
     return Sweep(
         name="mask",
-        title=f"Masks, {_WARP} warp in one pass",
-        axis="mask (its light relative to the square)",
+        title=f"Masks in one pass, noise with the {_WARP} warp",
+        axis="mask (its light over the square's; displacements of each lenslet that it hides)",
         measure=partial(_measure, sources=sources),
     )
 
@@ -83,7 +89,7 @@ def _measure(
         source = replace(bench.simulation.source, **changes)  # type: ignore[arg-type] # checked by `_changes`
         try:
             study = _MaskStudy(replace(bench, simulation=replace(bench.simulation, source=source)), square)
-            at = f"{name} ({study.light:.2f})"
+            at = f"{name} ({study.light:.2f}; {study.hidden})"
             progress(f"{name}, residual", index / len(sources))
             yield from study.residuals(seeds, at)
             progress(f"{name}, noise", (index + 0.5) / len(sources))
@@ -103,33 +109,44 @@ class _MaskStudy:
             raise InputError("no view lies inside it: check [field] view_spacing_m")
         self._reference = NoiseFreeFrames(bench).reference(self._mask)
         self._square_peak = float(square.max())
+        self._estimator = WarpEstimator(bench, self._reference, None)
+        self.hidden = self._estimator.reconstructor.hidden
         self.light = float(self._reference.sum() / square.sum())  # relative to the square
 
     def residuals(self, seeds: range, at: str) -> Iterator[CaseResult]:
-        """Noise-free residual of one pass with automatic modes, predicted and simulated, for each screen."""
-        estimator = WarpEstimator(self._bench, self._reference, _WARP)
-        predict = LinearPass(self._bench, estimator, self._reference)
+        """Noise-free residual of one pass, predicted and simulated, for each screen: any wavefront, and layers."""
+        reconstructor = self._estimator.reconstructor
+        predict = LinearPass(self._bench, self._estimator, self._reference)
         for screen in seeded(self._bench, seeds):
             frames = NoiseFreeFrames(screen)
             frame = frames.frame(self._mask)
-            yield compared("residual: predicted", at, predict(frames.sample), frame.truth, views=self._views)
-            wavefront = estimator.reconstructor(frame.photons)
-            yield compared("residual: simulated", at, wavefront, frame.truth, views=self._views)
+            found = {"predicted": predict(frames.sample), "simulated": reconstructor.register(frame.photons)}
+            for way, displacement in found.items():
+                samples = {"any wavefront": FREE, "layers": reconstructor.find_sample(displacement)}
+                for assumed, sample in samples.items():
+                    wavefront = reconstructor.solve(displacement, sample=sample)
+                    yield compared(f"residual, {assumed}: {way}", at, wavefront, frame.truth, views=self._views)
 
     def noise(self, at: str) -> Iterator[CaseResult]:
-        """Noise of 45 modes at equal peak, and at the exposure that gives the square that peak."""
+        """Noise of 45 modes with the bench's screen, at equal peak, and at the exposure that gives the square it."""
+        frame = NoiseFreeFrames(self._bench).frame(self._mask).photons
         for label, own_peak in (("", float(self._reference.max())), (" in the square", self._square_peak)):
             for peak_e in _PEAKS_E:
-                yield from self._noise(at, f"noise, {peak_e:g} e-{label}", np.float32(peak_e / own_peak), peak_e)
+                scale = np.float32(peak_e / own_peak)
+                yield from self._noise(at, f"noise, {peak_e:g} e-{label}", frame * scale, scale, peak_e)
 
-    def _noise(self, at: str, curve: str, electrons_per_photon: np.float32, peak_e: float) -> Iterator[CaseResult]:
+    def _noise(
+        self, at: str, curve: str, electrons: Image, electrons_per_photon: np.float32, peak_e: float
+    ) -> Iterator[CaseResult]:
         seen = camera(self._bench, _SPEED, _EM_GAIN)
-        electrons = self._reference * electrons_per_photon
-        settings, known = without_prior(self._bench), seen.counts(electrons)
+        settings, known = without_prior(self._bench), seen.counts(self._reference * electrons_per_photon)
         estimator = WarpEstimator(self._bench, known, _WARP, reconstruction=settings, noise=seen.noise)
         reconstructor = estimator.reconstructor
-        without = reconstructor(known)
-        bound = bound_rad(self._bench, self._mask, reconstructor, without.displacement.modes.count, self._views)
+        without = reconstructor(seen.counts(electrons))
+        try:
+            bound = bound_rad(self._bench, self._mask, reconstructor, without.displacement.modes.count, self._views)
+        except ReconstructionError:  # the mask shows nothing of some wavefronts
+            bound = math.nan
         yield with_rms(f"{curve}: bound", at, without, bound)
         yield with_rms(f"{curve}: predicted", at, without, error_bar_rad(without, self._views))
         if peak_e == _SIMULATED_E:
@@ -154,14 +171,13 @@ class LinearPass:
         derivatives = model.derivatives(_DEGREE, self._modes.values(x, y), self._modes.gradients(x, y))
         self._response = registration.response(model.image(), derivatives) @ registration.parameters
 
-    def __call__(self, sample: Sample) -> Wavefront:
-        """Return the wavefront found for a sample."""
+    def __call__(self, sample: Sample) -> Displacement:
+        """Return the displacement found for a sample."""
         local = local_screen(sample, self._bench, self._modes)
         displacement = np.einsum("lnmqk,lnmq->lk", self._response, local, optimize=True)
         shape = self._at_rest.coefficients.shape
         displacement = np.swapaxes(displacement.reshape(*shape[:2], 2, -1), 2, 3)
-        found = replace(self._at_rest, coefficients=self._at_rest.coefficients + displacement)
-        return self._reconstructor.solve(found)
+        return replace(self._at_rest, coefficients=self._at_rest.coefficients + displacement)
 
 
 def local_screen(sample: Sample, bench: Bench, modes: LegendreModes) -> Floats:

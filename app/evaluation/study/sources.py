@@ -2,42 +2,37 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from app.bench.config import Bench
-from app.cache import cache_folder
 from app.errors import InputError
 from app.evaluation.cases import CaseResult
 from app.evaluation.noise_free import NoiseFreeFrames, seeded
 from app.evaluation.study.estimators import WarpEstimators
 from app.evaluation.study_kinds import Sweep
-from app.files import atomic_write
 from app.progress import Progress
 from simulated_devices.optics.source import source_points
-from simulated_devices.settings import Mask, Source
+from simulated_devices.settings import Mask
 
-_MASKS: tuple[Mask, ...] = ("square", "circle", "octagon", "ellipse", "peaks")
-_CELLS = 6  # of the checkerboard, along a side
+_MASKS: tuple[Mask, ...] = ("square", "checkerboard", "circle", "octagon", "ellipse", "peaks")
 _BRIGHT = 0.1  # of the highest brightness; darker points are outside the source
 _ROUNDING = 1e-9
 
 
 def _measure(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseResult]:
-    source = bench.simulation.source
-    sources: dict[str, Source] = {mask: replace(source, mask=mask) for mask in _MASKS}
-    sources["checkerboard"] = replace(source, file=str(_checkerboard()), mask="image")
-    for index, (name, each) in enumerate(sources.items()):
-        with_source = replace(bench, simulation=replace(bench.simulation, source=each))
-        views = lit_views(with_source)
-        estimators = WarpEstimators(with_source, NoiseFreeFrames(with_source).reference(each.mask))
-        for done, screen in enumerate(seeded(with_source, seeds)):
-            progress(name, (index + done / len(seeds)) / len(sources))
-            frame = NoiseFreeFrames(screen).frame(each.mask)
-            yield from estimators.compare(frame.photons, frame.truth, name, views=views)
+    for index, mask in enumerate(_MASKS):
+        with_mask = replace(
+            bench, simulation=replace(bench.simulation, source=replace(bench.simulation.source, mask=mask))
+        )
+        views = lit_views(with_mask)
+        estimators = WarpEstimators(with_mask, NoiseFreeFrames(with_mask).reference(mask))
+        for done, screen in enumerate(seeded(with_mask, seeds)):
+            progress(mask, (index + done / len(seeds)) / len(_MASKS))
+            frame = NoiseFreeFrames(screen).frame(mask)
+            yield from estimators.compare(frame.photons, frame.truth, mask, views=views)
 
 
 def lit_views(bench: Bench) -> NDArray[np.bool_]:
@@ -55,15 +50,6 @@ def lit_views(bench: Bench) -> NDArray[np.bool_]:
     y_m, x_m = np.meshgrid(field.view_y_m, field.view_x_m, indexing="ij")
     distance_m = np.stack([x_m, y_m], axis=-1) @ outline[:, :2].T + outline[:, 2]
     return np.asarray(np.all(distance_m <= _ROUNDING * field.half_width_m, axis=-1))
-
-
-def _checkerboard() -> Path:
-    """The image of a checkerboard, at a fixed path so that its frames are cached."""
-    path = cache_folder() / "study" / "checkerboard.npy"
-    row, column = np.indices((_CELLS, _CELLS))
-    with atomic_write(path) as temporary:
-        np.save(temporary, ((row + column) % 2).astype(np.float32))
-    return path
 
 
 SOURCE = Sweep(name="source", title="Source (views inside it)", axis="shape", measure=_measure)

@@ -12,7 +12,7 @@ import xarray as xr
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from app.results.layers.correction import compare_correctors, correction_dataset
-from app.results.layers.dataset import Origin, centred, distance_m, distances_and_sigma_m, layer_maps
+from app.results.layers.dataset import Origin, centred, distance_m, distances_and_sigma_m, layer_maps, possible_origin
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.corrector import Corrector
@@ -52,6 +52,7 @@ class FoundLayers:
 
     request: LayersRequest
     problem: str = ""  # why there are none
+    origin: Origin = "lenslets"  # of the distances, see `possible_origin`
     ratios: tuple[float, ...] = ()  # of the layers
     distances_m: Floats = field(default_factory=_none)  # (layer,)
     sigma_m: Floats = field(default_factory=_none)  # (layer,); NaN for a known distance
@@ -60,7 +61,7 @@ class FoundLayers:
     limit_rad: float = 0.0  # that nearly all values lie within
     misfit: float = math.nan  # unexplained share of the displacements
     search: LayerSearch | None = None
-    curve_m: Floats = field(default_factory=_none)  # distances tried
+    curve_m: Floats = field(default_factory=_none)  # distances tried; NaN where `origin` has none
 
 
 def find_shown_layers(request: LayersRequest, check: Callable[[], None]) -> FoundLayers:
@@ -71,27 +72,30 @@ def find_shown_layers(request: LayersRequest, check: Callable[[], None]) -> Foun
     try:
         reconstructor = _reconstructor(calibration)
         if request.ratio is not None:
-            return _shown(request, calibration, reconstructor.layer(wavefront.displacement, request.ratio))
+            return _shown(request, calibration, reconstructor.layers(wavefront.displacement).fit(request.ratio))
         search = find_layers(reconstructor.layers(wavefront.displacement), request.count, check=check)
     except ReconstructionError as error:
         return FoundLayers(request, str(error))
-    curve_m = distance_m(search.ratios, request.origin, calibration.bench)
-    return replace(_shown(request, calibration, search.fit), search=search, curve_m=curve_m)
+    found = _shown(request, calibration, search.fit)
+    return replace(found, search=search, curve_m=distance_m(search.ratios, found.origin, calibration.bench))
 
 
 def _shown(request: LayersRequest, calibration: Calibration, fit: LayerFit) -> FoundLayers:
-    distances_m, sigma_m = distances_and_sigma_m(fit.layers, request.origin, calibration.bench)
-    x_m, y_m, maps = layer_maps(fit.layers, request.origin, Layer.phase, _MAP_POINTS)
+    ratios = tuple(layer.ratio for layer in fit.layers)
+    origin = possible_origin(request.origin, ratios)
+    distances_m, sigma_m = distances_and_sigma_m(fit.layers, origin, calibration.bench)
+    x_m, y_m, maps = layer_maps(fit.layers, origin, Layer.phase, _MAP_POINTS)
     phases, limits_rad = zip(*map(centred, maps), strict=True)
     return FoundLayers(
         request,
-        ratios=tuple(layer.ratio for layer in fit.layers),
+        origin=origin,
+        ratios=ratios,
         distances_m=distances_m,
         sigma_m=sigma_m,
         half_width_m=(float(x_m[-1]), float(y_m[-1])),
         maps=np.array(phases),
         limit_rad=max(limits_rad),
-        misfit=fit.misfit,
+        misfit=fit.quality.misfit,
     )
 
 

@@ -7,14 +7,14 @@ import numpy as np
 import xarray as xr
 
 from app.bench.config import Bench
-from app.results.layers.dataset import MAP_POINTS, Origin, distance_m
+from app.results.layers.dataset import MAP_POINTS, Origin, distance_in_words, distance_m, from_where, possible_origin
 from app.results.view_quality import about
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
 
-_SHARES = np.linspace(0.0, 0.95, 39)  # ratio / (1 + ratio) of the correctors compared
+_SHARES = np.linspace(-0.95, 0.95, 77)  # ratio / (1 + |ratio|) of the correctors compared
 _REFINED = 0.02  # about the best of them
 
 
@@ -46,12 +46,12 @@ def compare_correctors(
         raise ValueError("the wavefront is the same at every field position: correctors at all distances are alike")
 
     def at(share: float) -> Correction:
-        return best_correction(wavefronts, positions_m, sensor, field, float(share / (1 - share)), corrector)
+        return best_correction(wavefronts, positions_m, sensor, field, float(share / (1 - abs(share))), corrector)
 
     curve = [at(share) for share in _SHARES]
     if ratio is None:
         best = _SHARES[int(np.argmin([made.mean_residual_rad for made in curve]))]
-        curve += [at(share) for share in best + np.linspace(-_REFINED, _REFINED, 21) if 0 < share < _SHARES[-1]]
+        curve += [at(share) for share in best + np.linspace(-_REFINED, _REFINED, 21) if abs(share) < _SHARES[-1]]
         chosen = min(curve, key=lambda made: made.mean_residual_rad)
     else:
         chosen = best_correction(wavefronts, positions_m, sensor, field, ratio, corrector)
@@ -62,22 +62,26 @@ def compare_correctors(
 
 
 def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
-    """Return residual and Strehl ratio over the distance, and those of the chosen corrector over the field."""
+    """Return residual and Strehl ratio over the distance, and those of the chosen corrector over the field.
+
+    Distances are from the lenslets if the corrector lies behind them, see `possible_origin`.
+    """
     curve, made = found.curve, found.chosen
+    origin = possible_origin(origin, [made.ratio])
     distances_m = distance_m(np.array([each.ratio for each in curve]), origin, bench)
-    order = np.argsort(distances_m)
+    order = np.argsort(distances_m)[: np.count_nonzero(np.isfinite(distances_m))]  # NaN comes last
     residual, strehl = (
         np.array(values)[order]
         for values in ([each.mean_residual_rad for each in curve], [np.nanmean(each.strehl) for each in curve])
     )
-    from_where = f"distance of the corrector from the {origin}"
+    of_distance = f"of the corrector; {from_where(origin)}"
     x_m, y_m, phase = made.phase_map(MAP_POINTS)
     return xr.Dataset(
         {
             "uncorrected": ((), found.uncorrected_rad, about("rad", "RMS over field and pupil without a corrector")),
             "residual": ("distance", residual, about("rad", "RMS over field and pupil after the best command")),
             "strehl": ("distance", strehl, about("1", "mean over the field")),
-            "corrector_distance_m": ((), distance_m(made.ratio, origin, bench), about("m", from_where)),
+            "corrector_distance_m": ((), distance_m(made.ratio, origin, bench), about("m", of_distance)),
             "corrector_residual": ((), made.mean_residual_rad, about("rad", "RMS over field and pupil")),
             "field_residual": ("position", made.residual_rad, about("rad", "RMS at a field position")),
             "field_strehl": ("position", made.strehl, about("1", "at a field position")),
@@ -85,7 +89,7 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin 
             "command_phase": (("y", "x"), phase, about("rad", "phase that the corrector adds, without piston")),
         },
         coords={
-            "distance": ("distance", distances_m[order], about("m", from_where)),
+            "distance": ("distance", distances_m[order], about("m", of_distance)),
             "field_x": ("position", found.positions_m[:, 0], about("m", "field position")),
             "field_y": ("position", found.positions_m[:, 1], about("m", "field position")),
             "x": ("x", x_m, about("m", "on the plane s = u + r x")),
@@ -102,10 +106,10 @@ def correction_dataset(found: CorrectorComparison, bench: Bench, origin: Origin 
 
 def in_words(found: xr.Dataset) -> str:
     """Residuals of correctors at the pupil and at the chosen distance, and without one."""
-    origin = found.attrs["distances_from"]
-    at_pupil = found["residual"].values[0 if origin == "lenslets" else -1]
+    origin, residual = found.attrs["distances_from"], found["residual"].values
+    at_pupil = residual[np.argmin(np.abs(found["distance"].values)) if origin == "lenslets" else -1]
+    place = distance_in_words(float(found["corrector_distance_m"]), np.nan, origin)
     return (
         f"one corrector at the pupil leaves {at_pupil:.2g} of {float(found['uncorrected']):.2g} rad RMS;"
-        f" at {float(found['corrector_distance_m']) * 1e3:.0f} mm from the {origin},"
-        f" {float(found['corrector_residual']):.2g} rad (Strehl {float(found['field_strehl'].mean()):.2f})"
+        f" {place}, {float(found['corrector_residual']):.2g} rad (Strehl {float(found['field_strehl'].mean()):.2f})"
     )

@@ -1,9 +1,10 @@
 """Figure of correctors: residual over the distance, and over the field."""
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from app.results.layers.dataset import shown_to_m
+from app.results.layers.dataset import axis_label, distance_in_words, shown_range_m
 
 
 def correction_figure(found: xr.Dataset) -> Figure:
@@ -11,14 +12,17 @@ def correction_figure(found: xr.Dataset) -> Figure:
     figure = Figure(figsize=(10.5, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])
     left.plot(found["distance"] * 1e3, found["residual"], color="#35739f", marker=".")
-    at_mm, residual = float(found["corrector_distance_m"]) * 1e3, float(found["corrector_residual"])
-    left.plot([at_mm], [residual], "o", color="#d1495b", label=f"{at_mm:.0f} mm: {residual:.2g} rad")
+    origin, at_m = found.attrs["distances_from"], float(found["corrector_distance_m"])
+    residual = float(found["corrector_residual"])
+    label = f"{distance_in_words(at_m, np.nan, origin)}: {residual:.2g} rad"
+    left.plot([at_m * 1e3], [residual], "o", color="#d1495b", label=label)
     uncorrected = float(found["uncorrected"])
     left.axhline(uncorrected, color="0.5", linewidth=0.8, linestyle="--", label=f"uncorrected: {uncorrected:.2g} rad")
+    low_m, high_m = shown_range_m(found["corrector_distance_m"].values, found["distance"].values, origin)
     left.set(
-        xlim=(0, 1e3 * shown_to_m(found["corrector_distance_m"].values, found["distance"].values)),
+        xlim=(1e3 * low_m, 1e3 * high_m),
         ylim=(0, None),
-        xlabel=f"distance of the corrector from the {found.attrs['distances_from']} (mm)",
+        xlabel=axis_label(origin),
         ylabel="residual over the field (rad RMS)",
         title=f"Best command of {found.attrs['shapes']} {found.attrs['influence']} shapes",
     )

@@ -1,6 +1,7 @@
 """Layers as a dataset with names and units (docs/layers.md)."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from typing import Literal
 
 import numpy as np
@@ -17,6 +18,8 @@ Origin = Literal["lenslets", "mask"]
 
 MAP_POINTS = 129  # of a phase map along its longer axis
 _FARTHEST, _LEAST_SHOWN_M = 2.0, 0.3  # end of a distance axis, over the farthest distance found, and at least
+_OTHER_SIDE = 0.5  # of it, shown on the other side of the lenslets
+_FINE_M = 1e-4  # errors below it have two decimals in mm
 _AMBIGUOUS = {
     1: "none: one layer has its tilt and all other terms",
     2: "tilt: the maps have none, because the tilts of two layers cannot be told apart; quadratic terms are uncertain,"
@@ -25,9 +28,10 @@ _AMBIGUOUS = {
 
 
 def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
-    """Ratio of field to pupil position at which rays meet a layer; `InputError` outside the geometry.
+    """Ratio r of field to pupil position at which rays meet a layer; `InputError` outside the geometry.
 
-    From the lenslets, in the collimated beam, it is distance / f1; from the mask f1 / distance - 1.
+    Distances are positive towards the source. A layer in front of the lenslets has r = -distance / f1, from the mask
+    r = 1 - f1 / distance.
     """
     nearest_m, farthest_m = distance_range_m(origin, bench)
     if not nearest_m <= distance_m <= farthest_m:
@@ -36,24 +40,49 @@ def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
             f" from the {origin}"
         )
     focal_length_m = bench.field.collimator_focal_length_m
-    return distance_m / focal_length_m if origin == "lenslets" else focal_length_m / distance_m - 1
+    return -distance_m / focal_length_m if origin == "lenslets" else 1 - focal_length_m / distance_m
 
 
 def distance_m(ratio: Floats | float, origin: Origin, bench: Bench) -> Floats:
-    """Distance of a layer with that ratio, m."""
-    focal_length_m = bench.field.collimator_focal_length_m
-    return np.asarray(focal_length_m * np.asarray(ratio) if origin == "lenslets" else focal_length_m / (1 + ratio))
+    """Distance of a layer with that ratio, m; from the mask, NaN behind the lenslets."""
+    focal_length_m, ratio = bench.field.collimator_focal_length_m, np.asarray(ratio, np.float64)
+    if origin == "lenslets":
+        return np.asarray(-focal_length_m * ratio)
+    return np.asarray(np.where(ratio <= 0, focal_length_m / (1 + np.abs(ratio)), np.nan))
+
+
+def possible_origin(origin: Origin, ratios: Iterable[float]) -> Origin:
+    """Return `origin`, but the lenslets if a layer lies behind them: no bench has a distance from the mask there."""
+    return "lenslets" if any(ratio > 0 for ratio in ratios) else origin
 
 
 def distance_range_m(origin: Origin, bench: Bench) -> tuple[float, float]:
     """Shortest and longest distance at which layers are searched for, m."""
-    ends = distance_m(np.array([0.0, FARTHEST_RATIO]), origin, bench)
+    nearest = FARTHEST_RATIO if origin == "lenslets" else 0.0
+    ends = distance_m(np.array([nearest, -FARTHEST_RATIO]), origin, bench)
     return float(ends.min()), float(ends.max())
 
 
-def shown_to_m(found_m: Floats, tried_m: Floats) -> float:
-    """End of a distance axis that shows what was found among the distances tried, m."""
-    return float(min(max(_LEAST_SHOWN_M, _FARTHEST * np.max(found_m)), np.max(tried_m)))
+def shown_range_m(found_m: Floats, tried_m: Floats, origin: Origin) -> tuple[float, float]:
+    """Ends of a distance axis: all of the bench from the mask, else both sides of the lenslets about what was found."""
+    tried_m = tried_m[np.isfinite(tried_m)]
+    if origin == "mask":
+        return 0.0, float(tried_m.max())
+    reach_m = max(_LEAST_SHOWN_M, _FARTHEST * float(np.max(np.abs(found_m))))
+    low_m = -reach_m * (1.0 if np.min(found_m) < 0 else _OTHER_SIDE)
+    high_m = reach_m * (1.0 if np.max(found_m) >= 0 else _OTHER_SIDE)
+    return max(low_m, float(tried_m.min())), min(high_m, float(tried_m.max()))
+
+
+def distance_in_words(at_m: float, sigma_m: float, origin: Origin) -> str:
+    """Distance in mm with its error, if that is known: "195.0 ± 1.2 mm in front of the lenslets"."""
+    where = "from the mask" if origin == "mask" else "in front of the lenslets"
+    if origin == "lenslets" and at_m < 0:
+        where = "behind the lenslets"
+    if not math.isfinite(sigma_m):
+        return f"{abs(at_m) * 1e3:.1f} mm {where}"
+    decimals = 1 if sigma_m > _FINE_M else 2
+    return f"{abs(at_m) * 1e3:.{decimals}f} \N{PLUS-MINUS SIGN} {sigma_m * 1e3:.{decimals}f} mm {where}"
 
 
 def layer_maps(
@@ -66,7 +95,7 @@ def layer_maps(
 
     In the collimated beam the positions are those of the pupil, near the mask smaller.
     """
-    scales = [1 / (1 + layer.ratio) if origin == "mask" else 1.0 for layer in layers]
+    scales = [1 / (1 - layer.ratio) if origin == "mask" else 1.0 for layer in layers]
     reach_m = np.max([layer.half_width_m * scale for layer, scale in zip(layers, scales, strict=True)], axis=0)
     x_m, y_m = (np.linspace(-most, most, points) for most in reach_m)
     maps = [values(layer, x_m / scale, y_m[:, None] / scale) for layer, scale in zip(layers, scales, strict=True)]
@@ -85,24 +114,25 @@ def centred(phase: Floats) -> tuple[Floats, float]:
 def distances_and_sigma_m(layers: tuple[Layer, ...], origin: Origin, bench: Bench) -> tuple[Floats, Floats]:
     """Distances of the layers and their standard deviations, m; NaN for given distances."""
     ratio, ratio_sigma = (np.array([getattr(layer, name) for layer in layers]) for name in ("ratio", "ratio_sigma"))
-    per_ratio_m = bench.field.collimator_focal_length_m * (1 + ratio) ** (-2.0 if origin == "mask" else 0.0)
+    per_ratio_m = bench.field.collimator_focal_length_m * (1 - ratio) ** (-2.0 if origin == "mask" else 0.0)
     return distance_m(ratio, origin, bench), per_ratio_m * ratio_sigma
 
 
 def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets") -> xr.Dataset:
-    """Return distances, phase maps and what explains the displacements of a frame."""
+    """Return distances, phase maps and what explains the displacements of a frame; see `possible_origin`."""
     layers = found.fit.layers
+    origin = possible_origin(origin, (layer.ratio for layer in layers))
     distances_m, sigma_m = distances_and_sigma_m(layers, origin, bench)
     x_m, y_m, phase = layer_maps(layers, origin, Layer.phase)
     *_, sigma = layer_maps(layers, origin, Layer.sigma)
-    fits = {"given": found.given, "one layer": found.one, "two layers": found.two, "any wavefront": found.any_wavefront}
-    made = {name: fit for name, fit in fits.items() if fit is not None}
+    fits = {"given": found.given, "one layer": found.one, "two layers": found.two}
+    made = {name: fit.quality for name, fit in fits.items() if fit is not None} | {"any wavefront": found.any_wavefront}
     tried_m = distance_m(found.ratios, origin, bench)
-    order = np.argsort(tried_m)
-    from_where = f"from the {origin}"
+    order = np.argsort(tried_m)[: np.count_nonzero(np.isfinite(tried_m))]  # NaN comes last
+    of_distance = from_where(origin)
     return xr.Dataset(
         {
-            "distance_m": ("layer", distances_m, about("m", f"distance {from_where}")),
+            "distance_m": ("layer", distances_m, about("m", of_distance)),
             "distance_sigma_m": ("layer", sigma_m, about("m", "standard deviation; NaN if given")),
             "layer_phase": (("layer", "y", "x"), phase, about("rad", "phase on the layer; NaN where no ray meets it")),
             "layer_phase_sigma": (("layer", "y", "x"), sigma, about("rad", "standard deviation of layer_phase")),
@@ -112,7 +142,7 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets"
             "model_misfit": ("model", [fit.misfit for fit in made.values()], about("1", "as misfit")),
         },
         coords={
-            "distance": ("distance", tried_m[order], about("m", f"of a single layer {from_where}")),
+            "distance": ("distance", tried_m[order], about("m", f"of a single layer; {of_distance}")),
             "x": ("x", x_m, about("m", "on the layer")),
             "y": ("y", y_m, about("m", "on the layer")),
             "model": ("model", list(made)),
@@ -125,3 +155,13 @@ def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin = "lenslets"
             "ambiguous": _AMBIGUOUS[len(layers)],
         },
     )
+
+
+def axis_label(origin: Origin) -> str:
+    """Label of a distance axis in mm."""
+    return "distance from the mask (mm)" if origin == "mask" else "distance in front of the lenslets (mm)"
+
+
+def from_where(origin: Origin) -> str:
+    """Description of distances for a dataset."""
+    return "distance from the mask" if origin == "mask" else "distance in front of the lenslets; negative behind them"

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from app.files import atomic_write
-from app.results.layers.dataset import centred, shown_to_m
+from app.results.layers.dataset import axis_label, centred, distance_in_words, shown_range_m
 
 
 def plot_layers(found: xr.Dataset, path: Path) -> None:
@@ -25,7 +25,7 @@ def layers_figure(found: xr.Dataset) -> Figure:
     _draw_curve(top.subplots(), found)
     for layer, (phase, sigma) in enumerate(bottom.subplots(layers, 2, squeeze=False)):
         of_layer = found.isel(layer=layer)
-        where = f"{float(of_layer['distance_m']) * 1e3:.1f} mm from the {found.attrs['distances_from']}"
+        where = distance_in_words(float(of_layer["distance_m"]), np.nan, found.attrs["distances_from"])
         values, limit = centred(of_layer["layer_phase"].values)
         centred_phase = of_layer["layer_phase"].copy(data=values)
         _draw_map(phase, centred_phase, f"phase (rad), {where}", "RdBu_r", (-limit, limit))
@@ -39,15 +39,17 @@ def _draw_curve(axes: Axes, found: xr.Dataset) -> None:
     axes.plot(found["distance"] * 1e3, found["misfit"], color="#35739f", marker=".", label="a single layer there")
     any_wavefront = float(found["model_misfit"].sel(model="any wavefront"))
     axes.axhline(any_wavefront, color="0.5", linewidth=0.8, linestyle="--", label="any wavefront")
+    origin = found.attrs["distances_from"]
     for at_m, sigma_m in zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True):
-        text = f"{at_m * 1e3:.1f}" + (f" ± {sigma_m * 1e3:.1f}" if np.isfinite(sigma_m) else "") + " mm"
-        axes.axvline(at_m * 1e3, color="#d1495b", linewidth=1.2, label=f"layer: {text}")
+        label = f"layer: {distance_in_words(at_m, sigma_m, origin)}"
+        axes.axvline(at_m * 1e3, color="#d1495b", linewidth=1.2, label=label)
         if np.isfinite(sigma_m):
             axes.axvspan((at_m - sigma_m) * 1e3, (at_m + sigma_m) * 1e3, color="#d1495b", alpha=0.2, linewidth=0)
+    low_m, high_m = shown_range_m(found["distance_m"].values, found["distance"].values, origin)
     axes.set(
-        xlim=(0, 1e3 * shown_to_m(found["distance_m"].values, found["distance"].values)),
+        xlim=(1e3 * low_m, 1e3 * high_m),
         ylim=(0, None),
-        xlabel=f"distance from the {found.attrs['distances_from']} (mm)",
+        xlabel=axis_label(origin),
         ylabel="unexplained share",
         title=f"Verdict: {found.attrs['verdict']}{', in doubt: no wavefront fits' if found.attrs['doubt'] else ''}",
     )

@@ -10,7 +10,7 @@ from app.files import check_outputs, check_suffix
 from app.progress import Progress
 from app.recording.folder import parts_of
 from app.results.dataset import write_results
-from app.results.layers.dataset import Origin, layers_dataset, ratio_at
+from app.results.layers.dataset import Origin, distance_in_words, layers_dataset, ratio_at
 from app.results.layers.figure import plot_layers
 from app.results.layers.measured_frame import measured_frame
 from app.results.plot import check_plot_path
@@ -67,10 +67,8 @@ def find(plan: Plan, progress: Progress) -> xr.Dataset:
 def summary(found: xr.Dataset) -> list[str]:
     """Distances, and what explains the displacements, in sentences."""
     origin = found.attrs["distances_from"]
-    lines = []
-    for at_m, sigma_m in zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True):
-        error = f" +- {sigma_m * 1e3:.2g}" if sigma_m == sigma_m else ""  # noqa: PLR0124 - NaN if it was given
-        lines.append(f"layer at {at_m * 1e3:.1f}{error} mm from the {origin}")
+    at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
+    lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
     for name, misfit, chi_square in zip(
         found["model"].values, found["model_misfit"].values, found["model_chi_square"].values, strict=True
     ):

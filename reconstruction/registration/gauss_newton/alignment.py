@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, Image
 from reconstruction.registration.gauss_newton.warped_sampling import (
     Scratch,
+    Window,
     sample_warped,
     warp_polynomials,
     warp_value,
@@ -35,7 +36,7 @@ _PIVOT = 1e-12  # of the elimination; below it the remaining pixels do not deter
 class Grid(NamedTuple):
     """The reference as one warp uses it: L lenslets, N pixels, Q field modes, P parameters (gain, offset last)."""
 
-    steps: Image  # normalised positions of the window's columns about the lenslet centre, and of its rows
+    window: Window  # the pixels about the lenslet centre
     scale: tuple[np.float32, np.float32]  # px per unit of u and v; its inverse if flux is conserved, else 0
     monomials: Image  # the displacement of each parameter as polynomials of u and v, (P - 2, xy, monomial)
     basis: Image  # the same as coefficients (x modes, y modes), (P - 2, 2Q)
@@ -89,7 +90,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
         if not np.max(np.abs(displacement)) < _BOUND_PX:
             return State(np.float32(np.inf), LOST_PX, gain, contrast, is_partial)
         warp = warp_polynomials(displacement, grid.monomials)
-        sample_warped(frame.coefficients, warp, grid.steps, frame.center_px[lenslet], frame.turn, grid.scale, scratch)
+        sample_warped(frame.coefficients, warp, grid.window, frame.center_px[lenslet], frame.turn, grid.scale, scratch)
         if iteration == 0:
             gain, offset, contrast = _brightness(scratch.light, grid.light[lenslet])
             gain_before, offset_before = gain, offset
@@ -100,7 +101,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
             if is_partial:
                 _exclude(frame, lenslet, scratch)
                 left = _left_over(inverse, grid.descent[lenslet], scratch.excluded)
-        square = _subtract(gain, offset, grid.light[lenslet], weight, scratch)
+        square = _subtract(gain, offset, grid, lenslet, scratch)
         if is_partial:
             square = _zero_excluded(weight, scratch)
         if not square < np.inf:
@@ -168,7 +169,7 @@ def _explained(normal: Image, change: Image) -> np.float32:
 @compiled
 def _leaves_cell(warp: Image, grid: Grid, half_cell_px: np.float32) -> bool:
     """True if a warp (xy, monomial) moves the window's border into a neighbour's cell."""
-    edge = abs(grid.steps[0])
+    edge = abs(grid.window.v[0])
     for row in range(-1, 2):
         for column in range(-1, 2):
             u, v = edge * np.float32(column), edge * np.float32(row)
@@ -197,14 +198,19 @@ def _brightness(light: Image, template: Image) -> tuple[np.float32, np.float32, 
 
 
 @compiled
-def _subtract(gain: np.float32, offset: np.float32, template: Image, weight: Image, scratch: Scratch) -> np.float32:
+def _subtract(gain: np.float32, offset: np.float32, grid: Grid, lenslet: int, scratch: Scratch) -> np.float32:
     """Compute the residual; return its weighted sum of squares."""
+    template, weight = grid.light[lenslet], grid.weight[lenslet]
     light, stretch, residual = scratch.light, scratch.stretch, scratch.residual
-    for n in range(light.size):
-        residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
     square = np.float32(0.0)
-    for n in range(light.size):
-        square += weight[n] * residual[n] * residual[n]
+    if grid.scale[1] > 0:
+        for n in range(light.size):
+            residual[n] = (gain * light[n] + offset) * stretch[n] - template[n]
+            square += weight[n] * residual[n] * residual[n]
+    else:
+        for n in range(light.size):
+            residual[n] = gain * light[n] + offset - template[n]
+            square += weight[n] * residual[n] * residual[n]
     return square
 
 

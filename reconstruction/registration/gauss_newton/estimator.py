@@ -4,7 +4,7 @@ Light imaged at x in the reference arrives at x + d(x), and flux is conserved:
 
     I0(x) = (gain I1(x + d(x)) + offset) det(1 + dd/dx),    d(x) = sum_q c_q T_q(x / h)
 
-with T_q the field modes and h the half width of the field on the subimage (docs/flux_conserving_warp.md). The fit
+with T_q the field modes and h the half width of the field on the subimage (docs/brightness.md). The fit
 starts from the previous frame, or from a translation found on every other pixel, or, if that does not match, from the
 whole-pixel shift with the best correlation.
 """
@@ -20,6 +20,7 @@ from reconstruction.registration.gauss_newton.alignment import FrameData
 from reconstruction.registration.gauss_newton.fit_errors import ErrorPropagation
 from reconstruction.registration.gauss_newton.lenslet_fits import FitLimits, Fits, fit_lenslets, prepare_search
 from reconstruction.registration.gauss_newton.template import prepare_template, respond
+from reconstruction.registration.gauss_newton.visible_warp import visible_warp
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.shared_work import new_ledger
@@ -58,19 +59,23 @@ class GaussNewton:
         """Prepare for warps of the given field modes, and for that many threads."""
         self._reference, self.modes, self._threads, self._rotates = reference, modes, threads, rotation
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
-        self._near = near
         coarse = near & (np.arange(reference.width) % 2 == 0)
-        self._start = prepare_template(reference, LegendreModes(1), coarse, conserve_flux=conserve_flux)
+        self._start = prepare_template(
+            reference, LegendreModes(1), np.outer(coarse, coarse), conserve_flux=conserve_flux, basis=np.eye(2)
+        )
+        basis, pixels = visible_warp(
+            reference, modes, np.outer(near, near), conserve_flux=conserve_flux, rotation=rotation
+        )
         self._warp = prepare_template(
-            reference, modes, near, conserve_flux=conserve_flux, rotation=rotation, noise=reference.noise
+            reference, modes, pixels, conserve_flux=conserve_flux, basis=basis, noise=reference.noise
         )
         self._basis = self.parameters  # in double precision, so that results repeat
         self._search = prepare_search(reference)
-        self._errors = ErrorPropagation(reference, self._warp, np.outer(near, near).ravel())
+        self._errors = ErrorPropagation(reference, self._warp, self._warp.pixels.ravel())
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (_MISFIT * self._warp.contrast) ** 2
         self._power = noise_power_polynomial()
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
-        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(near) ** 2
+        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(self._warp.pixels)
         self._limits = FitLimits(
             start_iterations=8,
             start_tolerance_px=np.float32(0.1),  # only the start of the warp
@@ -129,7 +134,7 @@ class GaussNewton:
         From a noise-free subimage (row, column) and its changes (..., row, column), in any unit, to (lenslet, ..., K),
         px. A warp of that subimage is found as it is.
         """
-        return respond(self._reference, self.modes, self._near, self._warp, image, changes)
+        return respond(self._reference, self.modes, self._warp, image, changes)
 
     def _fit(self, coefficients: Image, bad: Mask, start: Displacement | None) -> Fits:
         """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""

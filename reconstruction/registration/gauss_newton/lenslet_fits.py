@@ -7,7 +7,14 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.registration.gauss_newton.alignment import LOST_PX, FrameData, Grid, State, fit_warp
-from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS, Scratch, new_scratch, sample_warped
+from reconstruction.registration.gauss_newton.warped_sampling import (
+    MONOMIALS,
+    Scratch,
+    Window,
+    new_scratch,
+    sample_warped,
+    window_of,
+)
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.shared_work import Ledger, finish, is_finished, take
@@ -19,7 +26,7 @@ class WholePixelSearch(NamedTuple):
     """Whole-pixel correlation search, used when Gauss-Newton fails, with the middle of the reference's windows."""
 
     light: Image  # minus its mean, over its contrast, (L, rows, columns)
-    steps: Image  # normalised positions of the columns, and rows, of a patch wider by `reach` pixels on each side
+    window: Window  # a patch wider by `reach` pixels on each side
     scale: tuple[np.float32, np.float32]  # px per unit of u and v, and 0: no flux
     reach: int  # the largest shift, px
 
@@ -64,9 +71,9 @@ def fit_lenslets(  # noqa: PLR0917 - compiled code takes its arguments by their 
     `start` is the reference for translations on a coarse grid, `warp` that for the warps. If these fail, the
     whole-pixel search gives another start. `power` (4,): see `spline.noise_power_polynomial`.
     """
-    scratch = new_scratch(warp.steps.size)
-    coarse = new_scratch(start.steps.size)
-    patch = new_scratch(search.steps.size)
+    scratch = new_scratch(warp.window.u.size)
+    coarse = new_scratch(start.window.u.size)
+    patch = new_scratch(search.window.u.size)
     while True:
         lenslet = take(ledger)
         if lenslet >= fits.gain.size:
@@ -177,7 +184,7 @@ def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
     steps_px = steps_px[np.abs(steps_px) <= (width - 1) / 2 + reach]
     return WholePixelSearch(
         light=light.astype(np.float32),
-        steps=(steps_px / reference.half_width_px).astype(np.float32),
+        window=window_of(np.ones((steps_px.size, steps_px.size), np.bool_), steps_px / reference.half_width_px),
         scale=(np.float32(reference.half_width_px), np.float32(0.0)),
         reach=reach,
     )
@@ -189,7 +196,7 @@ def _best_shift(
 ) -> tuple[np.float32, np.float32]:
     """Whole-pixel shift (x, y) with the best correlation."""
     still = np.zeros((2, len(MONOMIALS)), np.float32)
-    sample_warped(frame.coefficients, still, search.steps, frame.center_px[lenslet], frame.turn, search.scale, scratch)
+    sample_warped(frame.coefficients, still, search.window, frame.center_px[lenslet], frame.turn, search.scale, scratch)
     template, reach = search.light[lenslet], search.reach
     rows, columns = template.shape
     width = columns + 2 * reach

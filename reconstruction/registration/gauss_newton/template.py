@@ -19,7 +19,7 @@ from reconstruction.frame.spline import sample, spline_coefficients
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
 from reconstruction.registration.gauss_newton.alignment import Grid
-from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS
+from reconstruction.registration.gauss_newton.warped_sampling import MONOMIALS, window_of
 from reconstruction.registration.subimages import ReferenceSubimages
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
@@ -28,8 +28,6 @@ from reconstruction.registration.subimages import ReferenceSubimages
 _MODEL_ERROR = 0.02
 _NOTHING = 1e-12
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
-# Standard error over the least one, of a displacement that the reference hardly shows.
-_BLIND = 6.0
 _AT_ONCE = 64  # lenslets at a time, whose arrays fit into the processor's cache
 
 
@@ -47,7 +45,8 @@ class Template:
     """The reference prepared for one warp: L lenslets, N pixels, Q field modes, P parameters."""
 
     grid: Grid
-    contrast: Floats  # standard deviation of the light, counts, (L,)
+    pixels: Mask  # of the windows that are used, (width, width)
+    contrast: Floats  # standard deviation of the light in them, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
 
@@ -71,22 +70,16 @@ class Template:
 
 
 def respond(
-    reference: ReferenceSubimages,
-    modes: PolynomialModes,
-    columns: Mask,
-    template: Template,
-    image: Floats,
-    changes: Floats,
+    reference: ReferenceSubimages, modes: PolynomialModes, template: Template, image: Floats, changes: Floats
 ) -> Floats:
     """Parameters of a template found for changes (..., row, column) of a noise-free subimage; see `GaussNewton`.
 
     The displaced subimage is interpolated. The steps of the template are scaled by those for a warp of that subimage.
     """
-    pixels = np.outer(columns, columns)
-    u, v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
+    u, v = reference.offset_px[template.pixels.ravel()].T / reference.half_width_px
 
     def descent(light: Floats, gradient: Floats) -> Floats:
-        images = _steepest_descent(
+        images = steepest_descent(
             light.reshape(1, -1),
             gradient.reshape(1, -1, 2),
             modes.values(u, v),
@@ -96,14 +89,15 @@ def respond(
         images[-1] *= np.mean(image)  # of the size of the others
         return np.asarray(images)
 
-    row, column = np.nonzero(pixels)
+    row, column = np.nonzero(template.pixels)
     coefficients = spline_coefficients(np.asarray(image / np.max(image), np.float32))
     still = descent(*(np.max(image) * part for part in sample(coefficients, np.stack([column, row], -1).astype(float))))
-    blur, slope = (part[columns] for part in mean_interpolation(len(columns)))
-    moved = descent(blur @ image @ blur.T, np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1))
+    blur, slope = mean_interpolation(reference.width)
+    slopes = np.stack([blur @ image @ slope.T, slope @ image @ blur.T], axis=-1)
+    moved = descent((blur @ image @ blur.T)[row, column], slopes[row, column])
     # Not the lenslet's own light: it may lie beside the middle of its window, where the image is.
     projected = still * np.asarray(template.grid.weight, np.float64)[:, None]  # (lenslet, P, pixel)
-    found = projected @ (blur @ changes @ blur.T).reshape(-1, len(u)).T  # (lenslet, P, change)
+    found = projected @ (blur @ changes @ blur.T)[..., row, column].reshape(-1, len(u)).T  # (lenslet, P, change)
     found = -np.linalg.pinv(projected @ moved.T, rcond=_UNSEEN**2) @ found  # of squares
     warp = np.swapaxes(found[:, : len(template.grid.basis)], 1, 2)
     return np.asarray(warp.reshape(len(projected), *changes.shape[:-2], -1))
@@ -112,35 +106,28 @@ def respond(
 def prepare_template(
     reference: ReferenceSubimages,
     modes: PolynomialModes,
-    columns: Mask,
+    pixels: Mask,
     *,
     conserve_flux: bool,
-    rotation: bool = True,
+    basis: Floats,
     noise: CameraNoise | None = None,
 ) -> Template:
-    """Prepare a warp with the field modes T_q on some columns (width,) of the windows, and the same rows.
+    """Prepare a warp with the field modes T_q on some pixels (width, width) of the windows.
 
-    For d along x the steepest-descent images are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, the second term from the flux;
-    those of gain and offset are I0 and 1. Without `noise` all pixels have equal weight. Without `rotation` the
-    displacement is the gradient of a potential over the field. Displacements that the reference hardly shows are left
-    out: the inside of a uniform source shows none.
+    The rows of `basis` (P - 2, 2Q) are its displacements (x modes, y modes). For d along x the steepest-descent images
+    are d(I0 T_q)/dx = T_q dI0/dx + I0 dT_q/dx, the second term only if flux is conserved; those of gain and offset are
+    I0 and 1. Without `noise` all pixels have equal weight.
     """
-    pixels = np.outer(columns, columns).ravel()
-    u, v = reference.offset_px[pixels].T / reference.half_width_px
+    of_window = pixels.ravel()
+    u, v = reference.offset_px[of_window].T / reference.half_width_px
     values = modes.values(u, v)
     slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
     flux = 1 / reference.half_width_px if conserve_flux else 0.0
-    smooth = np.maximum(_smooth(reference)[:, pixels], 0)
-    basis = np.eye(2 * modes.count) if rotation else gradient_basis(modes)
-    mean, slope, expected = (
-        of_lenslets[reference.lit].mean(axis=0, keepdims=True)
-        for of_lenslets in (reference.light[:, pixels], reference.gradient[:, pixels], smooth)
-    )
-    of_mean = _steepest_descent(mean, slope, values, slopes, basis)[0]
-    basis = _shown(of_mean, np.ones(1) if noise is None else _weight(expected, noise)[0], basis)
+    smooth = smooth_light(reference)[:, of_window]
+    gradients = gradient_basis(modes)
     lenslets, parameters, count = len(reference.light), len(basis) + 2, len(u)
     grid = Grid(
-        steps=(reference.steps_px[columns] / reference.half_width_px).astype(np.float32),
+        window=window_of(pixels, reference.steps_px / reference.half_width_px),
         scale=(np.float32(reference.half_width_px), np.float32(flux)),
         monomials=_monomials(modes, basis),
         basis=basis.astype(np.float32),
@@ -150,16 +137,16 @@ def prepare_template(
         weight=np.empty((lenslets, count), np.float32),
         normal=np.empty((lenslets, parameters, parameters), np.float32),
         bend=_mean_square_gradient(modes, basis, reference.half_width_px).astype(np.float32),
-        is_gradient=not rotation,
+        is_gradient=bool(np.allclose(basis @ gradients.T @ gradients, basis)),
     )
     per_pixel, per_light = [], []
     for first in range(0, lenslets, _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
-        light, gradient = reference.light[some][:, pixels], reference.gradient[some][:, pixels]
-        descent = _steepest_descent(light, gradient, values, slopes, basis)
+        light, gradient = reference.light[some][:, of_window], reference.gradient[some][:, of_window]
+        descent = steepest_descent(light, gradient, values, slopes, basis)
         expected = smooth[some]
-        weight = np.ones_like(light) if noise is None else _weight(expected, noise)
-        weight *= reference.usable[some][:, pixels] & reference.lit[some, None]
+        weight = np.ones_like(light) if noise is None else pixel_weights(expected, noise)
+        weight *= reference.usable[some][:, of_window] & reference.lit[some, None]
         weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
         weighted = descent * weight[:, None]
         norm = np.sqrt(np.einsum("lkn,lkn->lk", descent, weighted))[..., None]
@@ -172,23 +159,10 @@ def prepare_template(
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]
-    return Template(grid, reference.light[:, pixels].std(axis=1), *whole)
+    return Template(grid, pixels, reference.light[:, of_window].std(axis=1), *whole)
 
 
-def _shown(descent: Floats, weight: Floats, basis: Floats) -> Floats:
-    """Orthonormal basis (K, 2Q) of the displacements that a mean reference shows, the best determined first.
-
-    `descent` (P, N) are its steepest-descent images for the whole `basis` (P - 2, 2Q), gain and offset last.
-    """
-    normal = (descent * weight) @ descent.T
-    # Without what gain and offset explain.
-    shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
-    certainty, vectors = np.linalg.eigh(shown)
-    kept = certainty > certainty[-1] / _BLIND**2
-    return np.asarray((vectors[:, kept].T @ basis)[::-1])
-
-
-def _steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
+def steepest_descent(light: Floats, gradient: Floats, values: Floats, slopes: Floats, basis: Floats) -> Floats:
     """Changes of subimages (L, N) per unit of each parameter, gain and offset last: (L, P, N).
 
     `gradient` (L, N, xy) of the light; `values` (Q, N) and `slopes` (Q, N, xy) of the field modes, per pixel.
@@ -216,7 +190,7 @@ def _monomials(modes: PolynomialModes, basis: Floats) -> Image:
     return (basis.reshape(-1, 2, modes.count) @ monomials).astype(np.float32)
 
 
-def _weight(expected: Floats, noise: CameraNoise) -> Floats:
+def pixel_weights(expected: Floats, noise: CameraNoise) -> Floats:
     """Inverse square of the residual expected for that light, (L, N): noise, and model error."""
     peak = np.maximum(expected.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)
     return np.asarray(1 / (noise.variance(expected) / peak**2 + _MODEL_ERROR**2))
@@ -246,7 +220,8 @@ def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floa
     )
 
 
-def _smooth(reference: ReferenceSubimages) -> Floats:
+def smooth_light(reference: ReferenceSubimages) -> Floats:
     """Expected light, (L, N), a mean over neighbours: weights from single noisy pixels would favour dark ones."""
     light = reference.light.reshape(-1, reference.width, reference.width)
-    return np.asarray(ndimage.uniform_filter(light, (0, 3, 3), mode="nearest").reshape(reference.light.shape))
+    smooth = ndimage.uniform_filter(light, (0, 3, 3), mode="nearest").reshape(reference.light.shape)
+    return np.maximum(smooth, 0.0)

@@ -20,6 +20,21 @@ _NEXT, _NEXT_BUT_ONE, _LAST = np.uint64(1), np.uint64(2), np.uint64(3)  # column
 Polynomial: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32, np.float32]  # rising powers of u
 
 
+class Window(NamedTuple):
+    """Pixels of a window about a lenslet, row by row, in normalised positions."""
+
+    v: Image  # of its rows, (row,)
+    first: NDArray[np.intp]  # index of the first pixel of each row, and their number, (row + 1,)
+    u: Image  # of the pixels along their rows, (N,)
+
+
+def window_of(pixels: NDArray[np.bool_], steps: Floats) -> Window:
+    """Window of some pixels (row, column); `steps` are the normalised positions of columns, and of rows."""
+    rows = pixels.any(axis=1)
+    first = np.concatenate([[0], np.cumsum(pixels[rows].sum(axis=1))]).astype(np.intp)
+    return Window(steps[rows].astype(np.float32), first, steps[np.nonzero(pixels)[1]].astype(np.float32))
+
+
 class Scratch(NamedTuple):
     """One thread's work arrays for the N pixels of a window."""
 
@@ -34,14 +49,13 @@ class Scratch(NamedTuple):
 
 
 @compiled
-def new_scratch(width: int) -> Scratch:
-    """Allocate work arrays for windows of that many columns and rows."""
-    pixels = width * width
+def new_scratch(pixels: int) -> Scratch:
+    """Allocate work arrays for windows of that many pixels."""
     return Scratch(
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
-        np.empty(pixels, np.float32),
+        np.ones(pixels, np.float32),
         np.empty(pixels, np.uint64),
         np.empty((8, pixels), np.float32),
         np.empty(pixels, np.float32),
@@ -96,34 +110,36 @@ def _across_row(p: Image, v: np.float32) -> tuple[np.float32, np.float32, np.flo
 def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their place
     coefficients: Image,
     warp: Image,
-    steps: Image,
+    window: Window,
     center_px: Floats,
     turn: Image,
     scale: tuple[np.float32, np.float32],
     scratch: Scratch,
 ) -> None:
-    """Sample a frame at the positions of the warped pixels of a lenslet's square window; fill `scratch`.
+    """Sample a frame at the positions of the warped pixels of a lenslet's window; fill `scratch`.
 
     The frame is given by its spline coefficients (row, column); beyond its border the nearest inner position is
-    sampled. `steps` are the normalised positions of the window's columns, and of its rows. center_px (xy,), turn
-    (cosine, sine) and warp (xy, monomial), px, place the window. `scale`: px per unit of u and v, and its inverse to
-    conserve flux or 0.
+    sampled. center_px (xy,), turn (cosine, sine) and warp (xy, monomial), px, place the window. `scale`: px per unit of
+    u and v, and its inverse to conserve flux or 0, which leaves the determinant at 1.
     """
     rows, columns = coefficients.shape
     last_x, last_y = np.float32(columns - 3), np.float32(rows - 3)
     x_all, y_all, stretch, weights = scratch.x, scratch.y, scratch.stretch, scratch.weights
-    width = steps.size
-    for row in range(width):
-        (x0, x1, x2, x3, x4), (y0, y1, y2, y3, y4) = _camera_row(warp, steps[row], center_px, turn, scale[0])
-        s0, s1, s2, s3, s4, s5, s6 = _stretch_row(warp, steps[row], scale[1])
-        first = row * width
-        for column in range(width):
-            u = steps[column]
+    for row in range(window.v.size):
+        v = window.v[row]
+        (x0, x1, x2, x3, x4), (y0, y1, y2, y3, y4) = _camera_row(warp, v, center_px, turn, scale[0])
+        first, beyond = window.first[row], window.first[row + 1]
+        for n in range(first, beyond):
+            u = window.u[n]
             x = x0 + u * (x1 + u * (x2 + u * (x3 + u * x4)))
             y = y0 + u * (y1 + u * (y2 + u * (y3 + u * y4)))
-            x_all[first + column] = min(max(x, _ONE), last_x)
-            y_all[first + column] = min(max(y, _ONE), last_y)
-            stretch[first + column] = s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * (s5 + u * s6)))))
+            x_all[n] = min(max(x, _ONE), last_x)
+            y_all[n] = min(max(y, _ONE), last_y)
+        if scale[1] > 0:
+            s0, s1, s2, s3, s4, s5, s6 = _stretch_row(warp, v, scale[1])
+            for n in range(first, beyond):
+                u = window.u[n]
+                stretch[n] = s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * (s5 + u * s6)))))
     for n in range(x_all.size):
         left, above = np.int32(x_all[n]), np.int32(y_all[n])
         t, w = x_all[n] - np.float32(left), y_all[n] - np.float32(above)

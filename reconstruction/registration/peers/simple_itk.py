@@ -59,8 +59,10 @@ class ItkAffine:
         self._scale = _BRIGHTEST / reference.light[reference.lit].max()
         windows = reference.light.reshape(-1, reference.width, reference.width)
         self._windows = (windows * self._scale).astype(np.float32)
-        every = np.ones(reference.width, np.bool_)
-        template = prepare_template(reference, self._modes, every, conserve_flux=False)
+        every = np.ones((reference.width, reference.width), np.bool_)
+        template = prepare_template(
+            reference, self._modes, every, basis=np.eye(2 * self._modes.count), conserve_flux=False
+        )
         self._covariance = coefficient_covariance(template.per_pixel.covariance, np.eye(2 * self._modes.count))
 
     def __call__(self, light: Image, *, saturated: Mask, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew

@@ -1,20 +1,67 @@
-"""Residual of a corrector as predicted from one frame, against frames rendered through sample and corrector."""
+"""Residual of a corrector as predicted from one frame, against light that passes sample and corrector."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 import pytest
 
 from app.bench.config import load_bench
+from app.evaluation.simulated_frames import simulated_frames
 from app.evaluation.study.corrector import predicted_and_simulated
-from reconstruction.layers.corrector import Corrector
+from app.measurement.bench_reconstructor import BenchReconstructor
+from reconstruction.arrays import Floats
+from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
+from reconstruction.wavefront import rms
+from simulated_devices.optics.layered_light import Layer, LayeredLight
+from simulated_devices.optics.phase_screen import PhaseScreen
+from simulated_devices.sample import make_sample
 
-LAYER_M = 0.195
+LAYER_M, F1_M = 0.195, 0.2
+BENCH = load_bench("small_demo", ("simulation.source.mask='checkerboard'",))
 
 
 def test_predicted_residuals_agree_with_simulated_ones() -> None:
     cases = [(Corrector("zernike", 10), share * LAYER_M) for share in (0.0, 0.5, 1.0)]
-    found = list(predicted_and_simulated(load_bench("small_demo"), cases, lambda *_: None))
+    found = list(predicted_and_simulated(BENCH, cases, lambda *_: None))
     predicted, simulated = ([float(each.values["rms_rad"]) for each in found[start::2]] for start in (0, 1))
     assert [each.at["at"] for each in found[::2]] == [at_m for _, at_m in cases]
     assert simulated == pytest.approx(predicted, rel=0.1)
     assert simulated[2] < 0.4 * simulated[0]
+
+
+@pytest.fixture(scope="module")
+def correction() -> Correction:
+    """Best command in the layer's place, from a noisy frame."""
+    images = simulated_frames(BENCH)
+    wavefront = BenchReconstructor(BENCH, images.reference, dark=images.dark)(images.frames[0])
+    positions_m = field_positions_m(BENCH.field)
+    before = np.array([wavefront.at(x_m, y_m) for x_m, y_m in positions_m])
+    shapes = Corrector("legendre", 66)
+    return best_correction(before, positions_m, BENCH.sensor, BENCH.field, -LAYER_M / F1_M, shapes)
+
+
+def left_rad(made: Correction, change: Callable[[Floats], Floats], distance_m: float = LAYER_M) -> float:
+    """True RMS of the views after sample and corrector, light propagated between them."""
+    spacing_m = 25e-6
+    count = 2 * int(made.half_width_m[0] / spacing_m) + 1
+    along_m = (np.arange(count) - count // 2) * spacing_m
+    command = PhaseScreen(change(made.phase(along_m, along_m[:, None])), spacing_m)
+    sample = make_sample(BENCH.simulation, BENCH.sensor, BENCH.field).layer(F1_M)
+    layers = [sample, Layer(phase=command, distance_m=distance_m)]
+    light = LayeredLight(layers, BENCH.sensor, BENCH.field, pupil_half_width_m=BENCH.sensor.pupil_half_width_m)
+    return float(np.mean(rms(light.wavefront(BENCH.sensor, BENCH.field))))
+
+
+def test_command_cancels_the_wavefront_at_all_field_positions(correction: Correction) -> None:
+    uncorrected_rad = left_rad(correction, np.zeros_like)
+    assert left_rad(correction, lambda phase: phase) < 0.05 * uncorrected_rad
+    wrong = {
+        "sign": left_rad(correction, np.negative),
+        "mirrored along x": left_rad(correction, lambda phase: phase[:, ::-1]),
+        "mirrored along y": left_rad(correction, lambda phase: phase[::-1]),
+        "transposed": left_rad(correction, np.transpose),
+        "behind the lenslets": left_rad(correction, lambda phase: phase, -LAYER_M),
+    }
+    assert min(wrong.values()) > 0.3 * uncorrected_rad, wrong

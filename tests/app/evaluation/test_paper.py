@@ -17,7 +17,8 @@ from app.bench.config import load_bench
 from app.evaluation.paper.compared_methods import METHODS
 from app.evaluation.paper.frame_pairs import FramePair, resized
 
-COARSE = ("simulation.object_samples=13", "simulation.pupil_samples=10")
+# The paper's simulation neglects propagation.
+COARSE = ("simulation.object_samples=13", "simulation.pupil_samples=10", "field.neglect_propagation=true")
 
 
 def table(monkeypatch: pytest.MonkeyPatch, out: Path, name: str, *more: str) -> dict[str, Any]:

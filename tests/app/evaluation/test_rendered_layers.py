@@ -20,8 +20,11 @@ from simulated_devices.sample import make_sample
 
 
 def rendered(preset: str, distances_m: tuple[float, ...], **settings: Any) -> tuple[FrameEquations, list[PhaseScreen]]:
-    """Displacements of a noise-free frame through screens of such settings, and the screens."""
-    bench = load_bench(preset)
+    """Displacements of a noise-free frame through screens of such settings, and the screens.
+
+    Propagation is neglected: that of ten layers takes minutes.
+    """
+    bench = load_bench(preset, ("field.neglect_propagation=true",))
     renderer, focal_length_m = Renderer(scene_of(bench)), bench.field.collimator_focal_length_m
     layers, screens = [], []
     for seed, at_m in enumerate(distances_m, 3):

@@ -60,11 +60,15 @@ def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> 
     open_tab(qtbot, window, "Layers")
     panel = window.tabs.layers
     qtbot.waitUntil(lambda: panel.map.maps is not None)
-    assert panel.sentence.text().startswith("One layer at 19")
+    assert panel.sentence.text().startswith("One layer 19")
+    assert " mm in front of the lenslets: " in panel.sentence.text()
     assert panel.distance.value() == pytest.approx(DISTANCE_M * 1e3, abs=4)
     distance_mm, percent = panel._curve.getData()
     assert abs(distance_mm[np.argmin(percent)] - DISTANCE_M * 1e3) < 20
-    assert percent[0] > 5 * percent.min()
+    assert percent[distance_mm == 0] > 5 * percent.min()
+    assert percent[np.argmin(np.abs(distance_mm + DISTANCE_M * 1e3))] > 10 * percent.min()  # as far behind the lenslets
+    low_mm, high_mm = panel.plot.view.viewRange()[0]
+    assert (low_mm, high_mm) == pytest.approx((-panel.distance.value(), 2 * panel.distance.value()), rel=1e-3)
     marks_mm, _ = panel._marks.getData()
     np.testing.assert_allclose(marks_mm, panel.distance.value(), atol=0.06)
     maps = panel.map.maps
@@ -95,7 +99,7 @@ def test_known_distance_is_fitted_to_every_measurement(
     panel.distance.edit()
     qtbot.keyClicks(panel.distance, "150")  # type: ignore[no-untyped-call] # pytest-qt declares no types
     press(qtbot, panel.distance, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: panel.sentence.text().startswith("Layer at 150.0 mm from the lenslets, as given: "))
+    qtbot.waitUntil(lambda: panel.sentence.text().startswith("Layer 150.0 mm in front of the lenslets, as given: "))
     assert panel.map.maps is not None
     half_width_mm = panel.map.maps.reach[0]
     assert half_width_mm == pytest.approx(7 * 0.25 + 0.75 * 0.6)  # of the lattice, and 150 / 200 of the field's
@@ -113,6 +117,21 @@ def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
     qtbot.waitUntil(lambda: "from the mask" in panel.sentence.text())
     assert panel.distance.value() == pytest.approx(200 / (1 + 0.975), abs=1)  # of the screen: f1 / (1 + r), mm
     assert panel.distance.maximum() == pytest.approx(200)
+    assert panel.plot.axes["bottom"].labelText == "distance from the mask (mm)"
+    assert panel.plot.view.viewRange()[0] == pytest.approx([0, 200])
+
+
+def test_layer_behind_the_lenslets_is_measured_from_them(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    window.show_measurement(measured("simulation.screen.distance_m=-0.1"))
+    open_tab(qtbot, window, "Layers")
+    panel = window.tabs.layers
+    panel.origin.setCurrentIndex(1)  # from the mask
+    qtbot.waitUntil(lambda: " mm behind the lenslets: " in panel.sentence.text())
+    assert panel.origin.currentData() == "lenslets"
+    assert panel.distance.value() == pytest.approx(-100, abs=10)
+    panel.origin.setCurrentIndex(1)
+    assert panel.origin.currentData() == "lenslets"
 
 
 def test_closed_panels_compute_nothing(window: MainWindow, qtbot: QtBot, measurement: Measurement) -> None:
@@ -189,15 +208,15 @@ def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -
     assert abs(distance_mm[np.argmin(residual_rad)] - DISTANCE_M * 1e3) < 20
     # At the pupil the deviation from the mean wavefront of the field remains, apart from the modes' own error.
     bench = load_bench("small_demo")
-    sensor, screen = bench.sensor, make_sample(bench.simulation, bench.sensor, bench.field).screen
-    s_m = sensor.pupil_x_m + 0.975 * np.linspace(-0.6e-3, 0.6e-3, 7)[:, None]  # (field, lenslet)
-    true = screen.at(s_m[None, :, None, :], s_m[:, None, :, None]).reshape(49, -1)
+    sensor, light = bench.sensor, make_sample(bench.simulation, bench.sensor, bench.field).light
+    s_m = sensor.pupil_x_m - 0.975 * np.linspace(-0.6e-3, 0.6e-3, 7)[:, None]  # (field, lenslet)
+    true = light.phase.at(s_m[None, :, None, :], s_m[:, None, :, None]).reshape(49, -1)
     true -= true.mean(axis=1, keepdims=True)
-    assert residual_rad[0] == pytest.approx(np.sqrt(np.mean((true - true.mean(axis=0)) ** 2)), rel=0.1)
+    assert residual_rad[distance_mm == 0] == pytest.approx(np.sqrt(np.mean((true - true.mean(axis=0)) ** 2)), rel=0.1)
     without_rad = panel._limit.getData()[1][0]
     assert without_rad == pytest.approx(np.sqrt(np.mean(true**2)), rel=0.02)
     assert panel.sentence.text().startswith(
-        f"One corrector at the pupil leaves {residual_rad[0]:.2g} of {without_rad:.2g} rad"
+        f"One corrector at the pupil leaves {residual_rad[distance_mm == 0][0]:.2g} of {without_rad:.2g} rad"
     )
     before = panel.sentence.text()
     panel.corrector.setCurrentIndex(0)  # fewer modes

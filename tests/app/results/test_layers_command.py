@@ -13,13 +13,16 @@ from support.command_line import run
 
 from app.bench.config import load_bench
 from app.errors import InputError
-from app.results.layers.correction import compare_correctors
+from app.evaluation.simulated_frames import simulated_frames
+from app.measurement.bench_reconstructor import BenchReconstructor
+from app.results.layers.correction import compare_correctors, correction_dataset, in_words
 from app.results.layers.correction_figure import correction_figure
-from app.results.layers.dataset import centred, distance_m, ratio_at
+from app.results.layers.dataset import centred, distance_m, layers_dataset, ratio_at, shown_range_m
 from app.results.layers.figure import layers_figure
 from app.results.layers.phase_files import wrapped, write_phase
 from app.results.layers.run import summary
 from reconstruction.layers.corrector import Corrector
+from reconstruction.layers.layer_search import find_layers
 from simulated_devices.sample import make_sample
 
 DISTANCE_M = 0.195  # of the screen in small_demo
@@ -63,7 +66,7 @@ def test_distances_from_the_mask_and_given_ones(
 ) -> None:
     out = tmp_path / "layers.nc"
     assert run(monkeypatch, "layers", recording, "--from", "mask", "--distance", "0.1", "--out", out) == 0
-    assert "layer at 100.0 mm from the mask" in capsys.readouterr().out
+    assert "layer 100.0 mm from the mask" in capsys.readouterr().out
     with xr.open_dataset(out, engine="h5netcdf") as found:
         assert np.isnan(found["distance_sigma_m"].item())
         # s = u d / f1 + x (1 - d / f1)
@@ -74,13 +77,42 @@ def test_distances_from_the_mask_and_given_ones(
 
 def test_distances_and_ratios_belong_together() -> None:
     bench = load_bench("small_demo")  # f1 = 0.2 m
-    assert ratio_at(0.1, "lenslets", bench) == pytest.approx(0.5)
-    assert ratio_at(0.02, "mask", bench) == pytest.approx(9.0)
+    assert ratio_at(0.1, "lenslets", bench) == pytest.approx(-0.5)  # in front of the lenslets
+    assert ratio_at(-0.1, "lenslets", bench) == pytest.approx(0.5)
+    assert ratio_at(0.02, "mask", bench) == pytest.approx(-9.0)
     for origin in ("lenslets", "mask"):
         assert distance_m(ratio_at(0.13, origin, bench), origin, bench) == pytest.approx(0.13)
-    for distance, origin in ((-0.1, "lenslets"), (np.nan, "lenslets"), (0.0, "mask"), (0.3, "mask")):
+    assert distance_m(0.0, "mask", bench) == pytest.approx(0.2)
+    assert np.isnan(distance_m(0.5, "mask", bench))  # behind the lenslets
+    for distance, origin in ((-10, "lenslets"), (np.nan, "lenslets"), (0.0, "mask"), (0.3, "mask")):
         with pytest.raises(InputError, match="lies outside the bench"):
             ratio_at(distance, origin, bench)  # type: ignore[arg-type] # a name
+
+
+def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
+    bench = load_bench("small_demo", ("simulation.screen.distance_m=-0.1",))
+    images = simulated_frames(bench)
+    reconstruct = BenchReconstructor(bench, images.reference, dark=images.dark)
+    wavefront = reconstruct(images.frames[0])
+    found = layers_dataset(find_layers(reconstruct.layers(wavefront)), bench, "mask")
+    assert found.attrs["distances_from"] == "lenslets"
+    assert found["distance_m"].item() == pytest.approx(-0.1, rel=0.1)
+    assert summary(found)[0].endswith(" mm behind the lenslets")
+    low_mm, high_mm = layers_figure(found).axes[0].get_xlim()
+    assert (low_mm, high_mm) == pytest.approx((-300, 150))
+    made = compare_correctors(wavefront.at, bench.sensor, bench.field, Corrector("zernike", 45))
+    corrector = correction_dataset(made, bench, "mask")
+    assert corrector["corrector_distance_m"].item() == pytest.approx(-0.1, rel=0.2)
+    assert " mm behind the lenslets, " in in_words(corrector)
+
+
+def test_distance_axis_shows_what_was_found() -> None:
+    tried_m = np.linspace(-4.8, 4.8, 49)
+    assert shown_range_m(np.array(0.06), tried_m, "lenslets") == pytest.approx((-0.15, 0.3))
+    assert shown_range_m(np.array([0.3, -0.2]), tried_m, "lenslets") == pytest.approx((-0.6, 0.6))
+    assert shown_range_m(np.array(1.8), tried_m, "lenslets") == pytest.approx((-1.8, 3.6))
+    assert shown_range_m(np.array(4.0), tried_m, "lenslets") == pytest.approx((-4.0, 4.8))
+    assert shown_range_m(np.array(0.02), np.array([0.01, np.nan, 0.2]), "mask") == (0.0, 0.2)
 
 
 def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,8 +131,8 @@ def test_best_corrector_lies_in_the_screen(recording: Path, tmp_path: Path, monk
         }
         assert np.isin(lines[0].get_xydata(), curve.get_xydata()).all()
         assert found["corrector_distance_m"].item() == pytest.approx(0.195, rel=0.05)
-        assert found["corrector_residual"].item() < 0.05 * found["residual"].values[0]
-        assert found["distance"].values[0] == 0
+        assert found["corrector_residual"].item() < 0.07 * found["residual"].sel(distance=0)
+        assert {np.sign(found["distance"].values[at]) for at in (0, -1)} == {-1, 1}
         assert found["field_residual"].size == 49
         distance_m = found["corrector_distance_m"].item()
     bench = load_bench("small_demo")
@@ -122,7 +154,7 @@ def test_residual_at_the_pupil_is_the_change_over_the_field(
     bench = load_bench("small_demo")
     sensor, screen = bench.sensor, make_sample(bench.simulation, bench.sensor, bench.field).screen
     along_m = np.linspace(-1, 1, 7) * bench.field.half_width_m
-    x_m = sensor.pupil_x_m + 0.975 * along_m[:, None]  # (field, lenslet)
+    x_m = sensor.pupil_x_m - 0.975 * along_m[:, None]  # (field, lenslet)
     true = screen.at(x_m[None, :, None, :], x_m[:, None, :, None]).reshape(49, *(2 * [sensor.lenslet_rows]))
     true -= true.mean(axis=(1, 2), keepdims=True)
     expected = np.sqrt(np.mean((true - true.mean(axis=0)) ** 2))
@@ -163,11 +195,11 @@ def test_wave_has_256_levels() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["layers", "--distance", "-1"], "lies outside the bench"),
+        (["layers", "--distance", "-9"], "lies outside the bench"),
         (["layers", "--distance", "0.1", "--distance", "0.1"], "two different distances"),
         (["layers", "--distance", "1", "--distance", "2", "--distance", "3"], "at most two"),
         (["layers", "--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 1"),
-        (["layers", "--distance", "1e9"], "must be 0 ... "),
+        (["layers", "--distance", "1e9"], "must be -4.8 ... 4.8 m from the lenslets"),
         (["layers", "--layers", "2", "--distance", "0.1"], "two layers need two distances, or none"),
         (["layers", "--plot", "layers.xyz"], "picture"),
         (["layers", "--out", "layers.csv"], "the file will not be what its name says"),
@@ -175,7 +207,7 @@ def test_wave_has_256_levels() -> None:
         (["layers", "--out", "exists.nc"], "exists already"),
         (["corrector", "--modes", "actuators", "--count", "20"], "square"),
         (["corrector", "--count", "900"], "2 ... 500"),
-        (["corrector", "--distance", "-0.1"], "lies outside the bench"),
+        (["corrector", "--distance", "0.3", "--from", "mask"], "lies outside the bench"),
         (["corrector", "--command", "c.bmp"], "ends in one of"),
         (["corrector", "--frames", "5:9"], "frame"),
     ],

@@ -82,7 +82,7 @@ def test_aberrated_pattern_is_that_of_another_simulator() -> None:
     reach = reach_px(Imaging(pixel_m=PIXEL_M), square, FIELD, phase(x, y))
     ours = PsfOptics(Imaging(pixel_m=PIXEL_M), square, FIELD, reach)(phase(x, y))
     theirs = true_psf(
-        lambda x_m, y_m: phase(x_m[None, :], y_m[:, None]),
+        lambda x_m, y_m: np.exp(1j * phase(x_m[None, :], y_m[:, None])),
         pixel_rad=PIXEL_M / FIELD.collimator_focal_length_m,
         wavelength_m=square.wavelength_m,
         pupil_width_m=7.5e-3,

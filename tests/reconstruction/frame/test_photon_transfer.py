@@ -13,7 +13,7 @@ from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench
 from reconstruction.frame.noise import CameraNoise, photon_transfer
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
 from simulated_devices.detector.emccd import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings
 
@@ -55,33 +55,47 @@ def test_photon_transfer_without_light_or_frames_returns_none() -> None:
     assert photon_transfer(flat, flat * 0, frames=20, dark_variance=flat) is None
 
 
-@pytest.mark.parametrize(("peak_e", "warp"), [(1e6, "quartic"), (30, "quadratic")])
-def test_noise_decides_the_warp(small_bench: SmallBench, peak_e: float, warp: str) -> None:
-    per_electron = float(small_bench.reference.max()) / peak_e
-    reconstructor = small_bench.reconstructor(
-        registration=RegistrationSettings(rotation=False),
-        reconstruction=ReconstructionSettings(),
+@pytest.mark.parametrize(
+    ("name", "peak_e", "sample", "warp"),
+    [
+        ("checker_bench", 1e6, "free", "quartic"),
+        ("checker_bench", 30, "free", "quadratic"),
+        ("checker_bench", 30, "automatic", "quartic"),  # layers tie its parameters together
+        ("paper_bench", 1e6, "free", "quartic"),
+        ("paper_bench", 30, "free", "quadratic"),
+        ("small_bench", 1e6, "free", "affine"),  # in real light a uniform square hides a part of the others
+        ("small_bench", 30, "layers", "quartic"),
+    ],
+)
+def test_noise_mask_and_sample_decide_the_warp(
+    request: pytest.FixtureRequest, name: str, peak_e: float, sample: SampleModel, warp: str
+) -> None:
+    bench: SmallBench = request.getfixturevalue(name)
+    per_electron = float(bench.reference.max()) / peak_e
+    reconstructor = bench.reconstructor(
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(sample=sample),
         noise=CameraNoise(per_electron, 8 * per_electron),
     )
     assert reconstructor.registration.warp == warp
 
 
-def test_warp_is_chosen_with_few_lit_lenslets(small_bench: SmallBench) -> None:
-    columns = np.arange(small_bench.frame_shape[1])
-    reference = np.where(columns < 100, small_bench.reference, 0).astype(np.float32)
+def test_warp_is_chosen_with_few_lit_lenslets(checker_bench: SmallBench) -> None:
+    columns = np.arange(checker_bench.frame_shape[1])
+    reference = np.where(columns < 100, checker_bench.reference, 0).astype(np.float32)
     per_electron = float(reference.max()) / 3000
-    reconstructor = small_bench.reconstructor(
+    reconstructor = checker_bench.reconstructor(
         reference=reference,
-        registration=RegistrationSettings(rotation=False),
-        reconstruction=ReconstructionSettings(),
+        registration=RegistrationSettings(),
+        reconstruction=ReconstructionSettings(sample="free"),
         noise=CameraNoise(per_electron, 8 * per_electron),
     )
     assert reconstructor.registration.warp == "cubic"
     assert np.isfinite(reconstructor(reference).views[1, 1, :, :2]).all()
 
 
-def test_warp_of_least_systematic_error_is_chosen_if_noise_is_unknown(small_bench: SmallBench) -> None:
-    assert small_bench.reconstructor(registration=RegistrationSettings(rotation=False)).registration.warp == "quartic"
+def test_warp_of_least_systematic_error_is_chosen_if_noise_is_unknown(checker_bench: SmallBench) -> None:
+    assert checker_bench.reconstructor(registration=RegistrationSettings()).registration.warp == "quartic"
 
 
 def test_instrument_measures_noise_from_dark_and_reference(small_toml: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from reconstruction.frame.spline import sample, spline_coefficients
-from reconstruction.registration.gauss_newton.warped_sampling import new_scratch, sample_warped
+from reconstruction.registration.gauss_newton.warped_sampling import new_scratch, sample_warped, window_of
 
 
 @pytest.mark.parametrize("shape", [(40, 60), (3, 40), (8, 8), (64, 9), (150, 2), (1, 1), (1, 30), (30, 1), (2, 2)])
@@ -58,10 +58,11 @@ def test_compiled_warp_sampling_matches_scipy_and_determinant() -> None:
     polynomials = rng.uniform(-0.4, 0.4, (2, 15)).astype(np.float32)
     powers = np.array([[degree - n, n] for degree in range(5) for n in range(degree + 1)])
     monomial = u[:, None] ** powers[:, 0] * v[:, None] ** powers[:, 1]
-    scratch = new_scratch(10)
+    scratch = new_scratch(100)
     center_px, turn, per_unit = np.array([30.3, 19.8]), np.array([np.cos(0.1), np.sin(0.1)], np.float32), 9.0
     scale = (np.float32(per_unit), np.float32(1 / per_unit))
-    sample_warped(coefficients, polynomials, steps, center_px, turn, scale, scratch)
+    window = window_of(np.ones((10, 10), np.bool_), steps)
+    sample_warped(coefficients, polynomials, window, center_px, turn, scale, scratch)
     along, across = np.array([u, v]) * per_unit + polynomials @ monomial.T
     x, y = 30.3 + turn[0] * along - turn[1] * across, 19.8 + turn[1] * along + turn[0] * across
     by_u = np.where(powers[:, 0] > 0, powers[:, 0] * u[:, None] ** np.maximum(powers[:, 0] - 1, 0), 0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from support.faulty_frames import FAULTY
 from support.optics import FIELD, SmallBench, converged
 
+from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
@@ -41,19 +42,38 @@ def star_bench() -> SmallBench:
 
 @cache
 def aberrated(strength: float, bench: SmallBench = BENCH) -> Light:
-    """Electrons per brightest electron of the reference, behind a wavefront of two layers."""
+    """Electrons per brightest electron of the reference, in real light behind a wavefront of two layers."""
     half_m, half_field_m = bench.sensor.pupil_half_width_m[0], FIELD.half_width_m
     u, v = (axis / half_m for axis in bench.samples())
+    gathered = FIELD.collimator_focal_length_m / bench.sensor.wavenumber_rad_per_m / half_m / half_field_m
 
-    def layer(s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.sin(2.5 * s + 1) * np.cos(2.1 * t) + 0.7 * np.sin(1.8 * s - 2.6 * t)
+    def layer(s: Floats, t: Floats) -> Floats:
+        return np.asarray(np.sin(2.5 * s + 1) * np.cos(2.1 * t) + 0.7 * np.sin(1.8 * s - 2.6 * t))
+
+    def curvature(s: Floats, t: Floats) -> Floats:
+        """Second derivatives along s, along t, and along both."""
+        wave, turned = np.sin(2.5 * s + 1) * np.cos(2.1 * t), np.cos(2.5 * s + 1) * np.sin(2.1 * t)
+        slanted = 0.7 * np.sin(1.8 * s - 2.6 * t)
+        return np.stack(
+            [
+                -(2.5**2) * wave - 1.8**2 * slanted,
+                -(2.1**2) * wave - 2.6**2 * slanted,
+                -2.5 * 2.1 * turned + 1.8 * 2.6 * slanted,
+            ]
+        )
 
     def phase(x_m: float, y_m: float) -> Light:
         x, y = x_m / half_field_m, y_m / half_field_m
-        near, far = layer(u + 0.05 * x, v + 0.05 * y), layer(v + 0.2 * y, u + 0.2 * x)
+        near, far = layer(u - 0.05 * x, v - 0.05 * y), layer(v - 0.2 * y, u - 0.2 * x)
         return np.asarray(strength * (near + far), np.float32)
 
-    return bench.frame(phase) / np.float32(bench.reference.max())
+    def amplitude(x_m: float, y_m: float) -> Light:
+        x, y = x_m / half_field_m, y_m / half_field_m
+        near, far = curvature(u - 0.05 * x, v - 0.05 * y), curvature(v - 0.2 * y, u - 0.2 * x)
+        along_u, along_v, mixed = -strength * gathered * (0.05 * near + 0.2 * far[[1, 0, 2]])
+        return np.sqrt((1 + along_u) * (1 + along_v) - mixed**2).astype(np.float32)
+
+    return bench.frame(phase, amplitude) / np.float32(bench.reference.max())
 
 
 def exposed(light: Light, peak_e: float, seed: int) -> Light:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.polynomial import legendre as series
 from support.optics import sensor_of
 
 from reconstruction.errors import ReconstructionError
@@ -37,8 +38,11 @@ SOURCE = uneven_source()
 MODEL = LensletImage(SENSOR, FIELD, SOURCE, width=CELL_PX, pupil_samples=SAMPLES)
 
 
-def test_information_matches_finite_differences_of_forward_model() -> None:
-    information, basis = layered_information(MODEL, LIGHT, NOISE, sensor=SENSOR, modes=MODES, field_modes=FIELD_MODES)
+@pytest.mark.parametrize("neglect_propagation", [False, True])
+def test_information_matches_finite_differences_of_forward_model(neglect_propagation: bool) -> None:
+    field = replace(FIELD, neglect_propagation=neglect_propagation)
+    model = LensletImage(SENSOR, field, SOURCE, width=CELL_PX, pupil_samples=SAMPLES)
+    information, basis = layered_information(model, LIGHT, NOISE, sensor=SENSOR, modes=MODES, field_modes=FIELD_MODES)
     some = np.random.default_rng(2).standard_normal((information.shape[0], 3))  # combinations of the basis
     coefficients = basis @ some  # (pupil_mode - 1, field_mode, 3)
     rows, columns = (CELL_PX * count for count in LIGHT.shape)
@@ -55,13 +59,26 @@ def test_information_matches_finite_differences_of_forward_model() -> None:
     def cells(coefficient: np.ndarray) -> np.ndarray:
         """Counts of every lenslet, (lenslet, pixel)."""
 
-        def phase(x_m: float, y_m: float) -> np.ndarray:
-            of_modes = coefficient @ FIELD_MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)
-            series = np.tensordot(of_modes, MODES.products[1:], axes=1)  # (n, m)
+        def light(x_m: float, y_m: float) -> np.ndarray:
+            x, y = x_m / FIELD.half_width_m, y_m / FIELD.half_width_m
             along = exact.sample_y_m / half_y_m, exact.sample_x_m / half_x_m
-            return np.asarray(np.polynomial.legendre.leggrid2d(*along, series), np.float32)
+            products = np.tensordot(coefficient.T, MODES.products[1:], axes=1)  # (field_mode, n, m)
+            phase = series.leggrid2d(*along, np.tensordot(FIELD_MODES.values(x, y), products, axes=1))
+            if neglect_propagation:
+                return np.exp(1j * phase).astype(np.complex64)
+            slopes = FIELD_MODES.gradients(x, y) / FIELD.half_width_m  # (field_mode, xy)
+            of_u, of_v = (
+                series.leggrid2d(*along, np.moveaxis(series.legder(products, axis=axis), 0, -1)) / half_m
+                for axis, half_m in ((2, half_x_m), (1, half_y_m))
+            )  # (field_mode, y, x)
+            stretch = np.tensordot(slopes.T, np.stack([of_u, of_v], axis=1), axes=1)  # (xy, uv, y, x)
+            stretch = (
+                np.eye(2)[..., None, None] + stretch * FIELD.collimator_focal_length_m / SENSOR.wavenumber_rad_per_m
+            )
+            determinant = stretch[0, 0] * stretch[1, 1] - stretch[0, 1] * stretch[1, 0]
+            return np.asarray(np.sqrt(determinant) * np.exp(1j * phase), np.complex64)
 
-        frame = exact.irradiance(SOURCE, phase).astype(np.float64)
+        frame = exact.irradiance(SOURCE, light).astype(np.float64)
         frame = frame.reshape(LIGHT.shape[0], CELL_PX, LIGHT.shape[1], CELL_PX).transpose(0, 2, 1, 3)
         return np.asarray(frame.reshape(LIGHT.size, -1) * LIGHT.reshape(-1, 1))
 

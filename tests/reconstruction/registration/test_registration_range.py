@@ -11,6 +11,7 @@ from reconstruction.displacement import Outcome, RegistrationMethod
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
+from simulated_devices.optics.forward_model import phase_only
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
 
@@ -92,7 +93,7 @@ def test_stars_displaced_by_more_than_their_size_are_recovered(
     slope = bench.sensor.slope_per_px
     tilt = (slope * (shift_px[0] * u + shift_px[1] * v)).astype(np.float32)
     reference, light = (
-        bench.model.irradiance(source, phase) * np.float32(1e14) for phase in (None, lambda _x, _y: tilt)
+        bench.model.irradiance(source, field) * np.float32(1e14) for field in (None, phase_only(lambda _x, _y: tilt))
     )
     subimages = ReferenceSubimages(reference, sensor=bench.sensor, lattice=bench.lattice, field=FIELD)
     displacement = GaussNewton(subimages, LegendreModes(3), conserve_flux=True)(light, saturated=_still(bench))

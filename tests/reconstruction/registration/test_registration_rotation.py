@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.optics import SmallBench
+from support.optics import PAPER, SmallBench
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement
@@ -25,7 +25,7 @@ class RoundBench(SmallBench):
     """The small bench with a disc as its source, behind one layer."""
 
     def __init__(self) -> None:
-        super().__init__(5, 7)
+        super().__init__(5, 7, field=PAPER)
         self.source = circle(Source(), object_samples=19)
         self.reference = self.model.irradiance(self.source) * 1e14
         self.scale_m = max(self.sensor.pupil_half_width_m) + 0.6e-3
@@ -64,8 +64,8 @@ def test_round_source_is_as_good_as_a_square_one_without_rotation(bench: RoundBe
     with_rotation, free = bench.measured(rotation=True)
     without, bound = bench.measured(rotation=False)
     assert bound.valid.all()
-    assert without < 0.05
-    assert without < 0.5 * with_rotation
+    assert without < 0.025
+    assert without < 0.7 * with_rotation < 0.03  # of the rotation, what the disc hides is left out
     assert np.abs(circulation(bound)).max() < 1e-5
     assert np.abs(circulation(free)).max() > 1e-2
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numpy.polynomial import Legendre
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Floats
@@ -37,17 +38,19 @@ def model_of(bench: SmallBench, source: SourcePoints, width: int) -> LensletImag
 
     def model(area_m2: Floats) -> LensletImage:
         points = SourcePoints(position_m=source.position_m, area_m2=area_m2)
-        return LensletImage(bench.sensor, FIELD, points, width=width, pupil_samples=12)
+        return LensletImage(bench.sensor, bench.field, points, width=width, pupil_samples=12)
 
     return model(source.area_m2 / model(source.area_m2).image().sum())
 
 
-@pytest.fixture(scope="module")
-def registered(small_bench: SmallBench) -> Registered:
-    reference = small_bench.subimages()
-    model = model_of(small_bench, small_bench.source, reference.width)
-    method = GaussNewton(reference, MODES, conserve_flux=True, rotation=False)
-    return Registered(small_bench, reference, model, method, linear_response(method, reference, MODES, model))
+@pytest.fixture(scope="module", params=["checker_bench", "paper_bench"])
+def registered(request: pytest.FixtureRequest) -> Registered:
+    """In real light and in the paper's world."""
+    bench: SmallBench = request.getfixturevalue(request.param)
+    reference = bench.subimages()
+    model = model_of(bench, bench.source, reference.width)
+    method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, rotation=False)
+    return Registered(bench, reference, model, method, linear_response(method, reference, model))
 
 
 @pytest.mark.parametrize("modes", [MODES, ZernikeModes(6)])
@@ -56,16 +59,19 @@ def test_warp_of_the_image_is_found_as_it_is(
     registered: Registered, modes: LegendreModes | ZernikeModes, rotation: bool
 ) -> None:
     reference, model = registered.reference, registered.model
-    method = GaussNewton(reference, modes, conserve_flux=True, rotation=rotation)
+    conserve_flux = registered.bench.field.neglect_propagation
+    method = GaussNewton(reference, modes, conserve_flux=conserve_flux, rotation=rotation)
     image = model.image()
-    tilts = model.derivatives(1, np.ones((1, len(model.position))))
+    points = len(model.position)
+    tilts = model.derivatives(1, np.ones((1, points)), np.zeros((1, points, 2)))
     px_per_rad = 2 / registered.bench.sensor.lenslet_pitch_m / registered.bench.sensor.slope_per_px
     moved_x, moved_y = tilts[0, 1, 0] / px_per_rad, tilts[1, 0, 0] / px_per_rad  # per px: minus the gradient
     half_px = reference.half_width_px
     x, y = np.meshgrid(reference.steps_px / half_px, reference.steps_px / half_px)
     values, slopes = modes.values(x, y), modes.gradients(x, y) / half_px
-    # Moved and spread light, to first order: minus the divergence of displacement times light.
-    along_x, along_y = values * moved_x - slopes[..., 0] * image, values * moved_y - slopes[..., 1] * image
+    # Moved light, to first order; in the paper's world spread, too: minus the divergence of displacement times light.
+    spread = slopes * image[..., None] * conserve_flux
+    along_x, along_y = values * moved_x - spread[..., 0], values * moved_y - spread[..., 1]
     changes = np.tensordot(method.parameters, np.concatenate([along_x, along_y]), axes=1)
     found = method.response(image, changes)
     assert len(method.parameters) == (12 if rotation else 9)
@@ -106,14 +112,22 @@ def test_response_matches_complete_registrations(registered: Registered, n: int,
     u, v = bench.samples()
     centre = [(count - 1) / 2 % 1 for count in (bench.sensor.lenslet_columns, bench.sensor.lenslet_rows)]
     xi, eta = (2 * (at / pitch_m - np.rint(at / pitch_m - c) - c) for at, c in zip((u, v), centre, strict=True))
-    local = np.polynomial.legendre.Legendre.basis(m)(xi) * np.polynomial.legendre.Legendre.basis(n)(eta)
+    along_u, along_v = Legendre.basis(m), Legendre.basis(n)
+    local = along_u(xi) * along_v(eta)
+    slope_u, slope_v = along_u.deriv()(xi) * along_v(eta), along_u(xi) * along_v.deriv()(eta)
+    gathered = FIELD.collimator_focal_length_m / bench.sensor.wavenumber_rad_per_m / FIELD.half_width_m * 2 / pitch_m
 
     def registered_px(amplitude: float, tilt: Floats) -> Floats:
         def phase(x_m: float, y_m: float) -> Images:
             at_point = MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
             return np.asarray(tilt[0] * u + tilt[1] * v + amplitude * at_point * local, np.float32)
 
-        frame = bench.frame(phase)
+        def light(x_m: float, y_m: float) -> Images:
+            along_x, along_y = MODES.gradients(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
+            stretch = 1 + amplitude * gathered * (along_x * slope_u + along_y * slope_v)  # a tensor product
+            return np.asarray(np.sqrt(stretch), np.float32)
+
+        frame = bench.frame(phase, None if bench.field.neglect_propagation else light)
         found = registered.method(frame, saturated=np.zeros(frame.shape, np.bool_))
         assert found.valid.all()
         return np.swapaxes(found.coefficients, 2, 3).reshape(-1, 12) @ registered.method.parameters.T
@@ -126,22 +140,24 @@ def test_response_matches_complete_registrations(registered: Registered, n: int,
     assert np.linalg.norm(measured - expected) < 0.04 * np.linalg.norm(measured)
 
 
-def test_model_of_another_source_is_refused(registered: Registered, small_bench: SmallBench) -> None:
-    narrow = SourcePoints(position_m=small_bench.source.position_m * 0.8, area_m2=small_bench.source.area_m2)
-    model = model_of(small_bench, narrow, registered.reference.width)
+def test_model_of_another_source_is_refused(registered: Registered) -> None:
+    source = registered.bench.source
+    narrow = SourcePoints(position_m=source.position_m * 0.8, area_m2=source.area_m2)
+    model = model_of(registered.bench, narrow, registered.reference.width)
     with pytest.raises(
         ReconstructionError, match=r"the modelled reference differs from the measured one by \d+ % of its contrast"
     ):
-        linear_response(registered.method, registered.reference, MODES, model)
+        linear_response(registered.method, registered.reference, model)
 
 
+@pytest.mark.parametrize("registered", ["paper_bench"], indirect=True)  # a mean of moved checkerboards is blurred
 def test_response_of_a_displaced_lenslet_is_that_of_the_others(registered: Registered) -> None:
     """A lattice with a wrong pitch: the outer lenslets lie a pixel beside the middle of their windows."""
     bench = registered.bench
     wrong = replace(bench.lattice, pitch_px=bench.lattice.pitch_px * 1.01)
-    reference = ReferenceSubimages(bench.reference, sensor=bench.sensor, lattice=wrong, field=FIELD)
-    method = GaussNewton(reference, MODES, conserve_flux=True, rotation=False)
+    reference = ReferenceSubimages(bench.reference, sensor=bench.sensor, lattice=wrong, field=bench.field)
+    method = GaussNewton(reference, MODES, conserve_flux=bench.field.neglect_propagation, rotation=False)
     model = model_of(bench, bench.source, reference.width)
-    response = linear_response(method, reference, MODES, model)
+    response = linear_response(method, reference, model)
     largest = np.abs(registered.response).max()
     np.testing.assert_allclose(response, registered.response, atol=0.02 * largest)

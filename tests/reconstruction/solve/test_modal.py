@@ -15,7 +15,7 @@ from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_basis
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.solve.modal import ModalSolver
-from reconstruction.solve.sensitivity import geometric_sensitivity
+from reconstruction.solve.sensitivity import MeanGradients
 
 ROWS, COLUMNS, FIELD_MODES = 7, 8, 3
 SENSOR = sensor_of(ROWS, COLUMNS)
@@ -25,6 +25,7 @@ ALL = np.ones((ROWS, COLUMNS), np.bool_)
 EVERYTHING = np.eye(2 * FIELD_MODES)  # every displacement is a parameter
 GRADIENTS = gradient_basis(FIELD)  # all but the rotation
 VIEW = np.array([1.0, -0.4, 0.7])
+PRIOR = (MODES.degree[1:, None] + FIELD.degree) ** -5.0 * 0.5**FIELD.degree  # (pupil_mode - 1, field_mode)
 
 
 def correlated(generator: np.random.Generator, sigma_px: float = 0.05) -> Floats:
@@ -63,7 +64,7 @@ def solver_of(
     layered = partial(layered_basis, modes.products[1:], field.products, half_width=np.array(SENSOR.pupil_half_width_m))
     return ModalSolver(
         modes,
-        geometric_sensitivity(SENSOR, parameters),
+        MeanGradients(SENSOR, parameters),
         parameters,
         covariance,
         layered=layered if len(parameters) < parameters.shape[1] else None,
@@ -127,7 +128,7 @@ def _rotations() -> Floats:
 @pytest.mark.parametrize("noise", [3.0, 0.1])
 def test_prior_is_ridge_regression_chosen_by_evidence(noise: float) -> None:
     generator = np.random.default_rng(2)
-    scale = (MODES.degree[1:, None] ** -5.0 * 0.5**FIELD.degree).ravel()
+    scale = PRIOR.ravel()
     truth = np.zeros((15, FIELD_MODES))
     truth[1:] = (20 * scale * generator.normal(size=14 * FIELD_MODES)).reshape(14, -1)
     covariance = correlated(generator)
@@ -209,7 +210,7 @@ def test_noisy_modes_are_suppressed_and_lost_lenslet_is_bridged() -> None:
 def test_scatter_of_wavefronts_matches_sigma(is_smooth: bool) -> None:
     generator = np.random.default_rng(4)
     covariance = correlated(generator)
-    scale = np.r_[0, MODES.degree[1:] ** -5.0][:, None] * 0.5**FIELD.degree
+    scale = np.concatenate([np.zeros((1, FIELD_MODES)), PRIOR])
     solver = solver_of(covariance, is_smooth=is_smooth)
     errors, sigmas, of_coefficients, chi_squares, misfits = [], [], [], [], []
     for _ in range(200):
@@ -275,7 +276,7 @@ def test_unknown_noise_is_that_of_the_misfit() -> None:
 def test_rotation_is_refused_where_it_is_not_seen() -> None:
     covariance = np.zeros((ROWS, COLUMNS, FIELD_MODES, 2, FIELD_MODES, 2))
     with pytest.raises(ReconstructionError, match="56 valid lenslets cannot tell 15 pupil modes apart"):
-        ModalSolver(MODES, geometric_sensitivity(SENSOR, GRADIENTS), GRADIENTS, covariance)
+        ModalSolver(MODES, MeanGradients(SENSOR, GRADIENTS), GRADIENTS, covariance)
 
 
 def test_too_few_lenslets_are_refused_only_without_prior() -> None:

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.optics import FIELD, sensor_of
+from numpy.polynomial import legendre as series
+from numpy.typing import NDArray
+from support.optics import FIELD, PAPER, checkerboard, sensor_of
 
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Lattice, Sensor
+from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import LegendreModes
-from simulated_devices.optics.forward_model import ForwardModel, Images, phase_only
+from simulated_devices.optics.forward_model import ForwardModel, Images
 from simulated_devices.optics.lenslet_image import LensletImage
 from simulated_devices.optics.source import SourcePoints
 
@@ -47,8 +49,10 @@ def forward_model(fill_factor: float, sensor: Sensor) -> ForwardModel:
     )
 
 
-def lenslet_image(fill_factor: float = 1.0, source: SourcePoints = SOURCE, sensor: Sensor = SENSOR) -> LensletImage:
-    return LensletImage(sensor, FIELD, source, width=WIDTH, pupil_samples=SAMPLES, pixel_fill_factor=fill_factor)
+def lenslet_image(
+    fill_factor: float = 1.0, source: SourcePoints = SOURCE, sensor: Sensor = SENSOR, field: Field = FIELD
+) -> LensletImage:
+    return LensletImage(sensor, field, source, width=WIDTH, pupil_samples=SAMPLES, pixel_fill_factor=fill_factor)
 
 
 @SENSORS
@@ -59,26 +63,34 @@ def test_image_is_that_of_the_forward_model(fill_factor: float, sensor: Sensor) 
 
 
 @SENSORS
-@pytest.mark.parametrize("fill_factor", [0.6, 1.0])
-def test_derivatives_are_those_of_the_forward_model(fill_factor: float, sensor: Sensor) -> None:
-    model, image = forward_model(fill_factor, sensor), lenslet_image(fill_factor, sensor=sensor)
-    found = image.derivatives(4, MODES.values(*image.position.T))
+@pytest.mark.parametrize("field", [FIELD, PAPER], ids=["real light", "paper"])
+def test_derivatives_are_those_of_the_forward_model(field: Field, sensor: Sensor) -> None:
+    """In real light the field's square is multiplied by 1 + f1/k (dT/dx dP/du + dT/dy dP/dv)."""
+    model, image = forward_model(0.6, sensor), lenslet_image(0.6, sensor=sensor, field=field)
+    found = image.derivatives(4, MODES.values(*image.position.T), MODES.gradients(*image.position.T))
     assert found.shape == (5, 5, 3, WIDTH, WIDTH)
     half_m = 250e-6 if sensor is SENSOR else 500e-6 / 3**0.5
     middle_m = sensor.lenslet_centers_m[0, 0]
     xi, eta = (
         (at - middle) / half_m for at, middle in zip((model.sample_x_m, model.sample_y_m), middle_m, strict=True)
     )
-    along_x, along_y = (np.polynomial.legendre.legvander(at, 4).T for at in (xi, eta))
+    along_x, along_y = (series.legvander(at, 4).T for at in (xi, eta))
+    slope_x, slope_y = (series.legval(at, series.legder(np.eye(5))) for at in (xi, eta))
+    gathered = 0.2 / sensor.wavenumber_rad_per_m / 0.6e-3 / half_m
     amplitude = 0.03
     largest = np.abs(found).max()
 
     def image_of(n: int, m: int, q: int, rad: float) -> Images:
-        def phase(x_m: float, y_m: float) -> Images:
-            at_point = MODES.values(x_m / FIELD.half_width_m, y_m / FIELD.half_width_m)[q]
-            return np.asarray(rad * at_point * np.outer(along_y[n], along_x[m]), np.float32)
+        def light(x_m: float, y_m: float) -> NDArray[np.complex64]:
+            x, y = x_m / field.half_width_m, y_m / field.half_width_m
+            wave = np.exp(1j * rad * MODES.values(x, y)[q] * np.outer(along_y[n], along_x[m]))
+            if not field.neglect_propagation:
+                of_x, of_y = MODES.gradients(x, y)[q]
+                slope = of_x * np.outer(along_y[n], slope_x[m]) + of_y * np.outer(slope_y[n], along_x[m])
+                wave *= np.sqrt(np.maximum(1 + rad * gathered * slope, 0))  # below 0 on other lenslets only
+            return np.asarray(wave, np.complex64)
 
-        return model.irradiance(SOURCE, phase_only(phase))
+        return model.irradiance(SOURCE, light)
 
     for n, m, q in np.ndindex(5, 5, 3):
         if m + n > 4:
@@ -92,7 +104,7 @@ def test_derivatives_are_those_of_the_forward_model(fill_factor: float, sensor: 
 def test_tilt_moves_light_like_its_object_points(n: int, m: int) -> None:
     """A tilt of 1 rad at the lenslet's edge is that of a point farther along the axis by f1 / (k D / 2)."""
     image = lenslet_image()
-    tilt = image.derivatives(1, np.ones((1, 8)))[n, m, 0]
+    tilt = image.derivatives(1, np.ones((1, 8)), np.zeros((1, 8, 2)))[n, m, 0]
     per_rad_m = FIELD.collimator_focal_length_m / (SENSOR.wavenumber_rad_per_m * SENSOR.lenslet_pitch_m / 2)
     step = 1e-3
 
@@ -102,6 +114,19 @@ def test_tilt_moves_light_like_its_object_points(n: int, m: int) -> None:
 
     expected = (moved(step) - moved(-step)) / (2 * step)
     np.testing.assert_allclose(tilt, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("field", "of_middle"), [(FIELD, 0.0), (PAPER, -1.0)], ids=["real light", "paper"])
+def test_stretched_square_keeps_its_brightness_only_in_real_light(field: Field, of_middle: float) -> None:
+    """A tilt that grows along x stretches the square; with conserved flux its brightness falls by as much."""
+    bright = checkerboard(cells=1, object_samples=37)
+    image = LensletImage(SENSOR, field, bright, width=WIDTH, pupil_samples=SAMPLES)
+    x = image.position[:, :1].T
+    stretch = image.derivatives(1, x, np.eye(1, 2) + 0 * image.position[None])[0, 1, 0]
+    middle = WIDTH // 2
+    per_rad = FIELD.collimator_focal_length_m / SENSOR.wavenumber_rad_per_m / FIELD.half_width_m / (500e-6 / 2)
+    change = stretch[middle - 3 : middle + 4, middle - 3 : middle + 4] / image.image()[middle, middle]
+    assert change.mean() == pytest.approx(of_middle * per_rad, abs=0.06 * per_rad)  # diffraction at the edges
 
 
 def test_light_is_the_area_of_the_points() -> None:

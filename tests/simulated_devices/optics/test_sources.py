@@ -55,6 +55,19 @@ def test_opening_has_its_area_and_second_moments(mask: str, area_m2: float, samp
     np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
+def test_checkerboard_is_lit_in_its_first_corner_and_every_other_cell() -> None:
+    found = brightness("checkerboard")
+    assert found.sum() == pytest.approx(N**2 / 2, rel=0.01)
+    middles = 3 + 6 * np.arange(6)  # of the cells; 36 steps are 6 cells of 6
+    np.testing.assert_allclose(found[np.ix_(middles, middles)], (np.indices((6, 6)).sum(axis=0) + 1) % 2, atol=1e-12)
+    assert found[0, 0] == pytest.approx(1)
+    assert found[0, 6] == pytest.approx(0.5)  # on an edge
+    four = brightness("checkerboard", Source(checker_cells=4))
+    assert (four[4, 4], four[4, 13]) == pytest.approx((1, 0))
+    points = source.source_points("checkerboard", Source(), object_samples=N)
+    assert points.area_m2.sum() == pytest.approx(2 * HALF_M**2)
+
+
 def test_openings_have_the_shapes_of_their_names() -> None:
     points = source.square(Source(), object_samples=N).position_m / HALF_M
     x, y = np.abs(points).T

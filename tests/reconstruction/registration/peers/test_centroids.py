@@ -16,6 +16,7 @@ from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.peers.centroids import Centroids
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
+from simulated_devices.optics.forward_model import phase_only
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
 
@@ -35,7 +36,7 @@ def _moved(bench: SmallBench, shift_px: Shift) -> Image:
         x_px, y_px = shift_px(x_m / half_m, y_m / half_m)
         return np.asarray(slope * (x_px * u + y_px * v), np.float32)
 
-    return bench.model.irradiance(SOURCE, phase) * np.float32(1e14)
+    return bench.model.irradiance(SOURCE, phase_only(phase)) * np.float32(1e14)
 
 
 def _none(light: Image) -> Mask:
