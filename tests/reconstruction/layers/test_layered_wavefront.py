@@ -62,9 +62,7 @@ def test_error_bars_include_those_of_the_distance() -> None:
     measured = displacement(noisy(displacements_px(20 * PHASE, -0.975), 1))
     uncertain = AssumedSample(ONE.ratios, np.array([[0.02**2]]))
     values = MODES.values(*np.array(AT) / FIELD.half_width_m)
-    added = (
-        WAVEFRONTS(measured, None, uncertain).sigma(values) ** 2 - WAVEFRONTS(measured, None, ONE).sigma(values) ** 2
-    )
+    total, of_noise = (WAVEFRONTS(measured, None, sample).sigma(values) for sample in (uncertain, ONE))
     near, far = (at(WAVEFRONTS(measured, None, AssumedSample((-0.975 + step,)))) for step in (-0.01, 0.01))
     assert np.sqrt(np.mean(total**2 - of_noise**2)) == pytest.approx(np.std(far - near), rel=0.05)
 
