@@ -225,7 +225,7 @@ class Reconstructor:
     @cached_property
     def _layered(self) -> LayeredWavefronts:
         modes = self._at_rest.modes
-        solver = LayerSolver(self.sensor, self.field, modes, self.smooth)
+        solver = LayerSolver(self.sensor, self.field, modes, self.smooth, self.hidden)
         parameters = _parameters(self._register, self._at_rest)
         return LayeredWavefronts(solver, LayerModes(solver.degree, self.sensor, self.field, modes), parameters)
 
