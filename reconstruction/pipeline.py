@@ -225,7 +225,7 @@ class Reconstructor:
     @cached_property
     def _layered(self) -> LayeredWavefronts:
         modes = self._at_rest.modes
-        solver = LayerSolver(self.sensor, self.field, modes, self.smooth)
+        solver = LayerSolver(self.sensor, self.field, modes, self.smooth, self.hidden)
         parameters = _parameters(self._register, self._at_rest)
         return LayeredWavefronts(solver, LayerModes(solver.degree, self.sensor, self.field, modes), parameters)
 
@@ -266,8 +266,8 @@ class Reconstructor:
                 return Response(self.sensor, response)
             except ReconstructionError as error:
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
-        is_warp = isinstance(self._register, GaussNewton)
-        found = self._register.alike if is_warp else _parameters(self._register, self._at_rest)
+        method = self._register
+        found = method.alike if isinstance(method, GaussNewton) else _parameters(method, self._at_rest)
         return MeanGradients(self.sensor, found)
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:

@@ -72,7 +72,7 @@ def light(phase: Floats, ratio: float, u_m: Floats, v_m: Floats, x_m: float, y_m
     return powers.polygrid2d(t_mm, s_mm, phase), np.sqrt((1 + ss) * (1 + tt) - st**2)
 
 
-def solver(modes: LegendreModes = MODES) -> LayerSolver:
+def solver(modes: LegendreModes = MODES, hidden: int = 0) -> LayerSolver:
     """Solver for displacements with the error NOISE_PX, and mean gradients."""
     parameters, smooth = gradient_basis(modes), pupil_modes(SENSOR, "legendre", None)
     variance = np.full((SENSOR.lenslet_rows, SENSOR.lenslet_columns, modes.count, 2), NOISE_PX**2)
@@ -84,7 +84,7 @@ def solver(modes: LegendreModes = MODES) -> LayerSolver:
         layered=layered_wavefronts(SENSOR, smooth, modes, parameters),
         field_degree=modes.degree,
     )
-    return LayerSolver(SENSOR, FIELD, modes, free)
+    return LayerSolver(SENSOR, FIELD, modes, free, hidden)
 
 
 def displacement(coefficients: Floats, *, lost: int = 0) -> Displacement:
