@@ -1,6 +1,8 @@
-"""Frames and truth of another simulator (HCIPy, Fresnel propagation)."""
+"""Frames and truth of another simulator (HCIPy, Fresnel propagation), in the paper's world and in real light."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,12 +10,14 @@ import tifffile
 from support.paths import FOREIGN_FRAMES
 
 from app.bench.config import load_bench
+from app.bench.imaging_model import BenchModel, lenslet_model
 from reconstruction.lattice.search import find_lattice
 from reconstruction.pipeline import Reconstructor
+from reconstruction.refinement import Refinement, mean_rms
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms
 
-FRAMES = FOREIGN_FRAMES
+FRAMES, REAL = FOREIGN_FRAMES, FOREIGN_FRAMES / "real_light"
 BENCH = load_bench(FRAMES / "bench.toml")
 REFERENCE = tifffile.imread(FRAMES / "square_reference.tif")
 FRAME = tifffile.imread(FRAMES / "square_frame.tif")
@@ -42,6 +46,30 @@ def test_residual_against_truth_is_small(warp: str, method: str, pupil_modes: in
     wavefront = reconstructor(FRAME)
     assert wavefront.displacement.valid.all()
     assert rms(wavefront.views - TRUTH).mean() < figure_rad
+
+
+@pytest.mark.parametrize(("mask", "once_rad", "refined_rad"), [("square", 0.007, 0.007), ("checker", 0.005, 0.005)])
+def test_layer_is_found_in_real_light(mask: str, once_rad: float, refined_rad: float) -> None:
+    """With every setting omitted; the layer is 195 mm before the lenslets."""
+    bench = load_bench(REAL / "bench.toml")
+    reference, frame = (tifffile.imread(REAL / f"{mask}_{name}.tif") for name in ("reference", "frame"))
+    truth = np.load(REAL / "truth.npz")["wavefront_rad"]
+    assert bench.lattice is not None
+    reconstructor = Reconstructor(
+        reference,
+        sensor=bench.sensor,
+        lattice=bench.lattice,
+        field=bench.field,
+        registration=bench.registration,
+        reconstruction=bench.reconstruction,
+        lenslet_model=partial(lenslet_model, bench),
+    )
+    found = reconstructor(frame)
+    assert found.displacement.valid.all()
+    assert mean_rms(found.views - truth) < once_rad
+    assert found.sample.ratios == pytest.approx((-0.975,), abs=0.005)
+    *_, last = Refinement(reconstructor, BenchModel(bench, reconstructor)).rounds(found.displacement, 2, found.sample)
+    assert mean_rms(last.wavefront.views - truth) < refined_rad
 
 
 def test_lattice_of_another_simulator_is_found() -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Literal
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -73,7 +74,7 @@ def reconstructor(bench: SmallBench, reference: Image, *, response: bool = True,
     )
 
 
-def error_rad(bench: SmallBench, frame: Image, prepared: Reconstructor) -> float:
+def error_rad(frame: Image, prepared: Reconstructor) -> float:
     found = prepared(frame)
     assert found.displacement.valid.all()
     return mean_rms(found.views - truth_of(CENTRAL))
@@ -90,7 +91,7 @@ def test_response_removes_most_of_the_bias(small_bench: SmallBench, frames: dict
         for response in (False, True):
             prepared = reconstructor(small_bench, reference, response=response)
             assert prepared.response_problem == ""
-            error[shape, response] = error_rad(small_bench, frame, prepared)
+            error[shape, response] = error_rad(frame, prepared)
     assert error["square", True] < error["square", False] / 3
     assert error["circle", True] < error["circle", False] / 3
     assert error["circle", True] < 1.5 * error["square", True]
@@ -132,15 +133,15 @@ def test_setting_decides_what_is_assumed(checker_bench: SmallBench, monkeypatch:
     one = LayerFit((Layer(-0.7, 0.1, np.ones(2), np.zeros(2), np.zeros((2, 2)), 1),), worse, np.full((1, 1), 0.01))
     none = np.zeros(0)
     search = LayerSearch(none, none, none, one, None, None, better)
-    asked: list[object] = []
-    monkeypatch.setattr("reconstruction.pipeline.find_layers", lambda *args, **_: asked.append(args) or search)
+    find_layers = Mock(return_value=search)
+    monkeypatch.setattr("reconstruction.pipeline.find_layers", find_layers)
     samples = {}
     for setting in ("automatic", "layers", "free"):
         prepared = checker_bench.reconstructor("quadratic", pupil_modes=None, sample=setting)
         samples[setting] = prepared.find_sample(prepared.register(seen(checker_bench)))
     assert samples["automatic"] is samples["free"] is FREE
     assert samples["layers"].ratios == (-0.7,)
-    assert len(asked) == 2  # not for any wavefront
+    assert find_layers.call_count == 2  # not for any wavefront
     fixed = checker_bench.reconstructor("quadratic", pupil_modes=21, sample="automatic")
     assert not fixed.may_be_layered
 

@@ -37,6 +37,7 @@ def plain_registration(
     """
     half_width_px = field.half_width_px(sensor)
     x, y = offset_px.T
+    conserve_flux = int(field.neglect_propagation)
     cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
     orders = _ORDERS[:field_modes]
 
@@ -77,16 +78,15 @@ def plain_registration(
             return np.asarray(look(splines[0], x, y) * modes(x, y))
 
         light = look(splines[0], x, y)
-        changes = np.concatenate([by_x(carried), by_y(carried)])
-        if not field.neglect_propagation:
-            changes = changes - light * np.concatenate([mode_by_x, mode_by_y])
+        spread = light * np.concatenate([mode_by_x, mode_by_y])
+        changes = np.concatenate([by_x(carried), by_y(carried)]) - (1 - conserve_flux) * spread
         descent = np.concatenate([basis @ changes, [light, np.ones_like(light)]])
         inverse = np.linalg.pinv(descent @ descent.T, rcond=1e-12, hermitian=True) @ descent
         c, gain, offset = np.zeros((field_modes, 2)), 1.0, 0.0
         for _ in range(_STEPS):
             d = c.T @ mode_values
             (xu, yu), (xv, yv) = c.T @ mode_by_x, c.T @ mode_by_y
-            stretch = (1 + xu) * (1 + yv) - xv * yu if field.neglect_propagation else 1.0
+            stretch = 1 + conserve_flux * ((1 + xu) * (1 + yv) - xv * yu - 1)
             residual = (gain * look(splines[1], x + d[0], y + d[1]) + offset) * stretch - light
             step = inverse @ residual
             c = c - (step[:-2] @ basis).reshape(2, field_modes).T

@@ -27,9 +27,9 @@ def aperture(arrangement: Arrangement, pitch_m: float) -> Floats:
     steps = (np.arange(60) + 0.5) / 60 - 0.5
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps * 1.2))
     if arrangement == "square":
-        return np.stack([x, y / 1.2], axis=-1) * pitch_m
+        return np.asarray(np.stack([x, y / 1.2], axis=-1) * pitch_m)
     inside = np.abs(y) + np.abs(x) / np.sqrt(3) < 1 / np.sqrt(3)  # corners at +-y
-    return np.stack([x, y], axis=-1)[inside] * pitch_m
+    return np.asarray(np.stack([x, y], axis=-1)[inside] * pitch_m)
 
 
 def field_points(field: Field) -> tuple[Floats, Floats]:

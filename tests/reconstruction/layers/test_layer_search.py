@@ -50,7 +50,7 @@ def test_distance_and_phase_of_a_polynomial_layer(ratio: float) -> None:
 def test_wavefront_of_a_layer_at_any_field_position() -> None:
     fit = equations(displacements_px(PHASE, -0.8)).fit(-0.8)
     true = wavefront(PHASE, -0.8, 0.3e-3, -0.5e-3)
-    np.testing.assert_allclose(fit.wavefront(SENSOR, 0.3e-3, -0.5e-3), true, atol=5e-3 * np.std(true), rtol=0)
+    np.testing.assert_allclose(fit.wavefront(SENSOR, 0.3e-3, -0.5e-3), true, atol=5e-3 * float(np.std(true)), rtol=0)
 
 
 def test_error_bars_of_the_distance_cover_the_truth() -> None:

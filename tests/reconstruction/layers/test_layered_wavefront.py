@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import norm
+from support.optics import FIELD
 from support.polynomial_layers import (
-    FIELD,
     MODES,
     NOISE_PX,
     OTHER,
@@ -44,7 +44,7 @@ def test_wavefront_is_that_of_the_layer(ratio: float) -> None:
     solution = WAVEFRONTS(displacement(displacements_px(PHASE, ratio)), None, AssumedSample((ratio,)))
     for x_m, y_m in VIEWS_M:
         true = wavefront(PHASE, ratio, x_m, y_m)
-        np.testing.assert_allclose(solution.wavefront(at(x_m, y_m)), true, atol=3e-3 * np.std(true))
+        np.testing.assert_allclose(solution.wavefront(at(x_m, y_m)), true, atol=3e-3 * float(np.std(true)))
 
 
 def test_wavefront_of_two_layers_is_their_sum() -> None:
@@ -54,7 +54,7 @@ def test_wavefront_of_two_layers_is_their_sum() -> None:
     assert solution.known.all()
     for x_m, y_m in VIEWS_M:
         true = wavefront(PHASE, NEAR, x_m, y_m) + wavefront(OTHER, FAR, x_m, y_m)
-        np.testing.assert_allclose(solution.wavefront(at(x_m, y_m)), true, atol=0.01 * np.std(true))
+        np.testing.assert_allclose(solution.wavefront(at(x_m, y_m)), true, atol=0.01 * float(np.std(true)))
 
 
 @pytest.mark.parametrize("lost", [0, 20])

@@ -71,7 +71,7 @@ def aberrated(strength: float, bench: SmallBench = BENCH) -> Light:
         x, y = x_m / half_field_m, y_m / half_field_m
         near, far = curvature(u - 0.05 * x, v - 0.05 * y), curvature(v - 0.2 * y, u - 0.2 * x)
         along_u, along_v, mixed = -strength * gathered * (0.05 * near + 0.2 * far[[1, 0, 2]])
-        return np.sqrt((1 + along_u) * (1 + along_v) - mixed**2).astype(np.float32)
+        return np.asarray(np.sqrt((1 + along_u) * (1 + along_v) - mixed**2), np.float32)
 
     return bench.frame(phase, amplitude) / np.float32(bench.reference.max())
 

@@ -65,7 +65,7 @@ def test_information_matches_finite_differences_of_forward_model(neglect_propaga
             products = np.tensordot(coefficient.T, MODES.products[1:], axes=1)  # (field_mode, n, m)
             phase = series.leggrid2d(*along, np.tensordot(FIELD_MODES.values(x, y), products, axes=1))
             if neglect_propagation:
-                return np.exp(1j * phase).astype(np.complex64)
+                return np.asarray(np.exp(1j * phase), np.complex64)
             slopes = FIELD_MODES.gradients(x, y) / FIELD.half_width_m  # (field_mode, xy)
             of_u, of_v = (
                 series.leggrid2d(*along, np.moveaxis(series.legder(products, axis=axis), 0, -1)) / half_m

@@ -111,7 +111,10 @@ def test_full_covariance_and_weights_match_generalised_least_squares(parameters:
     found = solution.covariance.reshape(14 * FIELD_MODES, -1)
     np.testing.assert_allclose(found, of_coefficients, atol=1e-3 * np.abs(of_coefficients).max())
     np.testing.assert_allclose(
-        solution.coefficients_sigma[1:].ravel(), np.sqrt(np.diag(of_coefficients)), rtol=1e-2, atol=1e-4 * np.sqrt(level)
+        solution.coefficients_sigma[1:].ravel(),
+        np.sqrt(np.diag(of_coefficients)),
+        rtol=1e-2,
+        atol=1e-4 * np.sqrt(level),
     )
 
 
