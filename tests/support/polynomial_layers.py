@@ -69,7 +69,8 @@ def light(phase: Floats, ratio: float, u_m: Floats, v_m: Floats, x_m: float, y_m
         gathered * powers.polygrid2d(t_mm, s_mm, curvature)
         for curvature in (powers.polyder(along_s, axis=1), powers.polyder(along_t), powers.polyder(along_s))
     )
-    return powers.polygrid2d(t_mm, s_mm, phase), np.sqrt((1 + ss) * (1 + tt) - st**2)
+    values = powers.polygrid2d(t_mm, s_mm, phase)
+    return np.asarray(values, np.float64), np.asarray(np.sqrt((1 + ss) * (1 + tt) - st**2), np.float64)
 
 
 def solver(modes: LegendreModes = MODES, hidden: int = 0) -> LayerSolver:

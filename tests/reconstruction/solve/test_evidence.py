@@ -35,7 +35,8 @@ def check(found: FitQuality, design: Floats, data: Floats) -> None:
         noise = max(data @ np.linalg.solve(spread, data) / data.size, 1.0)
         return float(multivariate_normal(cov=noise * spread).logpdf(data) + data.size * np.log(2 * np.pi) / 2)
 
-    ratio = max((float(10**decade / largest) for decade in np.arange(-4, 7, 0.25)), key=evidence)
+    tried = 10.0 ** np.arange(-4, 7, 0.25) / largest
+    ratio = float(tried[np.argmax([evidence(each) for each in tried])])
     assert found.log_evidence == pytest.approx(evidence(ratio), abs=1e-3)
     hat = ratio * design @ np.linalg.inv(np.eye(design.shape[1]) + ratio * design.T @ design) @ design.T
     left = np.sum((data - hat @ data) ** 2)
