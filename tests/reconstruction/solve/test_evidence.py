@@ -32,7 +32,7 @@ def check(found: FitQuality, design: Floats, data: Floats) -> None:
 
     def evidence(ratio: float) -> float:
         spread = np.eye(data.size) + ratio * design @ design.T
-        noise = max(data @ np.linalg.solve(spread, data) / data.size, 1.0)
+        noise = max(float(data @ np.linalg.solve(spread, data)) / data.size, 1.0)
         return float(multivariate_normal(cov=noise * spread).logpdf(data) + data.size * np.log(2 * np.pi) / 2)
 
     tried = 10.0 ** np.arange(-4, 7, 0.25) / largest
