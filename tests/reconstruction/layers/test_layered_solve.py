@@ -16,7 +16,7 @@ from reconstruction.pipeline import Reconstructor
 
 @pytest.fixture(scope="module")
 def reconstructor(paper_bench: SmallBench) -> Reconstructor:
-    return paper_bench.reconstructor("cubic", pupil_modes=None)
+    return paper_bench.reconstructor("cubic", pupil_modes=None, sample="layers")
 
 
 @pytest.fixture(scope="module")
