@@ -51,7 +51,7 @@ def most_probable(search: LayerSearch, *, free: bool = True) -> AssumedSample:
 class _Design:
     """Layers at some ratios in units of the prior, for all lenslets."""
 
-    rows: Image  # whitened displacements of each polynomial, (L * K, n)
+    rows: Floats  # whitened displacements of each polynomial, (L * K, n)
     gram: Floats  # their products, (n, n)
     wavefronts: Image  # rad, (column, n)
 
@@ -96,7 +96,7 @@ class LayeredWavefronts:
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
         self.solver, self._modes, self._parameters = solver, modes, parameters
-        self._design = lru_cache(maxsize=10)(self._prepared)  # two layers need five for their error bars
+        self._design = lru_cache(maxsize=6)(self._prepared)  # two layers need five for their error bars
         self._equations = lru_cache(maxsize=20)(self._down_dated)
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
@@ -132,7 +132,7 @@ class LayeredWavefronts:
         equations = self._equations(ratios, share.tobytes())
         singular, weighted = equations.singular, share[:, None] * data
         square, seen = singular**2, singular > 0
-        columns = weighted.ravel().astype(np.float32) @ equations.design.rows
+        columns = weighted.ravel() @ equations.design.rows
         along = np.divide(columns @ equations.vectors, singular, where=seen, out=np.zeros_like(singular))
         count = np.count_nonzero(share) * data.shape[1]
         total = float(np.vdot(data, weighted))
@@ -143,19 +143,18 @@ class LayeredWavefronts:
 
     def _prepared(self, ratios: tuple[float, ...]) -> _Design:
         degree = self.solver.degree
-        scale = prior_scale(degree).astype(np.float32)
+        scale = prior_scale(degree)
+        # In double precision: the prior makes small eigenvalues count, and layers close to each other differ little.
         rows = np.concatenate([self.solver.rows(ratio, degree) * scale for ratio in ratios], axis=2)
         rows = rows.reshape(-1, rows.shape[2])
         wavefronts = np.concatenate([self._modes(ratio) * scale for ratio in ratios], axis=1)
-        # In double precision: the prior makes small eigenvalues count.
-        exact = rows.astype(np.float64)
-        return _Design(rows, exact.T @ exact, wavefronts.astype(np.float32))
+        return _Design(rows, rows.T @ rows, wavefronts.astype(np.float32))
 
     def _down_dated(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Equations:
         """Equations of lenslets with some shares (L,) of their certainty."""
         design, share = self._design(ratios), np.frombuffer(share_bytes)
         lost = np.flatnonzero(self.solver.errors.is_usable & (share < 1))
-        missing = design.rows.reshape(len(share), -1, len(design.gram))[lost].astype(np.float64)
+        missing = design.rows.reshape(len(share), -1, len(design.gram))[lost]
         weighted = (1 - share[lost, None, None]) * missing
         gram = design.gram - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
         square, vectors = np.linalg.eigh(gram)
