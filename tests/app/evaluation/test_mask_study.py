@@ -58,7 +58,7 @@ def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path, l
     assert mean_rms(predicted.views - simulated.views, everywhere) < 0.2 * error
 
 
-def studied(out: Path, monkeypatch: pytest.MonkeyPatch, *words: object) -> dict[str, dict[str, float]]:
+def studied(out: Path, monkeypatch: pytest.MonkeyPatch, *words: str | Path) -> dict[str, dict[str, float]]:
     """Results of `svwfs study mask` by curve and mask."""
     assert run(monkeypatch, "study", "mask", *words, "--seeds", "1", "--out", out) == 0
     curves = json.loads((out / "study.json").read_text())["sweeps"]["mask"]["curves"]
