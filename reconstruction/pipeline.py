@@ -195,6 +195,8 @@ class Reconstructor:
             solution = ZonalSolution(slopes, displacement.valid, pitch_m, weights, covariance, arrangement)
         else:
             solution = self._modal(displacement, weights=weights)
+            if self.may_be_layered:  # results of all frames have the same modes
+                solution = self._layered.in_these_modes(solution)
         return Wavefront.of(self.sensor, self.field, displacement, solution, sample)
 
     def registration_for(self, reference: Image) -> RegistrationMethod:

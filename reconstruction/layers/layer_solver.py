@@ -28,7 +28,7 @@ _REMEMBERED_BYTES = 1e8  # of design matrices
 # Systematic error: share of the displacement in one parameter of the warp that appears in another one, or is missing in
 # itself, alike for all lenslets of a frame. What the mask hides of a displacement shows in the others to second order.
 # Fitted to the distances in frames without and with noise (docs/layers.md).
-_SYSTEMATIC_SHARE, _SHARE_PER_HIDDEN = 0.0006, 0.0005
+_SYSTEMATIC_SHARE, _SHARE_PER_HIDDEN = 0.0009, 0.00025
 
 
 def prior_scale(degree: int) -> Floats:

@@ -98,6 +98,7 @@ class LayeredWavefronts:
         self.solver, self._modes, self._parameters = solver, modes, parameters
         self._design = lru_cache(maxsize=6)(self._prepared)  # two layers need five for their error bars
         self._equations = lru_cache(maxsize=20)(self._down_dated)
+        self._known = lru_cache(maxsize=4)(self._known_at)
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
         """Fit layers at the ratios of the sample.
@@ -126,6 +127,14 @@ class LayeredWavefronts:
         return ModalSolution(
             coefficients, fit.equations.known, root_covariance, fit.freedom, displacement, self._parameters, fitted
         )
+
+    def in_these_modes(self, free: ModalSolution) -> ModalSolution:
+        """A wavefront that was found without layers, in as many pupil modes as with them."""
+        return free.extended(self._known(free.known.tobytes()))
+
+    def _known_at(self, lenslets: bytes) -> KnownModes:
+        modes = self._modes.pupil_modes
+        return known_modes(modes, np.frombuffer(lenslets, np.bool_).reshape(modes.inside.shape), extrapolate=False)
 
     def _fit(self, ratios: tuple[float, ...], share: Floats, data: Floats) -> _Fit:
         """Fit layers to whitened displacements (L, K) of lenslets with some shares (L,)."""

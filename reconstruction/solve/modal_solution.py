@@ -1,8 +1,9 @@
 """Wavefront and error bars of the modal reconstruction, evaluated on request."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy import ndimage
@@ -41,6 +42,16 @@ class ModalSolution:
     _displacement: Displacement
     _parameters: Floats  # (K, 2Q)
     _fitted: Callable[[], Floats]  # parameters of the fit, px, (lenslet, K)
+
+    def extended(self, known: KnownModes) -> Self:
+        """The same wavefront in more pupil modes, known at the same lenslets; the coefficients of the others are 0."""
+        more = len(known.modes.degree) - len(self.coefficients)
+        return replace(
+            self,
+            coefficients=np.pad(self.coefficients, ((0, more), (0, 0))),
+            _known=known,
+            _root_covariance=lambda: np.pad(self.root_covariance, ((0, more), (0, 0), (0, 0))),
+        )
 
     @property
     def modes(self) -> PupilModes:

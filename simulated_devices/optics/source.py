@@ -49,7 +49,8 @@ def square(source: Source, *, object_samples: int) -> SourcePoints:
 def checkerboard(source: Source, *, object_samples: int) -> SourcePoints:
     """Return the square in `checker_cells` x `checker_cells` cells, every other one lit: the one at lowest x, y is."""
     row, column = np.indices(2 * (source.checker_cells,))
-    return _with_brightness(source, _pixels_on_grid(source, 1.0 - (row + column) % 2, object_samples))
+    lit = ((row + column) % 2 == 0).astype(np.float64)
+    return _with_brightness(source, _pixels_on_grid(source, lit, object_samples))
 
 
 def circle(source: Source, *, object_samples: int) -> SourcePoints:

@@ -12,6 +12,7 @@ from app.evaluation.simulated_frames import simulated_frames
 from app.evaluation.study.corrector import predicted_and_simulated
 from app.measurement.bench_reconstructor import BenchReconstructor
 from reconstruction.arrays import Floats
+from reconstruction.geometry import centered_steps
 from reconstruction.layers.corrector import Correction, Corrector, best_correction, field_positions_m
 from reconstruction.wavefront import rms
 from simulated_devices.optics.layered_light import Layer, LayeredLight
@@ -45,8 +46,8 @@ def correction() -> Correction:
 def left_rad(made: Correction, change: Callable[[Floats], Floats], distance_m: float = LAYER_M) -> float:
     """True RMS of the views after sample and corrector, light propagated between them."""
     spacing_m = 25e-6
-    count = 2 * int(made.half_width_m[0] / spacing_m) + 1
-    along_m = (np.arange(count) - count // 2) * spacing_m
+    count = 2 * int(float(made.half_width_m[0]) / spacing_m) + 1
+    along_m = centered_steps(count) * spacing_m
     command = PhaseScreen(change(made.phase(along_m, along_m[:, None])), spacing_m)
     sample = make_sample(BENCH.simulation, BENCH.sensor, BENCH.field).layer(F1_M)
     layers = [sample, Layer(phase=command, distance_m=distance_m)]

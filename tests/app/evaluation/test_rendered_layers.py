@@ -60,7 +60,7 @@ def test_two_layers_at_known_distances_are_told_apart() -> None:
     distances_m = (0.1, 0.2)
     displacements, screens = rendered("paper_simulation", distances_m, rms_rad=3.0)
     found = find_layers(displacements, 2, at=tuple(-at_m / 0.2 for at_m in distances_m)).fit.layers
-    for layer, screen in zip(found, screens, strict=True):
+    for layer, screen in zip(found, screens[::-1], strict=True):  # the farthest first
         x_m, y_m = (np.linspace(-0.85 * half_m, 0.85 * half_m, 61) for half_m in layer.half_width_m)
         true = slopes(screen.at(x_m, y_m[:, None]))
         error = slopes(layer.phase(x_m, y_m[:, None])) - true

@@ -50,7 +50,7 @@ def test_maps_are_the_wavefront_of_the_results(
     with xr.open_dataset(recording / "results.nc") as results, xr.open_dataset(out) as found:
         assert found["coefficient"].dims == ("mode", "y", "x")
         assert found["coefficient"].attrs["units"] == found["double_zernike"].attrs["units"] == "rad"
-        assert found["mode"].values.tolist() == list(range(2, 29))
+        assert found["mode"].values.tolist() == list(range(2, 67))
         assert found.sel(mode=4)["name"].item() == "Z4 defocus"
         views = found["coefficient"].interp(x=results["view_x"].values, y=results["view_y"].values, method="cubic")
         made = without_piston(at_views(views.values, load_bench("small_demo")))
@@ -87,7 +87,7 @@ def test_results_file_gives_the_same_values_and_nearly_the_errors(
         ratio = np.sqrt(
             (other["coefficient_sigma"] ** 2).mean(("x", "y")) / (one["coefficient_sigma"] ** 2).mean(("x", "y"))
         )
-        np.testing.assert_allclose(ratio, 1, atol=0.15)
+        np.testing.assert_allclose(ratio, 1, atol=0.25)
 
 
 def test_table_has_a_row_for_each_position(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,8 +135,8 @@ def test_exports_hold_every_frame(recording: Path, tmp_path: Path, monkeypatch: 
                 len(found["k"]) - 1, row["x_m"] / found.attrs["uv_outer"], row["y_m"] / found.attrs["uv_outer"]
             )
             expected = at @ found["double_zernike"].values[int(row["frame"]), 1:]
-            assert [row[f"Z{j}_rad"] for j in range(2, 29)] == pytest.approx(expected[2:].tolist(), abs=1e-12)
-        coefficients = np.array([[row[f"Z{j}_rad"] for j in range(2, 29)] for row in rows]).reshape(2, 3, 3, 27)
+            assert [row[f"Z{j}_rad"] for j in range(2, 67)] == pytest.approx(expected[2:].tolist(), abs=1e-12)
+        coefficients = np.array([[row[f"Z{j}_rad"] for j in range(2, 67)] for row in rows]).reshape(2, 3, 3, 65)
         made = without_piston(at_views(np.moveaxis(coefficients[1], -1, 0), load_bench("small_demo")))
         np.testing.assert_allclose(made, results["wavefront"].values[1], atol=1e-10)
 
@@ -144,11 +144,11 @@ def test_exports_hold_every_frame(recording: Path, tmp_path: Path, monkeypatch: 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--order", "40"], "order 40 of the pupil modes must be 1 ... 6"),
+        (["--order", "40"], "order 40 of the pupil modes must be 1 ... 10"),
         (["--field-order", "9"], "field order 9 exceeds that of the"),
         (["--field-order", "1", "--basis", "legendre"], "leave it out with --basis legendre"),
         (["--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 2"),
-        (["--mode", "1"], "--mode 1: the zernike modes of this result are 2 ... 28"),
+        (["--mode", "1"], "--mode 1: the zernike modes of this result are 2 ... 66"),
         (["--plot", "p.xyz"], "picture"),
         (["--out", "old.nc"], "exists already"),
         (["--out", "f.txt"], "ends in one of .nc, .csv"),
