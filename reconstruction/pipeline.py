@@ -225,7 +225,7 @@ class Reconstructor:
     @cached_property
     def _layered(self) -> LayeredWavefronts:
         modes = self._at_rest.modes
-        solver = LayerSolver(self.sensor, self.field, modes, self.smooth)
+        solver = LayerSolver(self.sensor, self.field, modes, self.smooth, self.hidden)
         parameters = _parameters(self._register, self._at_rest)
         return LayeredWavefronts(solver, LayerModes(solver.degree, self.sensor, self.field, modes), parameters)
 
@@ -266,7 +266,9 @@ class Reconstructor:
                 return Response(self.sensor, response)
             except ReconstructionError as error:
                 self.response_problem = f"mean gradients replace the response of the registration: {error}"
-        return MeanGradients(self.sensor, _parameters(self._register, self._at_rest))
+        method = self._register
+        found = method.alike if isinstance(method, GaussNewton) else _parameters(method, self._at_rest)
+        return MeanGradients(self.sensor, found)
 
     def _solver(self, basis: PupilBasis, count: int | None) -> ModalSolver:
         """Solver with that many pupil modes; if None with all that the lattice carries, and the smoothness prior."""

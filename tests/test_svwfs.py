@@ -20,6 +20,7 @@ from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, wait_until
 
 import svwfs
+from app.acquisition.start_up import knows_sample
 from app.bench.config import Bench
 from app.evaluation.simulated_frames import SimulatedFrames
 from app.images import read_image
@@ -316,7 +317,7 @@ def test_numbers_of_frames_and_rounds_are_whole(number: Any, bench: Bench, image
 
 def test_ctrl_c_ends_the_recording(bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with svwfs.live(bench, average=2) as live:
-        next(iter(live))
+        wait_until(lambda: knows_sample(live._acquisition))  # else the recording does not begin at once
 
         def interrupt(*_: object) -> None:
             raise KeyboardInterrupt

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.validity import Validity
 from app.bench.config import Bench, with_known
+from app.measurement.assumptions import mask_sentence
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.live_solver import Assumptions, LiveSolver
 from app.measurement.measurement import SKIPPED
@@ -57,6 +58,7 @@ class Status:
     reference_note: str
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
+    mask_note: str = ""  # which displacements the mask hides; empty if it shows all
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
 
     @property
@@ -142,6 +144,7 @@ class Instrument:
             reference_note=self.references.note(problem or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference or judged.sentence,
+            mask_note="" if self._reconstructor is None else mask_sentence(self._reconstructor),
             temperature_c=camera.temperature_c,
         )
 

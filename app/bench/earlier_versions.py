@@ -51,11 +51,15 @@ def replace_conserve_flux(tree: dict[str, Any], text: str, name: str, *, is_reco
 
 
 def neglected_propagation(text: str) -> str:
-    """Say that the version of a recorded bench neglected the propagation of light; empty if it was a later one."""
-    tree = tomllib.loads(text)
-    if "neglect_propagation" in tree["field"]:
+    """Say that the version of a recorded bench neglected the propagation of light; empty if not, or if unreadable."""
+    try:
+        tree = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return ""
+    field, registration = (tree.get(section, {}) for section in ("field", "registration"))
+    if not isinstance(field, dict) or not isinstance(registration, dict) or "neglect_propagation" in field:
         return ""
     sentence = "recorded by version 0.1 or 0.2 with neglected propagation of light, and reconstructed so again"
-    if tree.get("registration", {}).get(_FLUX, True):
+    if registration.get(_FLUX, True):
         return sentence
     return f"{sentence}, but conserving flux: registration.{_FLUX} = false is no longer offered"

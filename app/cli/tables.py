@@ -23,6 +23,7 @@ from app.results.replay.run import Replay
 from app.results.report.residual import Residual
 from app.results.rotation import ROTATES, rotation_of, rotation_sentence
 from app.results.uncertainty import rms_noise, rms_text
+from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Field
 from reconstruction.registration.circulation import Circulation
@@ -31,19 +32,21 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 def print_views(wavefront: Wavefront) -> None:
     """Print RMS with noise and PV of every view, arranged as in the field, what was assumed, and the lenslets."""
-    cells = (
-        (
-            f"{rms_text(float(rms(view)), noise)} / {peak_to_valley(view):.2f}"
-            for view, noise in zip(views, noises, strict=True)
-        )
-        for views, noises in zip(wavefront.views, rms_noise(wavefront).tolist(), strict=True)
-    )
-    _print_by_view(wavefront.field, "RMS +- noise / PV (rad) of the wavefront at each field position", cells)
+    noise_rad = rms_noise(wavefront)
+    cells = ((_cell(*each) for each in zip(*row, strict=True)) for row in zip(wavefront.views, noise_rad, strict=True))
+    _print_by_view(wavefront.field, "RMS +- noise and PV (rad) of the wavefront at each field position", cells)
     Console().print(lenslet_summary(wavefront))
     _print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
     if rotation is not None:
         _print_rotation(rotation, rotates=rotation.contradicts_layers)
+
+
+def _cell(view: Floats, noise_rad: float) -> str:
+    """RMS and PV of a view, rad; no PV if the wavefront is below the noise."""
+    rms_rad = float(rms(view))
+    text = rms_text(rms_rad, noise_rad)
+    return text if rms_rad < noise_rad else f"{text}\nPV {peak_to_valley(view):.2f}"
 
 
 def print_refinement(changes_rad: Sequence[float]) -> None:

@@ -243,9 +243,10 @@ class ControlsPanel(QFrame):
             shown.setText(texts[is_on])
             shown.setChecked(is_on)
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
+        about_reference = "\n".join(filter(None, (status.reference_note, status.mask_note)))
         for taken, validity, tool_tip, note in (
             (self.dark, status.dark, _DARK_TIP, status.dark_note),
-            (self.reference, status.reference, _REFERENCE_TIP, status.reference_note),
+            (self.reference, status.reference, _REFERENCE_TIP, about_reference),
         ):
             is_missing = validity == "missing"
             taken.setIcon(theme.validity_lamp(_LAMPS[validity], is_good=validity == "good", is_missing=is_missing))

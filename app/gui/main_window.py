@@ -136,6 +136,8 @@ class MainWindow(QMainWindow):
             self.controller.use(make_acquisition, begin, self._show_closing)
             self.replay.use(player)
             self.connect_devices()
+            if player is not None and player.notice:
+                self.messages.warn(player.notice)
 
         if not self.controller.light.ask_off(connect):
             connect()

@@ -18,12 +18,16 @@ from app.gui import theme
 from app.gui.timing_row import TimingRow, timing_table
 from app.gui.widgets import colour_text, column, label, row
 from app.gui.wording import lenslet_summary
+from app.measurement.assumptions import sample_sentence
 from app.measurement.live_solver import RefinementState
 from app.timing import Timings
 from reconstruction.displacement import Displacement
+from reconstruction.layers.layered_wavefront import FREE
 
 _VALID = "Lenslets whose subimage matches the reference"
 _CORRECTION = "Age of the correction of systematic errors"
+_SAMPLE = "What is assumed of the sample; layers are searched for in the background"
+_LAYERS = ("any", "1 layer", "2 layers")
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
 _SHOWN = "Frames drawn in this window: the newest one, up to 25 times a second"
 _WINDOW_S = 1.0  # over which rate and delay are taken
@@ -51,14 +55,15 @@ class StatusLine(QWidget):
             self.timing_row, row((line, 1), self.simulated, self.devices), spacing=2, parent=self
         ).setContentsMargins(10, 0, 10, 2)
         count, time_s = "00000", "0000.0 ms"
-        self.acquired = line.add("acquired", "Frames read from the camera", widest=count, importance=7)
-        self.reconstructed = line.add("reconstructed", "Frames with a wavefront", widest=count, importance=6)
-        self.shown_count = line.add("shown", _SHOWN, widest=count, importance=8)
+        self.acquired = line.add("acquired", "Frames read from the camera", widest=count, importance=8)
+        self.reconstructed = line.add("reconstructed", "Frames with a wavefront", widest=count, importance=7)
+        self.shown_count = line.add("shown", _SHOWN, widest=count, importance=9)
         self.lost = line.add("lost", "Frames that the camera overwrote before they were read", widest="0", importance=2)
         self.rate = line.add("frames/s", "Frames acquired per second", widest="00.0", importance=1)
-        self.delay = line.add("delay", _DELAY, widest=time_s, importance=4)
-        self.age = line.add("frame age", "Time since the exposure of the shown frame", widest=time_s, importance=5)
+        self.delay = line.add("delay", _DELAY, widest=time_s, importance=5)
+        self.age = line.add("frame age", "Time since the exposure of the shown frame", widest=time_s, importance=6)
         self.valid = line.add("valid", _VALID, widest="000 of 000", importance=0)
+        self.sample = line.add("sample", _SAMPLE, widest="searching", importance=4)
         self.correction = line.add("correction", _CORRECTION, widest="computing", importance=3)
 
     def count(self, measurement: Measurement) -> None:
@@ -100,6 +105,7 @@ class StatusLine(QWidget):
         self.delay.setText(_duration(median(delay_s for _, _, delay_s in self._recent)))
         self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
+        self._show_sample(last, "" if status is None else status.mask_note)
         self._show_correction(last.assumed.refinement)
         self.row.fit()
 
@@ -114,6 +120,14 @@ class StatusLine(QWidget):
         self.valid.setText(text)
         self.valid.setToolTip(tool_tip)
         colour_text(self.valid, colour)
+
+    def _show_sample(self, measurement: Measurement, mask_note: str) -> None:
+        sample, text, told = measurement.assumed.sample, "\N{EN DASH}", ""
+        if measurement.wavefront is not None:
+            text = "searching" if sample is None else _LAYERS[len(sample.ratios)]
+            told = f"Assumed: {sample_sentence(sample or FREE, measurement.wavefront.field)}"
+        self.sample.setText(text)
+        self.sample.setToolTip("\n".join(filter(None, [_SAMPLE, told, mask_note])))
 
     def _show_correction(self, refinement: RefinementState) -> None:
         change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"

@@ -14,14 +14,18 @@ from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.display_menu import DisplayMenu
 from app.gui.enlarged_view import EnlargedView
-from app.gui.presentation import PRESENTATIONS, Presentation, place
+from app.gui.presentation import PRESENTATIONS, Presentation, number, place
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, button, colour_text, column, label, row_of, toggle
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
+from app.results.uncertainty import rms_noise
 from app.results.view_analysis import Analysis, Quantity
 from reconstruction.arrays import Floats
 from reconstruction.quality.row_alignment import aligned
+from reconstruction.refinement import mean_rms
 from reconstruction.wavefront import Wavefront
+
+_WEAK_RAD = 0.1  # mean RMS from which on noise is not looked at: it takes some milliseconds
 
 
 class WavefrontPanel(QWidget):
@@ -130,10 +134,23 @@ class WavefrontPanel(QWidget):
                 }
             )
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
-        parts = (self.menu.options.in_words, reach, presentation.summary(maps, self.menu.unit))
+        summary = self._below_noise() or presentation.summary(maps, self.menu.unit)
+        parts = (self.menu.options.in_words, reach, summary)
         self._summary.setText("; ".join(filter(None, parts)))
         if self._enlarged is not None:
             self._enlarged.update_text()
+
+    def _below_noise(self) -> str:
+        """Say that the shown wavefront cannot be told from a flat one; empty if it can, or is no single frame's."""
+        options = self.menu.options
+        is_single = self.quantity is Quantity.WAVEFRONT and options.averaged == 1 and options.stored is None
+        if self._newest is None or not is_single or not mean_rms(self._newest.views) < _WEAK_RAD:
+            return ""
+        noise_rad = float(np.sqrt(np.nanmean(rms_noise(self._newest) ** 2)))
+        if mean_rms(self._newest.views) >= noise_rad:
+            return ""
+        unit = self.menu.unit
+        return f"mean RMS below noise ({number(noise_rad * unit.per_rad(self._newest.sensor.wavelength_m))} {unit})"
 
     def enlarge(self) -> None:
         """Show the selected view in a window of its own."""

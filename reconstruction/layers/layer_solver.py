@@ -26,8 +26,9 @@ _PRIOR_EXPONENT = 5.0  # as in `solve.modal`
 _LEAST_LENSLETS = 9
 _REMEMBERED_BYTES = 1e8  # of design matrices
 # Systematic error: share of the displacement in one parameter of the warp that appears in another one, or is missing in
-# itself, alike for all lenslets of a frame. Fitted to the distances in noise-free frames (docs/layers.md).
-_SYSTEMATIC_SHARE = 0.002
+# itself, alike for all lenslets of a frame. What the mask hides of a displacement shows in the others to second order.
+# Fitted to the distances in frames without and with noise (docs/layers.md).
+_SYSTEMATIC_SHARE, _SHARE_PER_HIDDEN = 0.0006, 0.0005
 
 
 def prior_scale(degree: int) -> Floats:
@@ -52,12 +53,17 @@ class LayerSolver:
         Of the displacements.
     free : ModalSolver
         Fits the same displacements without assuming layers.
+    hidden : int
+        Number of displacements of a lenslet that the mask does not show.
     """
 
-    def __init__(self, sensor: Sensor, field: Field, field_modes: FieldModes, free: ModalSolver) -> None:
+    def __init__(
+        self, sensor: Sensor, field: Field, field_modes: FieldModes, free: ModalSolver, hidden: int = 0
+    ) -> None:
         if field_modes.count < 2:
             raise ReconstructionError("the distance of a layer needs displacements that change over the field")
         self.free, self.errors = free, free.errors
+        self._systematic_share = _SYSTEMATIC_SHARE + _SHARE_PER_HIDDEN * hidden
         self.degree = min(min(sensor.lenslet_rows, sensor.lenslet_columns) + _MORE_THAN_LENSLETS, _HIGHEST_DEGREE)
         self._design = LayerDesign(sensor, field, field_modes, free.errors)
         self.footprint_m = self._design.footprint_m
@@ -86,7 +92,7 @@ class LayerSolver:
         colour = self.errors.colour
         per_px = np.linalg.solve(colour.transpose(0, 2, 1), influence[..., None])[..., 0]
         per_error = np.einsum("nlk,lj->nkj", per_px, np.matvec(colour, explained))
-        return np.asarray(_SYSTEMATIC_SHARE**2 * np.einsum("nkj,mkj->nm", per_error, per_error))
+        return np.asarray(self._systematic_share**2 * np.einsum("nkj,mkj->nm", per_error, per_error))
 
 
 class FrameEquations:

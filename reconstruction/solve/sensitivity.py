@@ -38,6 +38,7 @@ class MeanGradients:
     """Mean gradients of a wavefront over each lenslet, the same for all field modes."""
 
     def __init__(self, sensor: Sensor, parameters: Floats) -> None:
+        """`parameters` (K, 2Q) found for a displacement (x modes, y modes)."""
         self._sensor = sensor
         self._along = parameters.reshape(len(parameters), 2, -1) / sensor.slope_per_px  # (K, xy, field_mode)
 

@@ -77,12 +77,13 @@ def relative_error(bench: Bench, method: str) -> float:
     return float(np.mean(rms(views - made.truth)) / np.mean(rms(made.truth)))
 
 
-@pytest.mark.parametrize("method", ["zonal", "modal"])
-def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str) -> None:
+@pytest.mark.parametrize(("method", "mask"), [("zonal", "checkerboard"), ("modal", "square")])
+def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str, mask: str) -> None:
     """The issue allows 1.2 times; the paper's bench reaches 0.85 and 0.93 (docs/hexagonal.md)."""
 
     def mean_error(*settings: str) -> float:
-        benches = [load_bench("small_demo", (f"simulation.seed={seed}", *settings)) for seed in (1, 2)]
+        of_mask = f"simulation.source.mask='{mask}'"
+        benches = [load_bench("small_demo", (f"simulation.seed={seed}", of_mask, *settings)) for seed in (1, 2)]
         return float(np.mean([relative_error(bench, method) for bench in benches]))
 
     square, hexagonal = mean_error(), mean_error(*HEXAGONAL)
@@ -96,9 +97,9 @@ def test_layer_is_found_where_the_screen_is() -> None:
     lattice = nominal_lattice(bench.sensor, *made.reference.shape)
     prepared = bench.reconstructor(made.reference, lattice=lattice, dark=made.dark)
     wavefront = prepared(made.frames[0])
-    fit = prepared.layer(wavefront.displacement, 0.195 / 0.2)
-    away = prepared.layer(wavefront.displacement, -0.5)
-    assert fit.misfit < 0.5 * away.misfit
+    equations = prepared.layers(wavefront.displacement)
+    fit, away = equations.fit(-0.195 / 0.2), equations.fit(0.195 / 0.2)
+    assert fit.quality.misfit < 0.2 * away.quality.misfit
     phase = fit.wavefront(bench.sensor, 0.5e-3, -0.5e-3)
     truth = made.truth[0, 2]
     assert rms(phase - truth) < 0.05 * rms(truth)

@@ -220,18 +220,23 @@ def make_measurement(
         outcome,
         *np.zeros((3, *shape)),
     )
-    wavefront = Wavefront(SENSOR, FIELD, displacement, _NoSolution(), views, FREE)
+    wavefront = Wavefront(SENSOR, FIELD, displacement, _NoSolution(shape), views, FREE)
     return Measurement(
         make_frame(pixels, index=index), wavefront, "", FrameTotals(index + 1, index + 1, 0), time.perf_counter(), 0.004
     )
 
 
 class _NoSolution:
+    """A wavefront without errors."""
+
+    def __init__(self, lenslets: tuple[int, ...]) -> None:
+        self._lenslets = lenslets
+
     def wavefront(self, field_modes: Floats) -> Floats:
         raise NotImplementedError
 
     def sigma(self, field_modes: Floats) -> Floats:
-        raise NotImplementedError
+        return np.zeros((*field_modes.shape[:-1], *self._lenslets))
 
 
 def _squares(shape: tuple[int, int], lattice: Lattice, strength: float) -> Floats:

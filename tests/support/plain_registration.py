@@ -1,7 +1,7 @@
 """Reference registration in plain NumPy and SciPy, to compare the fast one with.
 
 The residual gain I1(x + d) + offset - I0 is made orthogonal to the steepest-descent images T_q dI0/dx, T_q dI0/dy, I0
-and 1, all pixels of the window weighted alike, by Gauss-Newton steps from zero. In the paper's world, which conserves
+and 1, all pixels weighted alike, by Gauss-Newton steps from zero. In the paper's world, which conserves
 flux, the displaced light is multiplied by det(1 + dd/dx), and the images are d(I0 T_q)/dx and d(I0 T_q)/dy.
 """
 
@@ -16,7 +16,6 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor
 
 _ORDERS = [(degree - n, n) for degree in range(5) for n in range(degree + 1)]  # degrees along x, along y
-_MARGIN_BLURS = 1.3
 _STEP_PX = 1e-3  # of numerical derivatives
 _STEPS = 40
 
@@ -29,13 +28,15 @@ def plain_registration(
     lattice: Lattice,
     field: Field,
     field_modes: int,
+    offset_px: Floats,
     rotation: bool = True,
 ) -> Floats:
-    """Coefficients c_q, px, (lenslet_row, lenslet_column, field_mode, xy); without `rotation`, of a gradient."""
+    """Coefficients c_q, px, (lenslet_row, lenslet_column, field_mode, xy); without `rotation`, of a gradient.
+
+    From the pixels at `offset_px` (pixel, xy) from each lenslet's centre, along the lattice.
+    """
     half_width_px = field.half_width_px(sensor)
-    blur_px = sensor.wavelength_m * sensor.lenslet_focal_length_m / sensor.lenslet_pitch_m / sensor.pixel_pitch_m
-    reach = int(half_width_px + _MARGIN_BLURS * blur_px)
-    y, x = (grid.ravel().astype(float) for grid in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    x, y = offset_px.T
     cosine, sine = np.cos(lattice.rotation_rad), np.sin(lattice.rotation_rad)
     orders = _ORDERS[:field_modes]
 

@@ -11,8 +11,10 @@ from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.geometry import Field, Sensor, centered_steps
 from reconstruction.layers.layer_solver import LayerSolver
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
-from reconstruction.solve.expected_errors import ExpectedErrors
-from reconstruction.solve.sensitivity import geometric_sensitivity
+from reconstruction.modes.layered_modes import layered_wavefronts
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.sensitivity import MeanGradients
 
 SENSOR = Sensor(
     lenslet_rows=7,
@@ -55,13 +57,14 @@ def displacements_px(phase: Floats, ratio: float) -> Floats:
     return found * 1e3 / SENSOR.slope_per_px
 
 
-def solver(modes: LegendreModes = MODES) -> LayerSolver:
+def solver(modes: LegendreModes = MODES, hidden: int = 0) -> LayerSolver:
     parameters = gradient_basis(modes)
     variance = np.full((SENSOR.lenslet_rows, SENSOR.lenslet_columns, modes.count, 2), NOISE_PX**2)
-    everywhere = np.ones(variance.shape[:2], np.bool_)
-    sensitivity = geometric_sensitivity(SENSOR, parameters)
-    errors = ExpectedErrors(sensitivity, parameters, diagonal_covariance(variance), everywhere)
-    return LayerSolver(SENSOR, FIELD, modes, errors)
+    smooth = pupil_modes(SENSOR, "legendre", None)
+    layered = layered_wavefronts(SENSOR, smooth, modes, parameters)
+    covariance, sensitivity = diagonal_covariance(variance), MeanGradients(SENSOR, parameters)
+    free = ModalSolver(smooth, sensitivity, parameters, covariance, layered=layered, field_degree=modes.degree)
+    return LayerSolver(SENSOR, FIELD, modes, free, hidden)
 
 
 def displacement(coefficients: Floats, *, lost: int = 0) -> Displacement:

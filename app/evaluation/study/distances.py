@@ -13,7 +13,6 @@ from app.evaluation.study.camera_noise import camera
 from app.evaluation.study.estimators import WarpEstimator
 from app.evaluation.study_kinds import TrialStudy, trial
 from app.progress import Progress, part
-from app.results.layers.dataset import distances_and_sigma_m
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_search import find_layers
 from simulated_devices.settings import Mask
@@ -47,7 +46,8 @@ def _of_mask(bench: Bench, seeds: range, progress: Progress) -> Iterator[CaseRes
         try:
             displacement = reconstructor.register(em_camera.exposed(frame.photons * scale, seed, 0))
             search = find_layers(reconstructor.layers(displacement))
-            (found_m,), (sigma_m,) = distances_and_sigma_m(search.one.layers, "lenslets", bench)
+            (layer,), focal_length_m = search.one.layers, bench.field.collimator_focal_length_m
+            found_m, sigma_m = -layer.ratio * focal_length_m, layer.ratio_sigma * focal_length_m
         except ReconstructionError as error:
             problem = str(error)
         measured = {

@@ -49,7 +49,8 @@ def _of_result(path: Path, frame: int) -> tuple[Bench, FrameEquations]:
 def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
     sensor, coefficients = bench.sensor, results["coefficients"].values
     modes: PolynomialModes = (ZernikeModes if bench.field.shape == "circle" else LegendreModes)(coefficients.shape[1])
-    parameters = _shown(results, gradient_basis(modes))
+    gradients = gradient_basis(modes)
+    parameters = _shown(results, gradients)
     sensitivity = MeanGradients(sensor, parameters)
     basis = pupil_modes(sensor, bench.reconstruction.basis, len(coefficients))
     of_lenslets = np.einsum("lkpq,pq->lk", sensitivity(basis, slice(None)), coefficients[1:]) @ parameters
@@ -68,7 +69,7 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
     smooth = pupil_modes(sensor, "legendre", None)
     layered = layered_wavefronts(sensor, smooth, modes, parameters)
     free = ModalSolver(smooth, sensitivity, parameters, variance, layered=layered, field_degree=modes.degree)
-    return LayerSolver(sensor, bench.field, modes, free)(displacement)
+    return LayerSolver(sensor, bench.field, modes, free, len(gradients) - len(parameters))(displacement)
 
 
 def _shown(results: xr.Dataset, gradients: Floats) -> Floats:

@@ -7,6 +7,7 @@ from pathlib import Path
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
+from app.bench.earlier_versions import neglected_propagation
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
@@ -20,8 +21,8 @@ from drivers.interface import Devices, Frame, WrongState
 class Player:
     """Opens devices that play a recording, and sets the calibration of each frame.
 
-    `position` is that of the newest frame in `frames`, the played indices; None before the first. Any thread may call
-    `show_frame` and `set_speed`.
+    `position` is that of the newest frame in `frames`, the played indices; None before the first. `notice` says that
+    the recording is of an earlier version. Any thread may call `show_frame` and `set_speed`.
     """
 
     def __init__(
@@ -30,6 +31,7 @@ class Player:
         """Use another `bench`, or changed `settings` of the recorded one, if given."""
         self._recording = Recording(folder)
         self.folder, self.frames = folder, self._recording.select(frames)
+        self.notice = neglected_propagation(str(self._recording.run["bench"])) if bench is None and not settings else ""
         self.position: int | None = None
         self._speed = 1.0
         self._change = change_of(None if bench is None else load_bench(bench, settings), settings)

@@ -63,7 +63,8 @@ class GaussNewton:
         self._start = prepare_template(
             reference, LegendreModes(1), np.outer(coarse, coarse), conserve_flux=conserve_flux, basis=np.eye(2)
         )
-        basis, pixels = visible_warp(
+        # From any displacement (x modes, y modes) to the parameters found for it, (K, 2Q): of the one that looks alike.
+        basis, self.alike, pixels = visible_warp(
             reference, modes, np.outer(near, near), conserve_flux=conserve_flux, rotation=rotation
         )
         self._warp = prepare_template(

@@ -21,7 +21,7 @@ _SCATTER = 1.002
 
 def visible_warp(
     reference: ReferenceSubimages, modes: PolynomialModes, pixels: Mask, *, conserve_flux: bool, rotation: bool
-) -> tuple[Floats, Mask]:
+) -> tuple[Floats, Floats, Mask]:
     """Find what the mean subimage shows of a warp with some field modes on some pixels (width, width).
 
     Without `rotation` the displacement is the gradient of a potential over the field. Of displacements that look
@@ -31,6 +31,8 @@ def visible_warp(
     -------
     basis : (K, 2Q)
         Orthonormal displacements (x modes, y modes) that are shown.
+    alike : (K, 2Q)
+        From any displacement to the parameters of the one that stands for it.
     pixels : (width, width)
         Those that tell most of them.
     """
@@ -41,13 +43,14 @@ def visible_warp(
     shown = normal[:-2, :-2] - normal[:-2, -2:] @ np.linalg.solve(normal[-2:, -2:], normal[-2:, :-2])
     certainty, vectors = np.linalg.eigh(shown)
     kept = certainty > certainty[-1] / _BLIND**2
-    combined = np.eye(len(certainty))
+    combined = alike = np.eye(len(certainty))
     if not kept.all():
         roughness = (possible * np.tile(_ROUGHER ** (2 * modes.degree), 2)) @ possible.T
         combined = np.linalg.qr(np.linalg.solve(roughness, vectors[:, kept]))[0].T  # with what does not show
+        alike = np.linalg.solve(vectors[:, kept].T @ combined.T, vectors[:, kept].T)
     chosen = pixels.copy()
     chosen[pixels] = _informative(np.concatenate([combined @ descent[:-2], descent[-2:]]), weight)
-    return np.asarray(combined @ possible), chosen
+    return combined @ possible, alike @ possible, chosen
 
 
 def _mean_descent(

@@ -4,7 +4,7 @@ A warp is a pair of quartic polynomials, for x and for y, of the normalised posi
 pixels v is constant, so that a few operations per pixel remain.
 """
 
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class Window(NamedTuple):
     u: Image  # of the pixels along their rows, (N,)
 
 
-def window_of(pixels: NDArray[np.bool_], steps: Floats) -> Window:
+def window_of(pixels: NDArray[np.bool_], steps: NDArray[np.floating[Any]]) -> Window:
     """Window of some pixels (row, column); `steps` are the normalised positions of columns, and of rows."""
     rows = pixels.any(axis=1)
     first = np.concatenate([[0], np.cumsum(pixels[rows].sum(axis=1))]).astype(np.intp)

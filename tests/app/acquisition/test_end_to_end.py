@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,11 +11,11 @@ from support.patience import HANG_S, wait_until
 
 from app.acquisition.devices import open_devices, simulated_bench
 from app.acquisition.instrument import Instrument
-from app.acquisition.start_up import start_up
+from app.acquisition.start_up import knows_sample, start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import load_bench
 from app.evaluation.noise_free import NoiseFreeFrames
-from reconstruction.wavefront import rms
+from reconstruction.wavefront import Wavefront, rms
 from simulated_devices.camera import SimulatedCamera
 
 FRAMES = 32  # at least
@@ -32,32 +33,30 @@ def test_live_wavefronts_match_truth_without_loss() -> None:
     try:
         for step in start_up(acquisition, 5):
             step.result(HANG_S)
-        wait_until(lambda: acquisition.counts.acquired >= FRAMES)
-        seen = acquisition.submit(lambda instrument: _states(instrument, measurements)).result(HANG_S)
+        wait_until(lambda: knows_sample(acquisition))
+        begin = acquisition.counts.acquired
+        wait_until(lambda: acquisition.counts.acquired >= begin + FRAMES)
+        newest = acquisition.submit(lambda instrument: _with_states(instrument, measurements[-FRAMES:])).result(HANG_S)
     finally:
         acquisition.close()
     assert acquisition.failure == ""
-    assert len(set(seen)) > 1  # the screen has drifted
+    assert len({state for _, state in newest}) > 1  # the screen has drifted
     counts = measurements[-1].counts
     assert counts.lost == 0
     assert counts.reconstructed == counts.acquired == len(measurements)
-    renderer = NoiseFreeFrames(bench).renderer
-    truths = {state: renderer.truth_wavefront(state) for state in set(seen)}
-    residual = [
-        rms(measurement.wavefront.views - truths[state]).mean()
-        for measurement, state in zip(measurements, seen, strict=False)
-        if measurement.wavefront is not None
-    ]
+    truth = cache(NoiseFreeFrames(bench).renderer.truth_wavefront)
+    residual = [rms(wavefront.views - truth(state)).mean() for wavefront, state in newest]
+    assert all(wavefront.sample.ratios for wavefront, _ in newest)  # else the square does not show its wavefront
     assert all(
         np.all(measurement.wavefront.displacement.valid) for measurement in measurements if measurement.wavefront
     )
     assert np.mean(residual) < 0.07
 
 
-def _states(instrument: Instrument, measurements: list[Measurement]) -> list[int]:
-    """State of the sample in every measured frame; these are all, as the camera is stopped."""
+def _with_states(instrument: Instrument, measurements: list[Measurement]) -> list[tuple[Wavefront, int]]:
+    """Wavefront of each measurement, and the state of the sample."""
     camera = instrument.devices.camera
     assert isinstance(camera, SimulatedCamera)
-    states = [camera.state_of_frame(measurement.frame.index) for measurement in measurements]
+    states = [(measurement.wavefront, camera.state_of_frame(measurement.frame.index)) for measurement in measurements]
     camera.stop()  # a last frame might be taken in the dark while the acquisition closes
-    return [state for state in states if state is not None]
+    return [(wavefront, state) for wavefront, state in states if wavefront is not None and state is not None]

@@ -207,10 +207,10 @@ def test_changes_make_dark_and_reference_stale(
 
 
 @pytest.mark.parametrize("level", [0.03, 0.5, 2.0])
-def test_reference_is_valid_at_any_brightness(small_bench: SmallBench, level: float) -> None:
+def test_reference_is_valid_at_any_brightness(paper_bench: SmallBench, level: float) -> None:
     """A changed current therefore does not make it stale."""
-    frame, truth_px = small_bench.tilted(4000.0, 1500.0)
-    reconstructor = small_bench.reconstructor(registration=RegistrationSettings(warp="quadratic"))
+    frame, truth_px = paper_bench.tilted(4000.0, 1500.0)
+    reconstructor = paper_bench.reconstructor(registration=RegistrationSettings(warp="quadratic"))
     as_taken, brighter = (reconstructor.register((frame * each).astype(np.float32)) for each in (1.0, level))
     assert brighter.valid.all()
     np.testing.assert_allclose(brighter.coefficients, as_taken.coefficients, atol=1e-4)

@@ -132,6 +132,8 @@ def test_recorded_bench_of_version_0_2_neglects_propagation_and_says_so() -> Non
     assert (bench.field.neglect_propagation, bench.reconstruction.sample) == (True, "free")
     assert "neglected propagation" in neglected_propagation(MINIMAL)
     assert "conserve_flux = false is no longer offered" in neglected_propagation(with_flux("false"))
+    for damaged in ("[", "field = 3", "registration = 3"):
+        assert neglected_propagation(damaged) == ""
 
 
 @pytest.mark.parametrize("settings", [(), ("field.neglect_propagation=true", "reconstruction.sample=layers")])

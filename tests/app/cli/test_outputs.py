@@ -176,7 +176,7 @@ def test_names_of_files_need_not_be_text(
 ) -> None:
     here = os.fsdecode(b"\xff")
     assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", here) == 0
-    assert capsys.readouterr().out.endswith(" are in \\udcff\n")
+    assert " are in \\udcff\n" in capsys.readouterr().out
     shutil.copyfile("bench.toml", f"{here}/bench{here}.toml")
     Path(here, "frame.tif").rename(f"{here}/frame{here}.tif")
     inputs = ("--reference", f"{here}/reference.tif", "--bench", f"{here}/bench{here}.toml")

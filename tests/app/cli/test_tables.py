@@ -27,7 +27,8 @@ def test_scatter_is_printed_only_of_several_frames(frames: int, capsys: pytest.C
     assert f"{'1 frame' if frames == 1 else '2 frames'}, 0 lost" in printed
 
 
-def test_rms_below_its_noise_is_no_number(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rms_below_its_noise_is_no_number(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
     bench = load_bench("small_demo")
     mean = np.full((bench.field.view_rows, bench.field.view_columns), 1e-8)
     mean[0, 0] = 0.5

@@ -11,7 +11,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, SENSOR
-from support.wavefronts import bowl
+from support.wavefronts import bowl, modal
 from support.window_tools import MakeWindow, click, part, picture, press
 
 from app.gui.enlarged_view import EnlargedView
@@ -194,3 +194,18 @@ def test_columns_of_hexagonal_maps_are_straight(make_window: MakeWindow) -> None
     half_m = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m
     np.testing.assert_allclose(maps.values[1, 1, :, -1], 1e3 * half_m, rtol=1e-6)
     assert maps.reach[0] == pytest.approx(1e3 * half_m)
+
+
+def test_rms_below_its_noise_is_no_number(make_window: MakeWindow) -> None:
+    panel = make_window().wavefront_panel
+    coefficients = np.zeros((10, 3))
+    coefficients[4, 0] = 1e-5
+    for tilt_rad, is_below in ((1e-5, True), (1.0, False)):
+        coefficients[1, 0] = tilt_rad
+        wavefront = modal(coefficients)
+        panel.show_wavefront(wavefront)
+        panel.update_text()
+        noise_rad = float(np.sqrt(np.mean(wavefront.sigma() ** 2)))
+        below = f"mean RMS below noise ({number(noise_rad)} rad)"
+        assert (panel._summary.text() == below) == is_below
+        assert panel._summary.text().startswith("mean RMS")

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QRect, Qt
 from PyQt6.QtGui import QFont
@@ -31,6 +32,7 @@ from app.gui.status_line import FittingRow, StatusLine
 from app.gui.theme import apply_theme
 from app.measurement.live_solver import Assumptions, RefinementState
 from app.measurement.measurement import FrameTotals
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 
 LONG = "the recording ended early, 1203 frames are saved: the disk is full, free some space and start another recording"
 
@@ -167,9 +169,20 @@ def test_least_important_numbers_are_hidden_first(qtbot: QtBot) -> None:
     line.count(replace(make_measurement(dim_frame(), views()), counts=FrameTotals(1234567, 1204567, 30123)))
     line.update_text(None, None)
     row = line.row
-    order = ["shown", "acquired", "reconstructed", "frame age", "delay", "correction", "lost", "frames/s", "valid"]
+    order = [
+        "shown",
+        "acquired",
+        "reconstructed",
+        "frame age",
+        "delay",
+        "sample",
+        "correction",
+        "lost",
+        "frames/s",
+        "valid",
+    ]
     seen = set()
-    for width in range(1200, 100, -20):
+    for width in range(1400, 100, -20):
         line.resize(width, 40)
         seen.add(len(row.hidden_names))
         assert set(row.hidden_names) == set(order[: len(row.hidden_names)])
@@ -241,3 +254,20 @@ def test_escape_closes_only_the_help(make_window: MakeWindow, qtbot: QtBot) -> N
     press(qtbot, dialog, Qt.Key.Key_Escape)
     assert not dialog.isVisible()
     assert window.isVisible()
+
+
+@pytest.mark.parametrize(
+    ("sample", "text", "told"),
+    [
+        (None, "searching", "any wavefront"),
+        (FREE, "any", "any wavefront"),
+        (AssumedSample((-0.975,), np.array([[0.005**2]])), "1 layer", "one layer 195 +- 1 mm in front of the lenslets"),
+    ],
+)
+def test_assumed_sample_is_shown(qtbot: QtBot, sample: AssumedSample | None, text: str, told: str) -> None:
+    line = StatusLine()
+    qtbot.addWidget(line)
+    line.count(replace(make_measurement(dim_frame(), views()), assumed=Assumptions(sample)))
+    line.update_text(None, None)
+    assert line.sample.text() == text
+    assert f"Assumed: {told}" in line.sample.toolTip()

@@ -47,6 +47,8 @@ def test_results_have_documented_names_dimensions_and_units(dataset: xr.Dataset,
         "global_error_view": ("view_row", "view_column"),
         "isoplanatic_patch": (),
         "slope_chi_square": (),
+        "assumed_layers": (),
+        "layer_distance": ("layer",),
     }
     for name, names in dimensions.items():
         assert read[name].dims == names
@@ -61,6 +63,7 @@ def test_results_have_documented_names_dimensions_and_units(dataset: xr.Dataset,
         "frequency_x": 55,
         "frequency_y": 43,
         "separation": 8,
+        "layer": 2,
     }
     units = {"wavefront": "rad", "coefficients": "rad", "displacement": "px", "view_x": "m", "pupil_y": "m"}
     assert {name: read[name].attrs["units"] for name in units} == units

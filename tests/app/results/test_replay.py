@@ -21,12 +21,15 @@ from app.bench.config import write_bench
 from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, Interrupted, RunError
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
+from app.recording.assumed_samples import assumed_sample
 from app.recording.reader import Recording
+from app.recording.reprocess import reprocess
 from app.recording.writer import Record, RecordingWriter
 from app.results import dataset
-from app.results.replay.run import Replay, replay
+from app.results.replay.run import Replay, change_of, replay
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.pipeline import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import ReconstructionSettings
@@ -35,12 +38,15 @@ from reconstruction.wavefront import rms
 FRAMES = 6
 
 
-@pytest.fixture(scope="module", params=["plain", "refined"])
+LAYERS = ("reconstruction.sample=layers", "reconstruction.pupil_modes=automatic")
+
+
+@pytest.fixture(scope="module", params=["plain", "refined", "layered", "layered-refined"])
 def recording(request: pytest.FixtureRequest, small_toml: Path, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     folder = tmp_path_factory.mktemp("recording") / request.param
-    if request.param == "plain":
-        return record(small_toml, folder, frames=FRAMES)
-    return record(small_toml, folder, "reconstruction.refine=true", frames=FRAMES)
+    refine = f"reconstruction.refine={str('refined' in request.param).lower()}"
+    layers = LAYERS if "layered" in request.param else ()
+    return record(small_toml, folder, refine, *layers, frames=FRAMES)
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +75,11 @@ def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
 @pytest.mark.parametrize("frames", [":", "4:"])
 def test_replay_is_bit_identical(recording: Recording, tmp_path: Path, frames: str) -> None:
     """Also from the middle, where the starting point comes from the recording."""
-    is_refined = recording.folder.name == "refined"
+    is_refined = "refined" in recording.folder.name
     assert (recording.line(5).bias is not None) == is_refined
+    sample = recording.line(5).sample
+    assert sample is not None
+    assert bool(sample.ratios) == ("layered" in recording.folder.name)
     made = replayed(recording.folder, verify=True, frames=frames, out=tmp_path / "r.nc")
     assert made.verification is not None
     first = int(frames.partition(":")[0] or 0)
@@ -90,6 +99,42 @@ def test_command_reports_the_verification(
 ) -> None:
     assert run(monkeypatch, "replay", plain.folder, "--verify") == 0
     assert "8 frames, each bit-identical to what was recorded" in capsys.readouterr().out
+
+
+def test_other_settings_search_in_the_first_frame_of_a_block(plain: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[Displacement] = []
+    original = Reconstructor.find_sample
+
+    def noted(self: Reconstructor, displacement: Displacement) -> AssumedSample:
+        searched.append(displacement)
+        return original(self, displacement)
+
+    monkeypatch.setattr(Reconstructor, "find_sample", noted)
+    monkeypatch.setattr("app.recording.reprocess.BLOCK_FRAMES", 3)
+    made = list(reprocess(plain, [1, 2, 3, 4, 7], change_of(None, LAYERS)))
+    samples = [each.wavefront.sample for each in made if each.wavefront is not None]
+    assert searched == [made[at].registered for at in (0, 2, 4)]
+    assert samples[0] is samples[1] is not samples[2] is samples[3] is not samples[4]
+    assert all(sample.ratios for sample in samples)
+    searched.clear()
+    assert replayed(plain.folder, verify=True).assumed
+    assert not searched  # with the recorded settings
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [
+        {"ratios": [0.5, 0.5], "covariance": None},
+        {"ratios": [1e300], "covariance": None},
+        {"ratios": [0.1, 0.2, 0.3], "covariance": None},
+        {"ratios": [0.1], "covariance": [[1.0, 2.0]]},
+        {"ratios": [0.1], "covariance": []},
+    ],
+)
+def test_impossible_sample_is_refused(mine: Recording, sample: dict[str, Any]) -> None:
+    edit_line(mine, 2, sample=sample)
+    with pytest.raises(InputError, match="the line of frame 2 is damaged: layers at the ratios"):
+        replayed(mine.folder)
 
 
 @pytest.mark.parametrize("threads", [1, 5])
@@ -169,7 +214,8 @@ def test_other_method_is_compared(recording: Recording, tmp_path: Path) -> None:
             line = recording.line(index)
             bias = None if line.bias is None else recording.bias(line.bias)
             registered = modal.register(recording.pixels(index))
-            views = modal.solve(registered, bias=bias).views, zonal.solve(registered, bias=bias).views
+            sample = FREE if line.sample is None else assumed_sample(line.sample)
+            views = modal.solve(registered, bias=bias, sample=sample).views, zonal.solve(registered, bias=bias).views
             then.append(rms(views[0]))
             now.append(rms(views[1]))
             apart.append(rms(views[1] - views[0]))
@@ -193,7 +239,7 @@ def test_other_registration_drops_the_refinement_with_notice(
     assert run(monkeypatch, "replay", recording.folder, "--set", "registration.warp=affine") == 0
     said = capsys.readouterr().out
     assert (f"{FRAMES} frames refined when recorded, but not with this bench" in said) == (
-        recording.folder.name == "refined"
+        "refined" in recording.folder.name
     )
     assert f"mean of {FRAMES} frames" in said
     assert "bit-identical" not in said

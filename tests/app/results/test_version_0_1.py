@@ -41,7 +41,9 @@ def test_bench_of_0_1_loads_with_all_its_settings() -> None:
     assert then["registration"].pop("conserve_flux")
     assert now["field"]["neglect_propagation"]
     for table, settings in then.items():
+        screen = settings.pop("screen", {})
         assert now[table] == now[table] | settings
+        assert now[table].get("screen", {}).items() >= screen.items()
 
 
 def as_in_0_1(bench: Bench) -> Bench:

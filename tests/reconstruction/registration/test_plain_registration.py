@@ -9,6 +9,7 @@ from support.plain_registration import plain_registration
 
 from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement
+from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.settings import FIELD_MODES, RegistrationSettings, Warp
 
@@ -40,10 +41,15 @@ def _random_frame(bench: SmallBench, seed: int) -> Image:
     return np.asarray(frame + rng.normal(0, 0.01 * frame.max(), frame.shape), np.float32)
 
 
-def _found(bench: SmallBench, frame: Image, warp: Warp, *, rotation: bool = True, threads: int = 2) -> Displacement:
+def _found(bench: SmallBench, frame: Image, warp: Warp, *, threads: int) -> Displacement:
+    return _estimate(bench, warp, True, threads)(frame, saturated=np.zeros(frame.shape, np.bool_))
+
+
+def _estimate(bench: SmallBench, warp: Warp, rotation: bool, threads: int = 2) -> GaussNewton:
     settings = RegistrationSettings(warp=warp, rotation=rotation, threads=threads)
     estimate = prepare_registration(bench.subimages(), settings, bench.field)
-    return estimate(frame, saturated=np.zeros(frame.shape, np.bool_))
+    assert isinstance(estimate, GaussNewton)
+    return estimate
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -64,6 +70,8 @@ def _found(bench: SmallBench, frame: Image, warp: Warp, *, rotation: bool = True
 def test_compiled_registration_matches_plain_numpy(world: str, warp: Warp, rotation: bool, seed: int) -> None:
     bench = BENCHES[world]
     frame = _random_frame(bench, seed)
+    estimate = _estimate(bench, warp, rotation)
+    assert estimate.hidden == 0
     plain = plain_registration(
         bench.reference,
         frame,
@@ -71,9 +79,10 @@ def test_compiled_registration_matches_plain_numpy(world: str, warp: Warp, rotat
         lattice=bench.lattice,
         field=bench.field,
         field_modes=FIELD_MODES[warp],
+        offset_px=bench.subimages().offset_px[estimate._warp.pixels.ravel()],
         rotation=rotation,
     )
-    found = _found(bench, frame, warp, rotation=rotation)
+    found = estimate(frame, saturated=np.zeros(frame.shape, np.bool_))
     assert found.valid.all()
     assert np.abs(plain).max() > 0.3
     np.testing.assert_allclose(found.coefficients, plain, atol=SAME_PX)

@@ -1,0 +1,52 @@
+"""Sentences on what was assumed of the sample, and on what the mask shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.optics import FIELD, SmallBench
+
+from app.measurement.assumptions import mask_sentence, sample_sentence
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
+from reconstruction.settings import RegistrationSettings
+
+
+@pytest.mark.parametrize(
+    ("ratios", "sigmas", "sentence"),
+    [
+        ((), None, "any wavefront"),
+        ((-0.975,), [0.005], "one layer 195 +- 1 mm in front of the lenslets"),
+        ((-0.975,), [0.0026], "one layer 195.0 +- 0.5 mm in front of the lenslets"),
+        ((0.15,), None, "one layer 30 mm behind the lenslets"),
+        (
+            (-1.1, -0.3),
+            [0.02, 0.1],
+            "two layers 220 +- 4 mm in front of the lenslets and 60 +- 20 mm in front of the lenslets",
+        ),
+    ],
+)
+def test_sample_is_told_in_millimetres(ratios: tuple[float, ...], sigmas: list[float] | None, sentence: str) -> None:
+    covariance = None if sigmas is None else np.diag(np.square(sigmas))
+    assert sample_sentence(AssumedSample(ratios, covariance), FIELD) == sentence
+
+
+@pytest.mark.parametrize(
+    ("warp", "rotation", "count"),
+    [("affine", False, 5), ("quadratic", False, 9), ("cubic", False, 14), ("quartic", False, 20), ("cubic", True, 20)],
+)
+def test_hidden_displacements_are_counted(
+    small_bench: SmallBench, checker_bench: SmallBench, warp: str, count: int, *, rotation: bool
+) -> None:
+    """A uniform square hides displacements of every warp above affine, a checkerboard none."""
+    registration = RegistrationSettings(warp=warp, rotation=rotation)  # type: ignore[arg-type] # a warp
+    blind = small_bench.reconstructor(registration=registration)
+    assert (blind.hidden > 0) == (warp != "affine")
+    shown = f"the mask shows {count - blind.hidden} of {count} displacements of a {warp} warp; the others"
+    for sample, others in (
+        (FREE, "are known only by the prior"),
+        (AssumedSample((-0.5,)), "follow from the layer"),
+        (None, "follow from layers, or only from the prior"),
+    ):
+        assert mask_sentence(blind, sample) == (f"{shown} {others}" if blind.hidden else "")
+    if not rotation:
+        assert mask_sentence(checker_bench.reconstructor(registration=registration), FREE) == ""
