@@ -81,7 +81,7 @@ class Reconstructor:
         self.frame_shape = reference.shape[0], reference.shape[-1]
         self._above_dark = AboveDark(self.frame_shape, dark, full_scale)
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
-        self._reconstruction = reconstruction
+        self.reconstruction = reconstruction
         self._reference_frames = reference_frames
         light, _ = self._above_dark(reference, "reference")
         if not np.mean(light) > 0:
@@ -101,7 +101,7 @@ class Reconstructor:
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None,
     ) -> None:
         """Prepare registration and solve."""
-        reconstruction = self._reconstruction
+        reconstruction = self.reconstruction
         self.registration, self._register, at_rest = self._prepare(light, registration)
         # The reference registered against itself shows the certainty of each lenslet and field mode.
         self._at_rest = at_rest
@@ -160,7 +160,8 @@ class Reconstructor:
             search = find_layers(self.layers(displacement), None, check=check)
         except ReconstructionError:  # too few lenslets, or nothing moves
             return FREE
-        return most_probable(search, free=self._reconstruction.sample == "automatic")
+        is_free = self.reconstruction.sample == "automatic"
+        return most_probable(search, free=is_free, is_blind=self.hidden > 0)
 
     @property
     def may_be_layered(self) -> bool:
@@ -170,7 +171,7 @@ class Reconstructor:
     @property
     def _assumes_layers(self) -> bool:
         """True if the settings allow layers: modal reconstruction in all Legendre modes."""
-        settings = self._reconstruction
+        settings = self.reconstruction
         is_smooth = settings.method == "modal" and settings.basis == "legendre" and settings.pupil_modes is None
         return is_smooth and settings.sample != "free"
 
@@ -206,7 +207,7 @@ class Reconstructor:
     @property
     def hidden(self) -> int:
         """Number of displacements of the warp that the mask does not show lenslet by lenslet."""
-        return self._register.hidden if isinstance(self._register, GaussNewton) else 0
+        return _hidden(self._register)
 
     def weights_of(self, displacement: Displacement) -> Floats:
         """Weights relative to the reference's, (lenslet_row, lenslet_column); all 1 if the noise is unknown."""
@@ -217,7 +218,7 @@ class Reconstructor:
     @cached_property
     def smooth(self) -> ModalSolver:
         """Solver with as many Legendre modes as the lattice carries: the refinement models wavefronts with these."""
-        has_them = self._reconstruction.basis == "legendre" and self._reconstruction.pupil_modes is None
+        has_them = self.reconstruction.basis == "legendre" and self.reconstruction.pupil_modes is None
         return self._modal if self._modal is not None and has_them else self._solver("legendre", None)
 
     def layers(self, displacement: Displacement) -> FrameEquations:
@@ -244,12 +245,17 @@ class Reconstructor:
 
         if registration.warp is not None or registration.method != "gauss_newton":
             return prepare(registration.warp or "quadratic")
-        if self._assumes_layers and not registration.rotation:
-            return prepare(CHOSEN_WARPS[-1])  # layers tie its parameters together, so that noise does not grow
+        if self.reconstruction.method == "modal" and not registration.rotation:
+            widest = prepare(CHOSEN_WARPS[-1])
+            # Layers tie its parameters together, so that noise does not grow. What the mask hides has the prior's error
+            # bars; those of a warp that it shows would leave out what the warp leaves out.
+            is_blind = _hidden(widest[1]) > 0 and not self.field.neglect_propagation
+            if self._assumes_layers or is_blind:
+                return widest
 
         def error_rad2(warp: Warp) -> float:
             _, method, at_rest = prepare(warp)
-            if isinstance(method, GaussNewton) and method.hidden:  # nothing determines it without layers
+            if _hidden(method):  # nothing determines it
                 return math.inf
             parameters = _parameters(method, at_rest)
             return expected_error_rad2(warp, parameters, at_rest, sensor=self.sensor, field=self.field)
@@ -260,7 +266,7 @@ class Reconstructor:
     def _respond(self, lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None) -> Sensitivity:
         """Response of the registration; mean gradients where there is none, or none is wanted."""
         self.response_problem = ""  # why there is none although it is wanted
-        is_wanted = self._reconstruction.response and not self.registration.rotation  # it holds for gradients only
+        is_wanted = self.reconstruction.response and not self.registration.rotation  # it holds for gradients only
         if is_wanted and isinstance(self._register, GaussNewton) and lenslet_model is not None:
             try:
                 model = lenslet_model(self.subimages)
@@ -317,6 +323,10 @@ def _why_lost(outcome: Outcomes) -> str:
 def _parameters(method: RegistrationMethod, at_rest: Displacement) -> Floats:
     """Displacement (x modes, y modes) of each parameter that the method finds, (K, 2Q)."""
     return method.parameters if isinstance(method, GaussNewton) else np.eye(2 * at_rest.modes.count)
+
+
+def _hidden(method: RegistrationMethod) -> int:
+    return method.hidden if isinstance(method, GaussNewton) else 0
 
 
 def _variance(displacement: Displacement) -> Floats:

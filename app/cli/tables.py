@@ -74,6 +74,8 @@ def print_measurement(measured: Measured, out: Path) -> None:
     )
     _print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
     _print_sentence(f"noise of one frame: {np.nanmean(measured.noise_rad):.3f} rad RMS; assumed: {measured.assumed}")
+    if measured.mask_note:
+        _print_sentence(measured.mask_note)
     failed = measured.recorded - measured.reconstructed
     why = f", {failed} not reconstructed ({measured.problem})" if failed else ""
     if measured.rotation is not None:

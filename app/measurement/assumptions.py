@@ -22,20 +22,26 @@ def sample_sentence(sample: AssumedSample, field: Field) -> str:
 
 
 def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = None) -> str:
-    """Say which displacements the mask hides, and what they follow from; empty if it shows all.
+    """Say which displacements mask or warp leave out, and what they follow from; empty if all are shown.
 
     Without a `sample`, of frames in general.
     """
     warp, hidden = reconstructor.registration.warp, reconstructor.hidden
+    if warp == "affine":
+        return "an affine warp does not show how wavefronts bend over the field; the error bars leave that out"
     if warp is None or not hidden:
         return ""
     fields = FIELD_MODES[warp]
     degree = (math.isqrt(8 * fields + 1) - 3) // 2
     count = 2 * fields if reconstructor.registration.rotation else fields + degree + 1  # gradients of a potential
-    source = "follow from layers, or only from the prior"
-    if sample is not None:
-        layers = "the layer" if len(sample.ratios) == 1 else "the layers"
-        source = f"follow from {layers}" if sample.ratios else "are known only by the prior"
+    if reconstructor.reconstruction.method == "zonal":
+        source = "are left out, also of the error bars"
+    elif sample is None:
+        source = "follow from layers, or only from the prior"
+    elif sample.ratios:
+        source = "follow from the layer" if len(sample.ratios) == 1 else "follow from the layers"
+    else:
+        source = "are known only by the prior"
     return f"the mask shows {count - hidden} of {count} displacements of a {warp} warp; the others {source}"
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from app.bench.imaging_model import BenchModel
 from app.errors import InputError
+from app.measurement.assumptions import mask_sentence
 from app.measurement.calibration import Calibration
 from app.recording.assumed_samples import assumed_sample
 from app.recording.frame_lines import FrameLine
@@ -49,6 +50,7 @@ class Reprocessed:
     calibration: Calibration | None  # after the change
     bias_age_s: float | None = None  # of the subtracted bias; None if none was subtracted
     quality: Quality = Quality()
+    mask_note: str = ""  # see `mask_sentence`
 
     @property
     def is_refined(self) -> bool:
@@ -180,7 +182,8 @@ class _InForce:
         except ReconstructionError as error:
             return Reprocessed(line, None, str(error), None, self.calibration)
         quality = self.judge(pixels, wavefront.displacement) | _beside(previous, line, pixels)
-        return Reprocessed(line, wavefront, "", registered, self.calibration, bias_age_s, quality)
+        note = mask_sentence(self.reconstructor, sample)
+        return Reprocessed(line, wavefront, "", registered, self.calibration, bias_age_s, quality, note)
 
     def _solve(
         self, recording: Recording, line: FrameLine, registered: Displacement, sample: AssumedSample

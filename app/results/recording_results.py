@@ -43,6 +43,7 @@ class Measured:
     rotation: Circulation | None = None  # of the subimages of the last frame; None if the registration excludes it
     rotating: int = 0  # frames whose subimages rotate
     problem: str = ""  # of the first frame that could not be reconstructed
+    mask_note: str = ""  # of the last frame, see `mask_sentence`
     samples: SampleTally = field(default_factory=SampleTally)
     quality: QualityTally = field(default_factory=QualityTally)
 
@@ -68,6 +69,7 @@ class Measured:
             self.problem = self.problem or made.problem
             return
         self.reconstructed += 1
+        self.mask_note = made.mask_note
         self.quality.take(made.quality)
         self.samples.take(made.wavefront.sample)
         self.rotation = rotation_of(made.wavefront)

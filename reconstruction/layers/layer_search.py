@@ -30,7 +30,8 @@ _SPACING = float(_GRID[1] - _GRID[0])
 _STEP = 2e-3  # of t, for the curvature
 # Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first it may
 # be that of the registration. Single screens leave 0.004, and 0.017 in noise; two taken for one, or ten, 0.03 to 0.4.
-_UNEXPLAINED = (0.01, 0.06)
+_UNEXPLAINED = (0.015, 0.06)
+_NOTHING = 0.7  # misfit above which there is more noise than wavefront
 _CHI_SQUARE = 1.5  # reduced, above which misfit is not noise
 _DOUBTFUL = 2.0  # reduced, of any wavefront
 
@@ -80,10 +81,14 @@ class LayerSearch:
         )
 
     def _explains(self, fit: LayerFit) -> bool:
-        least, most = _UNEXPLAINED
-        beyond = _beyond(fit.quality, self.any_wavefront)
         is_noise = fit.quality.chi_square < _CHI_SQUARE * max(self.any_wavefront.chi_square, 1.0)
-        return beyond < least or (beyond < most and is_noise)
+        is_small = _beyond(fit.quality, self.any_wavefront) < _UNEXPLAINED[1]
+        return explains(fit.quality, self.any_wavefront) or (is_small and is_noise)
+
+
+def explains(fit: FitQuality, any_wavefront: FitQuality, *, roughly: bool = False) -> bool:
+    """Whether a fit explains displacements, and any wavefront hardly more than systematic errors of the registration."""
+    return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < _UNEXPLAINED[roughly]
 
 
 def find_layers(
@@ -95,7 +100,7 @@ def find_layers(
 ) -> LayerSearch:
     """Find the distance of one layer, or two, unless the ratios are given by `at`.
 
-    Without a `count`, two are searched for if one explains the displacements worse than any wavefront.
+    Without a `count`, two are searched for if one does not explain the displacements and any wavefront does it better.
 
     `check` is called before each fit; its exception ends the search. Raises `ReconstructionError` for other than one or
     two layers.
@@ -116,7 +121,8 @@ def find_layers(
     one = _refined(equations, sketch_at, fit_at, np.array([best]))
     any_wavefront = equations.any_wavefront()
     two = None
-    if not at and (count == 2 or (count is None and one.quality.log_evidence < any_wavefront.log_evidence)):
+    is_enough = one.quality.log_evidence >= any_wavefront.log_evidence or explains(one.quality, any_wavefront)
+    if not at and (count == 2 or (count is None and not is_enough)):
         start = max(combinations(_GRID_OF_TWO, 2), key=lambda pair: sketch_at(*pair).log_evidence)
         two = _refined(equations, sketch_at, fit_at, np.array(start))
     return LayerSearch(

@@ -11,9 +11,9 @@ import numpy as np
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
-from reconstruction.layers.layer_fit import UNSEEN
+from reconstruction.layers.layer_fit import UNSEEN, LayerFit
 from reconstruction.layers.layer_modes import LayerModes
-from reconstruction.layers.layer_search import LayerSearch
+from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, explains
 from reconstruction.layers.layer_solver import LayerSolver, prior_scale, require_lenslets
 from reconstruction.solve.evidence import prior_and_noise
 from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
@@ -38,13 +38,26 @@ class AssumedSample:
 FREE = AssumedSample()
 
 
-def most_probable(search: LayerSearch, *, free: bool = True) -> AssumedSample:
-    """Assumption with the highest evidence: one layer, two, or with `free` any wavefront."""
-    fits = [fit for fit in (search.one, search.two) if fit is not None]
+def most_probable(search: LayerSearch, *, free: bool = True, is_blind: bool = False) -> AssumedSample:
+    """One layer where it explains the displacements; else what has the highest evidence, with `free` any wavefront.
+
+    Evidence takes all errors for independent. So systematic ones, far below 1 % of the displacements, make it prefer a
+    second layer at the end of the search, or a free wavefront, which is far off if the source `is_blind`.
+    """
+    one = search.one
+    if explains(one.quality, search.any_wavefront):
+        return _assumed(one)
+    is_found = search.two is not None and all(abs(layer.ratio) < FARTHEST_RATIO for layer in search.two.layers)
+    fits = [one, search.two] if search.two is not None and is_found else [one]
     best = max(fits, key=lambda fit: fit.quality.log_evidence)
-    if free and best.quality.log_evidence < search.any_wavefront.log_evidence + _DECISIVE:
+    is_less_probable = best.quality.log_evidence < search.any_wavefront.log_evidence + _DECISIVE
+    if free and is_less_probable and not (is_blind and explains(best.quality, search.any_wavefront, roughly=True)):
         return FREE
-    return AssumedSample(tuple(layer.ratio for layer in best.layers), best.ratio_covariance)
+    return _assumed(best)
+
+
+def _assumed(fit: LayerFit) -> AssumedSample:
+    return AssumedSample(tuple(layer.ratio for layer in fit.layers), fit.ratio_covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -129,7 +129,7 @@ def test_wavefront_is_found_in_real_light(
 
 def test_setting_decides_what_is_assumed(checker_bench: SmallBench, monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame that any wavefront explains better than layers do."""
-    worse, better = (FitQuality(evidence, 1.0, 0.1) for evidence in (-100.0, 0.0))
+    worse, better = FitQuality(-100.0, 9.0, 0.3), FitQuality(0.0, 1.0, 0.1)
     one = LayerFit((Layer(-0.7, 0.1, np.ones(2), np.zeros(2), np.zeros((2, 2)), 1),), worse, np.full((1, 1), 0.01))
     none = np.zeros(0)
     search = LayerSearch(none, none, none, one, None, None, better)

@@ -30,7 +30,7 @@ def test_documented_bench_is_read() -> None:
     assert bench.sensor.lenslet_focal_length_m == 46.7e-3
     assert bench.lattice is not None
     assert bench.lattice.pitch_px == 31.25
-    assert (bench.registration.warp, bench.field.neglect_propagation) == ("quadratic", True)
+    assert (bench.registration.warp, bench.field.neglect_propagation) == ("quadratic", False)
     assert (bench.reconstruction.method, bench.reconstruction.pupil_modes) == ("modal", 66)
 
 

@@ -42,23 +42,24 @@ def test_scatter_and_coverage_of_normal_errors() -> None:
 def test_scatter_of_estimator_is_near_the_bound(small_toml: Path) -> None:
     bench = load_bench(small_toml)
     frames, seen = NoiseFreeFrames(bench), camera(bench, 1, 1.0)
-    electrons = frames.reference("square") * np.float32(2e3 / frames.reference("square").max())
+    electrons = frames.reference("checkerboard") * np.float32(2e3 / frames.reference("checkerboard").max())
     settings = without_prior(bench)
     assert settings.pupil_modes == 15  # fourth degree on 5 x 7 lenslets
     estimator = WarpEstimator(bench, seen.counts(electrons), "quadratic", reconstruction=settings, noise=seen.noise)
     reconstructor = estimator.reconstructor
     without = reconstructor(seen.counts(electrons))
     scatter = scatter_of((reconstructor(seen.exposed(electrons, 1, draw)) for draw in range(100)), without.views)
-    bound = bound_rad(bench, "square", reconstructor, without.displacement.modes.count)
+    bound = bound_rad(bench, "checkerboard", reconstructor, without.displacement.modes.count)
     assert 0.98 < scatter.rms_rad / bound < 1.1
-    assert scatter.error_bar_rad == pytest.approx(scatter.rms_rad, rel=0.06)
+    assert scatter.error_bar_rad == pytest.approx(scatter.rms_rad, rel=0.08)  # it follows a misfit above the noise only
     assert scatter.coverage == pytest.approx(0.683, abs=0.03)
 
 
 def test_photons_study_compares_scatter_with_bound(small_toml: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_noise, "_PEAKS_E", (1e3,))
     monkeypatch.setattr(camera_noise, "_NOISE_DRAWS", 20)
-    data = collect(PHOTONS.dims, PHOTONS.measure(load_bench(small_toml), range(1), lambda *_: None))
+    bench = load_bench(small_toml, ("simulation.source.mask='checkerboard'",))  # there is no bound on what a mask hides
+    data = collect(PHOTONS.dims, PHOTONS.measure(bench, range(1), lambda *_: None))
     summary = PHOTONS.summary(data).sel(at=1e3)
     scatter, bound, bar = (summary.sel(curve=f"cubic, 45 modes: {row}") for row in ("scatter", "bound", "error bar"))
     assert scatter["asked_rad"].item() == pytest.approx(1.1 * bound["mean_rad"].item())

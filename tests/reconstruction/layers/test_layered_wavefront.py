@@ -23,10 +23,12 @@ from support.polynomial_layers import (
 
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
+from reconstruction.layers.layer_fit import Layer, LayerFit
 from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import LayerSearch, find_layers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.field_modes import gradient_basis
+from reconstruction.solve.evidence import FitQuality
 
 SOLVER = solver()
 WAVEFRONTS = LayeredWavefronts(SOLVER, LayerModes(SOLVER.degree, SENSOR, FIELD, MODES), gradient_basis(MODES))
@@ -137,6 +139,36 @@ def test_most_probable_sample_is_assumed(name: str, layers: int) -> None:
     assert len(most_probable(search, free=False).ratios) in {1, 2}
     if not layers:
         assert most_probable(search) is FREE
+
+
+def fit_of(quality: FitQuality, *ratios: float) -> LayerFit:
+    nothing = np.zeros(0)
+    layers = tuple(Layer(ratio, 0.1, nothing, nothing, np.zeros((0, 0)), 1) for ratio in ratios)
+    return LayerFit(layers, quality, np.eye(len(ratios)))
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "ratios", "is_blind", "expected"),
+    [
+        # One layer leaves systematic errors, which make a second one and any wavefront more probable.
+        (FitQuality(-900, 0.3, 0.006), FitQuality(-100, 0.1, 0.002), (-9.0, 3.0), False, (-9.0,)),
+        # It leaves more: here two layers are there,
+        (FitQuality(-900, 90.0, 0.17), FitQuality(-100, 0.1, 0.002), (-1.1, -0.3), False, (-1.1, -0.3)),
+        # but there none at the end of the search,
+        (FitQuality(-900, 9.0, 0.04), FitQuality(-100, 0.1, 0.002), (-9.0, 30.0), False, ()),
+        # and the wavefront is not free where the source does not show it.
+        (FitQuality(-900, 9.0, 0.04), FitQuality(-100, 0.1, 0.002), (-9.0, 30.0), True, (-9.0,)),
+        (FitQuality(-900, 90.0, 0.17), FitQuality(-800, 80.0, 0.15), (-1.1, -0.3), True, ()),
+        # Noise that layers and any wavefront explain alike.
+        (FitQuality(-300, 1.0, 0.98), FitQuality(-299, 1.0, 0.98), (-1.1, -0.3), True, ()),
+    ],
+)
+def test_systematic_errors_do_not_decide(
+    one: FitQuality, two: FitQuality, ratios: tuple[float, ...], expected: tuple[float, ...], *, is_blind: bool
+) -> None:
+    none, any_wavefront = np.zeros(0), FitQuality(-200, 0.1, 0.003) if one.misfit < 0.5 else FitQuality(-298, 1.0, 0.98)
+    search = LayerSearch(none, none, none, fit_of(one, -9.0), fit_of(two, *ratios), None, any_wavefront)
+    assert most_probable(search, is_blind=is_blind).ratios == expected
 
 
 def test_error_of_the_distance_is_kept() -> None:
