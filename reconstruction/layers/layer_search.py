@@ -87,7 +87,7 @@ class LayerSearch:
 
 
 def explains(fit: FitQuality, any_wavefront: FitQuality, *, roughly: bool = False) -> bool:
-    """Whether a fit explains displacements, and any wavefront hardly more than systematic errors of the registration."""
+    """Whether a fit explains displacements, and any wavefront little more than errors of the registration."""
     return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < _UNEXPLAINED[roughly]
 
 
