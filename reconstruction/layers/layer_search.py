@@ -5,6 +5,7 @@ refined; its curvature at the maximum gives the error bars, to which systematic 
 A layer before the lenslets has a negative ratio of field to pupil position; a relay can put one behind them.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -28,9 +29,13 @@ _FARTHEST = 0.97  # of |t|
 _ROUGH, _TOLERANCE = 2e-3, 1e-4  # of t
 _SPACING = float(_GRID[1] - _GRID[0])
 _STEP = 2e-3  # of t, for the curvature
-# Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first it may
-# be that of the registration. Single screens leave 0.004, and 0.017 in noise; two taken for one, or ten, 0.03 to 0.4.
-_UNEXPLAINED = (0.015, 0.06)
+# Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first, or the
+# second if the source hides displacements, it may be that of the registration. Single screens leave 0.004, and 0.017 in
+# noise; two taken for one, or ten, 0.03 to 0.4.
+_SYSTEMATIC, _SYSTEMATIC_IF_BLIND, _UNEXPLAINED = 0.015, 0.03, 0.06
+# Over the misfit of any wavefront beyond noise: the more this leaves, the more it takes in. Up to 2.4 for single
+# screens on imperfect benches, 40 and more for two taken for one.
+_SYSTEMATIC_SHARE = 3.0
 _NOTHING = 0.7  # misfit above which there is more noise than wavefront
 _CHI_SQUARE = 1.5  # reduced, above which misfit is not noise
 _DOUBTFUL = 2.0  # reduced, of any wavefront
@@ -82,13 +87,15 @@ class LayerSearch:
 
     def _explains(self, fit: LayerFit) -> bool:
         is_noise = fit.quality.chi_square < _CHI_SQUARE * max(self.any_wavefront.chi_square, 1.0)
-        is_small = _beyond(fit.quality, self.any_wavefront) < _UNEXPLAINED[1]
+        is_small = _beyond(fit.quality, self.any_wavefront) < _UNEXPLAINED
         return explains(fit.quality, self.any_wavefront) or (is_small and is_noise)
 
 
-def explains(fit: FitQuality, any_wavefront: FitQuality, *, roughly: bool = False) -> bool:
-    """Whether a fit explains displacements, and any wavefront little more than errors of the registration."""
-    return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < _UNEXPLAINED[roughly]
+def explains(fit: FitQuality, any_wavefront: FitQuality, *, is_blind: bool = False) -> bool:
+    """Whether a fit explains displacements, and any wavefront no more than errors of the registration in addition."""
+    not_noise = math.sqrt(max(1 - 1 / max(any_wavefront.chi_square, 1.0), 0.0)) * any_wavefront.misfit
+    systematic = max(_SYSTEMATIC_IF_BLIND if is_blind else _SYSTEMATIC, _SYSTEMATIC_SHARE * not_noise)
+    return fit.misfit < _NOTHING and _beyond(fit, any_wavefront) < systematic
 
 
 def find_layers(

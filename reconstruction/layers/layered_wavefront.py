@@ -42,18 +42,17 @@ def most_probable(search: LayerSearch, *, free: bool = True, is_blind: bool = Fa
     """One layer where it explains the displacements; else what has the highest evidence, with `free` any wavefront.
 
     Evidence takes all errors for independent. So systematic ones, far below 1 % of the displacements, make it prefer a
-    second layer at the end of the search, or a free wavefront, which is far off if the source `is_blind`.
+    second layer at the end of the search, or a free wavefront, which is far off if the source hides displacements
+    (`is_blind`).
     """
     one = search.one
-    if explains(one.quality, search.any_wavefront):
+    if explains(one.quality, search.any_wavefront, is_blind=is_blind):
         return _assumed(one)
     is_found = search.two is not None and all(abs(layer.ratio) < FARTHEST_RATIO for layer in search.two.layers)
     fits = [one, search.two] if search.two is not None and is_found else [one]
     best = max(fits, key=lambda fit: fit.quality.log_evidence)
     is_less_probable = best.quality.log_evidence < search.any_wavefront.log_evidence + _DECISIVE
-    if free and is_less_probable and not (is_blind and explains(best.quality, search.any_wavefront, roughly=True)):
-        return FREE
-    return _assumed(best)
+    return FREE if free and is_less_probable else _assumed(best)
 
 
 def _assumed(fit: LayerFit) -> AssumedSample:

@@ -1,11 +1,12 @@
-"""Registration by flux-conserving Gauss-Newton: the method of this instrument.
+"""Registration by Gauss-Newton: the method of this instrument.
 
-Light imaged at x in the reference arrives at x + d(x), and flux is conserved:
+Light imaged at x in the reference arrives at x + d(x), and keeps its brightness but for a factor that changes slowly
+over the field:
 
-    I0(x) = (gain I1(x + d(x)) + offset) det(1 + dd/dx),    d(x) = sum_q c_q T_q(x / h)
+    I0(x) = (gain + slope x) I1(x + d(x)) + offset,    d(x) = sum_q c_q T_q(x / h)
 
-with T_q the field modes and h the half width of the field on the subimage (docs/brightness.md). The fit
-starts from the previous frame, or from a translation found on every other pixel, or, if that does not match, from the
+with T_q the field modes and h the half width of the field on the subimage. The paper's world, without propagation,
+conserves flux instead, and the right side has the factor det(1 + dd/dx) (docs/brightness.md). The fit starts from the previous frame, or from a translation found on every other pixel, or, if that does not match, from the
 whole-pixel shift with the best correlation.
 """
 

@@ -9,7 +9,12 @@ import numpy as np
 from reconstruction.arrays import Floats, Mask
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
-from reconstruction.registration.gauss_newton.template import pixel_weights, smooth_light, steepest_descent
+from reconstruction.registration.gauss_newton.template import (
+    pixel_weights,
+    smooth_light,
+    steepest_descent,
+    without_brightness,
+)
 from reconstruction.registration.subimages import ReferenceSubimages
 
 # Standard error over the least one, of a displacement that the reference hardly shows.
@@ -74,8 +79,9 @@ def _mean_descent(
         )
     )
     slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
-    descent = steepest_descent(light, gradient, modes.values(u, v), slopes, basis)[0]
-    return descent, np.ones(len(u)) if noise is None else pixel_weights(expected, noise)[0]
+    descent = steepest_descent(light, gradient, modes.values(u, v), slopes, basis)
+    weight = np.ones((1, len(u))) if noise is None else pixel_weights(expected, noise)
+    return (descent if conserve_flux else without_brightness(descent, weight, u, v))[0], weight[0]
 
 
 def _informative(descent: Floats, weight: Floats) -> Mask:

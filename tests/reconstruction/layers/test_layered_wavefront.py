@@ -157,7 +157,7 @@ def fit_of(quality: FitQuality, *ratios: float) -> LayerFit:
         # but there none at the end of the search,
         (FitQuality(-900, 9.0, 0.04), FitQuality(-100, 0.1, 0.002), (-9.0, 30.0), False, ()),
         # and the wavefront is not free where the source does not show it.
-        (FitQuality(-900, 9.0, 0.04), FitQuality(-100, 0.1, 0.002), (-9.0, 30.0), True, (-9.0,)),
+        (FitQuality(-900, 2.0, 0.02), FitQuality(-100, 0.1, 0.002), (-9.0, 30.0), True, (-9.0,)),
         (FitQuality(-900, 90.0, 0.17), FitQuality(-800, 80.0, 0.15), (-1.1, -0.3), True, ()),
         # Noise that layers and any wavefront explain alike.
         (FitQuality(-300, 1.0, 0.98), FitQuality(-299, 1.0, 0.98), (-1.1, -0.3), True, ()),
