@@ -1,8 +1,9 @@
 """Reference registration in plain NumPy and SciPy, to compare the fast one with.
 
 The residual gain I1(x + d) + offset - I0 is made orthogonal to the steepest-descent images T_q dI0/dx, T_q dI0/dy, I0
-and 1, all pixels weighted alike, by Gauss-Newton steps from zero. In the paper's world, which conserves
-flux, the displaced light is multiplied by det(1 + dd/dx), and the images are d(I0 T_q)/dx and d(I0 T_q)/dy.
+and 1, all pixels weighted alike, by Gauss-Newton steps from zero. In real light I0 x and I0 y are among the images, too,
+but nothing is made of their steps. In the paper's world, which conserves flux, the displaced light is multiplied by
+det(1 + dd/dx), and the images are d(I0 T_q)/dx and d(I0 T_q)/dy.
 """
 
 from __future__ import annotations
@@ -81,7 +82,9 @@ def plain_registration(
         spread = light * np.concatenate([mode_by_x, mode_by_y])
         changes = np.concatenate([by_x(carried), by_y(carried)]) - (1 - conserve_flux) * spread
         descent = np.concatenate([basis @ changes, [light, np.ones_like(light)]])
-        inverse = np.linalg.pinv(descent @ descent.T, rcond=1e-12, hermitian=True) @ descent
+        brightness = (1 - conserve_flux) * light * [x / half_width_px, y / half_width_px]
+        every = np.concatenate([descent, brightness])
+        inverse = (np.linalg.pinv(every @ every.T, rcond=1e-12, hermitian=True) @ every)[: len(descent)]
         c, gain, offset = np.zeros((field_modes, 2)), 1.0, 0.0
         for _ in range(_STEPS):
             d = c.T @ mode_values

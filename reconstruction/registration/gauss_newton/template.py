@@ -151,16 +151,16 @@ def prepare_template(
         weight = np.ones_like(light) if noise is None else pixel_weights(expected, noise)
         weight *= reference.usable[some][:, of_window] & reference.lit[some, None]
         weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
+        weighted = descent * weight[:, None]
+        grid.descent[some], grid.normal[some] = descent, weighted @ np.swapaxes(descent, 1, 2)
         if not conserve_flux:
             descent = without_brightness(descent, weight, u, v)
-        weighted = descent * weight[:, None]
+            weighted = descent * weight[:, None]
         norm = np.sqrt(np.einsum("lkn,lkn->lk", descent, weighted))[..., None]
         norm[norm == 0] = 1
         normal = weighted @ np.swapaxes(descent, 1, 2) / norm / np.swapaxes(norm, 1, 2)
         inverse = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ (weighted / norm) / norm
-        grid.light[some], grid.weight[some] = light, weight
-        grid.inverse[some], grid.descent[some] = inverse, descent
-        grid.normal[some] = weighted @ np.swapaxes(descent, 1, 2)
+        grid.light[some], grid.weight[some], grid.inverse[some] = light, weight, inverse
         per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
         per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
     whole = [Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)]

@@ -66,7 +66,7 @@ def test_parameters_are_those_of_what_looks_alike(small_bench: SmallBench) -> No
     gradients = gradient_basis(method.modes)
     changes = np.einsum("kaq,qyx,ayx->kyx", gradients.reshape(-1, 2, 6), method.modes.values(x, y), moved)
     found = method.response(model.image(), changes)  # (lenslet, displacement, K)
-    np.testing.assert_allclose(found, np.broadcast_to(gradients @ method.alike.T, found.shape), atol=0.03)
+    np.testing.assert_allclose(found, np.broadcast_to(gradients @ method.alike.T, found.shape), atol=0.04)
     np.testing.assert_allclose(method.alike @ method.parameters.T, np.eye(len(method.parameters)), atol=1e-6)
 
 
@@ -77,7 +77,7 @@ def test_tilt_leaves_no_misfit_where_displacements_are_hidden(small_bench: Small
     frame = small_bench.frame(lambda _x, _y: (slope * (2.0 * u - 1.3 * v)).astype(np.float32))
     nowhere = np.zeros(frame.shape, np.bool_)
     found = registration(small_bench, "quadratic")(frame, saturated=nowhere)
-    assert np.abs(found.coefficients[:, :, 0] - [2.0, -1.3]).max() < 0.03
+    assert np.abs(found.coefficients[:, :, 0] - [2.0, -1.3]).max() < 0.04
     assert np.median(found.residual_rms) < 0.003
 
 
