@@ -158,9 +158,11 @@ class LayeredWavefronts:
         count = np.count_nonzero(share) * data.shape[1]
         total = float(np.vdot(data, weighted))
         ratio, noise = prior_and_noise(square / square[-1], along, total, count)
-        variance = ratio / square[-1] / (1 + ratio / square[-1] * square)  # over that of the noise
+        ratio /= square[-1]
+        variance = ratio / (1 + ratio * square)  # over that of the noise
         freedom = count - float(np.sum(variance * square))
-        return _Fit(equations, variance * singular * along, noise * variance, freedom)
+        of_components = self.solver.errors.variance(noise, ratio, square)
+        return _Fit(equations, variance * singular * along, of_components, freedom)
 
     def _prepared(self, ratios: tuple[float, ...]) -> _Design:
         degree = self.solver.degree

@@ -8,6 +8,10 @@ from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.solve.sensitivity import Lenslets, Sensitivity
 
 _ALIKE = 0.1  # share of the systematic error that all parameters have alike, if the noise is unknown
+# Lenslets whose systematic errors count as one. So the error bars of single layers without noise cover 69 and 66 % of
+# the errors with a checkerboard (l = 1.25, 2 mm), 63 and 74 % with a square; with 1 it was 39 to 52 %, with 9 80 to 88.
+_ALIKE_LENSLETS = 4.0
+_BY_CHANCE = 1.2  # noise found over that expected, below which it may be by chance
 _LEAST_NOISE = 1e-6  # variance of the noise over that of the systematic error, below which the noise is unknown
 
 
@@ -49,6 +53,17 @@ class ExpectedErrors:
         data = displacement.coefficients.reshape(len(self.is_usable), -1) @ self._to_parameters
         used = displacement.valid.ravel() & self.is_usable
         return np.asarray(np.matvec(self._whiten, np.where(used[:, None], data, 0.0)))
+
+    def variance(self, noise: float, ratio: float, square: Floats) -> Floats:
+        """Variance of solved components with squared singular values (n,), for the noise and prior of the evidence.
+
+        `ratio` is that of the prior's variance to the noise; infinite without a prior. Systematic errors are alike in
+        neighbouring lenslets, so that they average less than noise. The expected ones are an upper limit, which counts
+        where noise is smaller; if it is unknown, all errors count as systematic.
+        """
+        systematic = (1 - self.share_of_noise) ** 2 * min(noise, 1.0) + max(noise - _BY_CHANCE, 0.0)
+        larger = noise + (_ALIKE_LENSLETS - 1) * systematic
+        return np.asarray(larger / (square + larger / (noise * ratio)))
 
     @property
     def response(self) -> Floats:

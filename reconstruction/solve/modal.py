@@ -14,6 +14,7 @@ Everything but two matrix-vector products is prepared with the reference. Lost a
 prepared equations by down-dating.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -114,7 +115,7 @@ class ModalSolver:
             ratio /= np.max(square)
             variance = ratio / (1 + ratio * square)  # over that of the noise
         else:
-            variance = 1 / square
+            ratio, variance = math.inf, 1 / square
             noise = 1.0 if self.errors.share_of_noise else _TINY
             if count > len(square):  # what the modes leave shows errors that the noise does not explain
                 noise = max((total - float(along @ along)) / (count - len(square)), noise)
@@ -128,7 +129,8 @@ class ModalSolver:
             return np.asarray(np.matvec(self.errors.colour, whitened.reshape(len(share), -1)))
 
         def root_covariance() -> Image:
-            root = equations.scaled * np.sqrt(noise * variance).astype(np.float32)
+            deviation = np.sqrt(self.errors.variance(noise, ratio, square))
+            root = equations.scaled * deviation.astype(np.float32)
             return root.reshape(len(coefficients) - 1, coefficients.shape[1], -1)
 
         freedom = count - float(np.sum(variance * square))

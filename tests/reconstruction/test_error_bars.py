@@ -99,7 +99,7 @@ def test_residual_replaces_unknown_noise(checker_bench: SmallBench, deformed: Im
     assert np.all(np.linalg.eigvalsh(basis @ displacement.covariance.reshape(-1, 12, 12) @ basis.T) > 0)
 
 
-@pytest.mark.parametrize(("is_known", "tolerance"), [(True, 0.1), (False, 0.25)])
+@pytest.mark.parametrize(("is_known", "tolerance"), [(True, 0.1), (False, 0.15)])
 def test_scatter_of_coefficients_matches_sigma(checker_bench: SmallBench, is_known: bool, tolerance: float) -> None:
     u, v = checker_bench.samples()
     frame = checker_bench.frame(lambda x, _y: (1500.0 * u + 500.0 * v + 4e5 * u * x).astype(np.float32))
@@ -115,7 +115,8 @@ def test_scatter_of_coefficients_matches_sigma(checker_bench: SmallBench, is_kno
     coefficients = np.array([solution.coefficients for solution in solutions])  # type: ignore[attr-defined] # modal
     sigma = np.array([solution.coefficients_sigma for solution in solutions]).mean(axis=0)  # type: ignore[attr-defined] # the same
     ratio = coefficients.std(axis=0, ddof=1)[1:] / sigma[1:]  # without the piston
-    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1, abs=tolerance)
+    # If it is unknown, all errors count as systematic, alike in four lenslets.
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1 if is_known else 0.5, abs=tolerance)
 
 
 def test_interpolated_noise_matches_scipy() -> None:

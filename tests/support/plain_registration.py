@@ -1,9 +1,9 @@
 """Reference registration in plain NumPy and SciPy, to compare the fast one with.
 
 The residual gain I1(x + d) + offset - I0 is made orthogonal to the steepest-descent images T_q dI0/dx, T_q dI0/dy, I0
-and 1, all pixels weighted alike, by Gauss-Newton steps from zero. In real light I0 x and I0 y are among the images, too,
-but nothing is made of their steps. In the paper's world, which conserves flux, the displaced light is multiplied by
-det(1 + dd/dx), and the images are d(I0 T_q)/dx and d(I0 T_q)/dy.
+and 1, all pixels weighted alike, by Gauss-Newton steps from zero. In real light I0 x and I0 y are among the images,
+too, but nothing is made of their steps. In the paper's world, which conserves flux, the displaced light is multiplied
+by det(1 + dd/dx), and the images are d(I0 T_q)/dx and d(I0 T_q)/dy.
 """
 
 from __future__ import annotations

@@ -6,8 +6,9 @@ over the field:
     I0(x) = (gain + slope x) I1(x + d(x)) + offset,    d(x) = sum_q c_q T_q(x / h)
 
 with T_q the field modes and h the half width of the field on the subimage. The paper's world, without propagation,
-conserves flux instead, and the right side has the factor det(1 + dd/dx) (docs/brightness.md). The fit starts from the previous frame, or from a translation found on every other pixel, or, if that does not match, from the
-whole-pixel shift with the best correlation.
+conserves flux instead, and the right side has the factor det(1 + dd/dx) (docs/brightness.md). The fit starts from the
+previous frame, or from a translation found on every other pixel, or, if that does not match, from the whole-pixel shift
+with the best correlation.
 """
 
 import numpy as np

@@ -84,6 +84,11 @@ def whitened(covariance: Floats, px: Floats, parameters: Floats = EVERYTHING) ->
     return root @ design, np.matvec(root, data)
 
 
+def enlarged(level: float) -> float:
+    """Variance of the errors, in units of the noise: what chance does not explain is alike in four lenslets."""
+    return level + 3 * max(level - 1.2, 0.0)
+
+
 @pytest.mark.parametrize("parameters", [EVERYTHING, GRADIENTS], ids=["rotation", "layered"])
 def test_full_covariance_and_weights_match_generalised_least_squares(parameters: Floats) -> None:
     generator = np.random.default_rng(1)
@@ -107,7 +112,7 @@ def test_full_covariance_and_weights_match_generalised_least_squares(parameters:
     left = (root[:, None] * data).ravel() - design @ expected
     level = left @ left / (np.count_nonzero(root) * data.shape[1] - allowed.shape[1])
     assert level > 100
-    of_coefficients = level * allowed @ np.linalg.inv(normal) @ allowed.T
+    of_coefficients = enlarged(level) * allowed @ np.linalg.inv(normal) @ allowed.T
     found = solution.covariance.reshape(14 * FIELD_MODES, -1)
     np.testing.assert_allclose(found, of_coefficients, atol=1e-3 * np.abs(of_coefficients).max())
     np.testing.assert_allclose(
@@ -158,7 +163,8 @@ def test_prior_is_ridge_regression_chosen_by_evidence(noise: float) -> None:
     assert (level == 1.0) == (noise < 1)
     ratio = max(ratio, SIGNAL * data.size / np.trace(normal))
     expected = ratio * np.linalg.solve(np.eye(len(normal)) + ratio * normal, right)
-    sigma = np.sqrt(level * np.diag(np.linalg.inv(normal + np.eye(len(normal)) / ratio)))
+    larger = enlarged(level) / level
+    sigma = np.sqrt(level * np.diag(np.linalg.inv(normal / larger + np.eye(len(normal)) / ratio)))
     # The ratio is found to a quarter of a decade.
     np.testing.assert_allclose(solution.coefficients[1:].ravel() / scale, expected, atol=0.2 * sigma.max())
     np.testing.assert_allclose(solution.coefficients_sigma[1:].ravel() / scale, sigma, rtol=0.25)
@@ -272,7 +278,7 @@ def test_displacement_of_coefficients_is_mean_gradient_and_is_solved_back(parame
     np.testing.assert_allclose(solution.misfit, 0, atol=1e-5)
 
 
-def test_unknown_noise_is_that_of_the_misfit() -> None:
+def test_unknown_noise_is_a_systematic_misfit() -> None:
     generator = np.random.default_rng(8)
     unknown = np.zeros((ROWS, COLUMNS, FIELD_MODES, 2, FIELD_MODES, 2))
     sigma_px = 0.04
@@ -280,7 +286,7 @@ def test_unknown_noise_is_that_of_the_misfit() -> None:
     solution = solver_of(unknown)(measured(noise, unknown))
     design, _ = whitened(diagonal_covariance(np.full_like(noise, sigma_px**2)), noise)
     design = design.reshape(-1, design.shape[2])
-    expected = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    expected = 2 * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))  # systematic errors are alike in four lenslets
     np.testing.assert_allclose(solution.coefficients_sigma[1:].ravel(), expected, rtol=0.15)
 
 
