@@ -1,1 +1,1 @@
-"""Registration by flux-conserving Gauss-Newton steps."""
+"""Registration by Gauss-Newton steps, the reference's brightness conserved."""
