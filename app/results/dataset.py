@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # opening a file needs no reconstruction
 
 _PIECE = 32  # frames in memory at once
 _FRAME = "frame"
-_CHECKSUM = "crc32"  # attribute of each variable
+_CHECKSUMS = "crc32"  # group with an attribute for each variable, which xarray does not copy to changed files
 _LARGEST_PX = 1e6  # of a displacement
 _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
@@ -162,8 +162,6 @@ def open_results(path: Path | str) -> xr.Dataset:
     if "wavefront" not in dataset:
         dataset.close()
         raise InputError(f"{path}: holds no results: there is no variable wavefront in it")
-    for variable in dataset.variables.values():
-        variable.attrs.pop(_CHECKSUM, None)  # would be wrong after a change of the values
     return dataset
 
 
@@ -194,13 +192,11 @@ def _check_sums(path: Path | str) -> None:
     """Raise `InputError` if a variable differs from what was written; files before 0.3 have no checksums."""
     with h5py.File(path, "r") as file:
         file.attrs.get("_nc3_strict")  # if that fails, h5netcdf fails with a traceback from its destructor, too
-        for name, variable in file.items():
-            if _CHECKSUM not in variable.attrs:
-                continue
-            found = 0
+        for name, written in file[_CHECKSUMS].attrs.items() if _CHECKSUMS in file else ():
+            variable, found = file[name], 0
             for first in range(0, variable.shape[0], _PIECE) if variable.ndim else (None,):
                 found = _checksum(variable[... if first is None else slice(first, first + _PIECE)], found)
-            if found != variable.attrs[_CHECKSUM]:
+            if found != written:
                 raise InputError(f"{path}: is damaged: {name} is not what was written; reconstruct the frames again")
 
 
@@ -241,12 +237,13 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
     """Update the checksums of the variables, as they are stored, by those of a piece."""
     with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
+        group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
         for name, variable in piece.variables.items():
             if name not in sums or _FRAME in variable.dims:
                 stored = file.variables[name]
                 values = variable.values if variable.dtype.kind in "UO" else variable.values.astype(stored.dtype)
                 sums[name] = _checksum(values, sums.get(name, 0))
-                stored.attrs[_CHECKSUM] = np.uint32(sums[name])
+                group.attrs[str(name)] = np.uint32(sums[name])
 
 
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:
