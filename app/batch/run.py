@@ -29,6 +29,7 @@ class Batch:
     computed: int = 0  # frames of this run; the others were there
     problem: str = ""  # of the first frame without a wavefront in this run
     failed: dict[Path, str] = field(default_factory=dict)  # recordings with the reason
+    copies: dict[Path, Path] = field(default_factory=dict)  # identical recordings with the one that was reconstructed
 
 
 def check_store(folders: Sequence[Path], out: Path, job: Job) -> None:
@@ -67,8 +68,8 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
         On Ctrl-C; the text says how many frames are in the store.
     """
     check_store(folders, out, job)
-    sources, failed = find_sources(folders)
-    batch = Batch(len(sources) + len(failed), failed=failed)
+    sources, failed, copies = find_sources(folders)
+    batch = Batch(len(sources) + len(failed), failed=failed, copies=copies)
     if not sources:
         raise InputError("; ".join(failed.values()))
     with only_writer(out):

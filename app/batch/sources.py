@@ -18,17 +18,20 @@ class Source:
     frames: int
 
 
-def find_sources(folders: Iterable[Path]) -> tuple[list[Source], dict[Path, str]]:
-    """Check recordings; return the complete ones, each once, and the reason for each other folder."""
+def find_sources(folders: Iterable[Path]) -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
+    """Check recordings; return the complete ones, each once, the reason for each other folder, and copies of which."""
     found: dict[str, Source] = {}
     problems: dict[Path, str] = {}
+    copies: dict[Path, Path] = {}
     for folder in folders:
         try:
             source = _source(folder)
-            found.setdefault(source.fingerprint, source)
+            first = found.setdefault(source.fingerprint, source)
+            if first.folder != source.folder:
+                copies[folder] = first.folder
         except InputError as error:
             problems[folder] = str(error)
-    return list(found.values()), problems
+    return list(found.values()), problems, copies
 
 
 def _source(folder: Path) -> Source:

@@ -24,9 +24,11 @@ _ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
 _CONFIGURATION = {
     f"{_ENVIRONMENT}.MALLOC_TRIM_THRESHOLD_": None,  # Dask's maps every array of a frame anew: half the speed
     f"{_ENVIRONMENT}.MALLOC_ARENA_MAX": 1,  # an arena for each thread takes a hundred megabytes more
+    f"{_ENVIRONMENT}.PYTHONSAFEPATH": 1,  # no module is imported from the working folder
     # Dask gives up a worker that is missing this long after it died, also if it is starting again or has died again.
     "distributed.deploy.lost-worker-timeout": "365 days",
 }
+_NO_PAGES: dict[str, list[str]] = {f"distributed.{each}.http.routes": [] for each in ("scheduler", "worker")}
 
 
 class Workers:
@@ -37,8 +39,8 @@ class Workers:
 
     @property
     def dashboard(self) -> str:
-        """Address of Dask's dashboard in a browser."""
-        return str(self._client.dashboard_link)
+        """Address of Dask's dashboard in a browser; "" if there is none."""
+        return str(self._client.dashboard_link or "")
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
         """Yield each item with its result or error, as they finish.
@@ -88,8 +90,11 @@ def _outcome(future: Any) -> Any:
 
 
 @contextmanager
-def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
+def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False) -> Iterator[Workers]:
     """Start `count` worker processes, by default one for each core, or connect to the scheduler at an address.
+
+    Processes started here accept only connections with a certificate of this run (TLS), and serve a dashboard on this
+    computer only if `dashboard` asks for it.
 
     Raises
     ------
@@ -102,21 +107,28 @@ def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
         raise InputError("--workers starts processes here, --scheduler uses those of a cluster: give one of them")
     try:
         import dask
-        from distributed import Client, LocalCluster
+        from distributed import Client, LocalCluster, Security
+        from distributed.comm.addressing import get_address_host_port, normalize_address
+
+        security = Security.temporary() if scheduler is None else None
     except ImportError as error:
         raise InputError('workers need Dask: pip install "svwfs[batch]"') from error
     with ExitStack() as stack:
         if scheduler is None:
-            stack.enter_context(dask.config.set(_CONFIGURATION))
+            stack.enter_context(dask.config.set(_CONFIGURATION if dashboard else _CONFIGURATION | _NO_PAGES))
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
+                security=security,
                 dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": dashboard},
                 silence_logs=logging.CRITICAL,
                 preload="app.batch.worker_setup",
             )
             stack.callback(_close, cluster)
         try:
+            if scheduler is not None:
+                get_address_host_port(normalize_address(scheduler))  # a client that finds the fault takes 40 s to close
             client = Client(cluster if scheduler is None else scheduler, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(f"{scheduler}: no scheduler can be reached there: {in_words(error)}") from error

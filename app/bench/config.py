@@ -166,7 +166,7 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = (), *, is_rec
     """
     try:
         tree = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         sentence = in_words(error)
         raise BenchError(f"{name}: not valid TOML: {sentence}", line_of_syntax(text, sentence)) from error
     if is_recorded:
@@ -233,7 +233,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
     try:
         read = tomllib.loads(f"value = {value}") if equals else {}
         parsed = read["value"] if len(read) == 1 else None  # a line break would begin another setting
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         parsed = value.strip()  # a bare word is a string
     if parsed is None or not sections or not key:
         raise InputError(f"setting {override!r}: write section.key=value, for example registration.warp=affine")

@@ -69,7 +69,7 @@ class FormField:
         if self.kind == "toml":
             try:
                 return tomllib.loads(f"value = {text}")["value"]
-            except tomllib.TOMLDecodeError as error:
+            except ValueError as error:
                 raise InputError(f"{self.label}: write it as in TOML, for example {self.text or '{ }'}") from error
         number = self._number(text)
         if self.kind == "integer" and number != round(number):

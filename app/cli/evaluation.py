@@ -12,6 +12,7 @@ import typer
 from app.cli.command import FOLDER, Command
 from app.cli.options import (
     BenchOption,
+    DashboardOption,
     OverwriteOption,
     SchedulerOption,
     SeedsOption,
@@ -65,6 +66,7 @@ def study(
     bench: BenchOption = "paper_simulation",
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    dashboard: DashboardOption = False,
     overwrite: OverwriteOption = False,
     setting: SetOption = None,
 ) -> None:
@@ -91,8 +93,9 @@ def study(
         return
     from app.batch.workers import workers as start
 
-    with start(workers, scheduler) as evaluate:
-        typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
+    with start(workers, scheduler, dashboard=dashboard) as evaluate:
+        if evaluate.dashboard:
+            typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         _run(studies, loaded, seeds, out, inputs=inputs, overwrite=overwrite, evaluate=evaluate)
 
 

@@ -31,6 +31,9 @@ SchedulerOption = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler, as tcp://node1:8786."),
 ]
+DashboardOption = Annotated[
+    bool, typer.Option("--dashboard", help="Serve Dask's dashboard of these workers, readable by all users here.")
+]
 
 TrustOption = Annotated[
     bool, typer.Option("--trust-library", help="Load the program library that the bench names, now and later.")

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from app.cli.command import FOLDER
-from app.cli.options import FramesOption, OverwriteOption, SchedulerOption, SetOption, WorkersOption
+from app.cli.options import DashboardOption, FramesOption, OverwriteOption, SchedulerOption, SetOption, WorkersOption
 from app.errors import RunError
 from app.progress import counted
 
@@ -88,6 +88,7 @@ def batch(
     ] = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
+    dashboard: DashboardOption = False,
 ) -> None:
     """Reconstruct many recordings in parallel into one Zarr store.
 
@@ -110,8 +111,9 @@ def batch(
     other = "" if bench is None else write_bench(load_bench(bench, settings))
     job = Job(bench=other, settings=() if other else settings, rounds=refine)
     check_store(recordings, out, job)
-    with start(workers, scheduler) as evaluate, progress_bar() as progress:
-        typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
+    with start(workers, scheduler, dashboard=dashboard) as evaluate, progress_bar() as progress:
+        if evaluate.dashboard:
+            typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         done = run_batch(recordings, out, job, evaluate, progress)
     print_batch(done, out)
     if done.failed:

@@ -126,6 +126,8 @@ def print_batch(batch: Batch, out: Path) -> None:
     """Print why recordings failed, and the number of frames in the store."""
     for reason in batch.failed.values():
         print_warning(reason)
+    for copy, original in batch.copies.items():
+        print_warning(f"{copy}: is a copy of {original}, whose results are in the store under one name")
     without = batch.frames - batch.wavefronts
     why = f" ({batch.problem})" if batch.problem else ""
     missing = f"; {without} have no wavefront{why}" if without else ""

@@ -99,7 +99,7 @@ def _section(path: Path | None) -> list[str]:
         return []
     try:
         section = tomllib.loads(read_bench_text(path)).get("imaging")
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid TOML: {in_words(error)}") from error
     if not isinstance(section, dict) or not section:
         raise InputError(f"{path}: has no section [imaging]")

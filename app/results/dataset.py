@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import warnings
+import zlib
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5netcdf
+import h5py
 import numpy as np
 import xarray as xr
 
@@ -33,6 +37,8 @@ if TYPE_CHECKING:  # opening a file needs no reconstruction
 
 _PIECE = 32  # frames in memory at once
 _FRAME = "frame"
+_CHECKSUMS = "crc32"  # group with an attribute for each variable, which xarray does not copy to changed files
+_LARGEST_PX = 1e6  # of a displacement
 _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
 _RANGE = "displacement of the field's edge over what the cell allows; above 1 it has left the cell"
@@ -141,17 +147,66 @@ def stack_frames(
 
 
 def open_results(path: Path | str) -> xr.Dataset:
-    """Open a file of results; arrays are read when they are used. `InputError` if it holds none."""
+    """Open a file of results; arrays are read when they are used. `InputError` if it holds none, or is damaged."""
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file")
     try:
-        dataset = xr.open_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be opened as results: it is not a NetCDF-4 file") from error
+        _check_sums(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about files that are odd, which the next lines find
+            dataset = xr.open_dataset(path, engine="h5netcdf")
+    except InputError:
+        raise
+    except Exception as error:  # damaged files make HDF5 raise anything
+        raise InputError(f"{path}: cannot be opened as results: it is not a NetCDF-4 file, or is damaged") from error
     if "wavefront" not in dataset:
         dataset.close()
         raise InputError(f"{path}: holds no results: there is no variable wavefront in it")
     return dataset
+
+
+@contextmanager
+def reading_results(path: Path) -> Iterator[xr.Dataset]:
+    """Open results with plausible displacements; every error of a damaged file is an `InputError`."""
+    with open_results(path) as results:
+        try:
+            _require_sound(path, results)
+            yield results
+        except (InputError, RunError):
+            raise
+        except Exception as error:
+            raise InputError(f"{path}: is damaged: {type(error).__name__}: {in_words(error)}") from error
+
+
+def _require_sound(path: Path, results: xr.Dataset) -> None:
+    """Raise `InputError` if a frame has no valid lenslet, or a valid one a displacement that none can have."""
+    if "valid" in results and "displacement" in results:
+        valid = results["valid"].astype(bool)
+        if not valid.any(_LENSLET).all():
+            raise InputError(f"{path}: is damaged: it has a frame without a valid lenslet")
+        if not (~valid | (abs(results["displacement"]) < _LARGEST_PX)).all():
+            raise InputError(f"{path}: is damaged: a valid lenslet has a displacement that none can have")
+
+
+def _check_sums(path: Path | str) -> None:
+    """Raise `InputError` if a variable differs from what was written; files before 0.3 have no checksums."""
+    with h5py.File(path, "r") as file:
+        file.attrs.get("_nc3_strict")  # if that fails, h5netcdf fails with a traceback from its destructor, too
+        for name, written in file[_CHECKSUMS].attrs.items() if _CHECKSUMS in file else ():
+            variable, found = file[name], 0
+            for first in range(0, variable.shape[0], _PIECE) if variable.ndim else (None,):
+                found = _checksum(variable[... if first is None else slice(first, first + _PIECE)], found)
+            if found != written:
+                raise InputError(f"{path}: is damaged: {name} is not what was written; reconstruct the frames again")
+
+
+def _checksum(values: Any, before: int = 0) -> int:
+    """Return the CRC-32 of values that follow others with the checksum `before`."""
+    values = np.asarray(values)
+    if values.dtype.kind in "biuf":
+        return zlib.crc32(values.tobytes(), before)
+    texts = (each.encode() if isinstance(each, str) else each for each in values.flat)  # they are read as bytes
+    return zlib.crc32(b"".join(text + b"\0" for text in texts), before)
 
 
 def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapping[str, str]) -> None:
@@ -164,7 +219,7 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
     `InputError` if a piece has another shape than the first, because the settings changed between them.
     """
-    count = 0
+    count, sums = 0, dict[Hashable, int]()
     with atomic_write(path) as temporary:
         for piece in pieces:
             if count:
@@ -172,9 +227,23 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
             else:
                 temporary.write_bytes(_netcdf(piece, bench, inputs))
             count += piece.sizes.get(_FRAME, 1)
+            _verify(temporary, path, count)
+            _add_sums(temporary, piece, sums)
         if not count:
             raise RunError(f"{path}: there is nothing to write: no frame has a wavefront")
         _verify(temporary, path, count)
+
+
+def _add_sums(path: Path, piece: xr.Dataset, sums: dict[Hashable, int]) -> None:
+    """Update the checksums of the variables, as they are stored, by those of a piece."""
+    with HdfFile(path) as writable, h5netcdf.File(writable, "r+") as file:
+        group = file.groups[_CHECKSUMS] if sums else file.create_group(_CHECKSUMS)
+        for name, variable in piece.variables.items():
+            if name not in sums or _FRAME in variable.dims:
+                stored = file.variables[name]
+                values = variable.values if variable.dtype.kind in "UO" else variable.values.astype(stored.dtype)
+                sums[name] = _checksum(values, sums.get(name, 0))
+                group.attrs[str(name)] = np.uint32(sums[name])
 
 
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str]) -> memoryview:

@@ -11,7 +11,7 @@ from app.errors import SETTINGS_CHANGED, InputError
 from app.progress import Progress
 from app.recording.reader import Recording, selected
 from app.recording.reprocess import reprocess
-from app.results.dataset import open_results
+from app.results.dataset import reading_results
 from app.results.single_frame import require_plausible
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.corrected_image import PhaseAt
@@ -27,7 +27,7 @@ def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
     if source.is_dir():
         text = str(Recording(source).run["bench"])
     else:
-        with open_results(source) as results:
+        with reading_results(source) as results:
             text = str(results.attrs.get("bench", ""))
     return parse_bench(text, f"{source}: bench", settings, is_recorded=True)
 
@@ -63,7 +63,7 @@ def _shape(values: Floats | None) -> tuple[int, ...]:
 
 
 def _of_results(source: Path, frames: str | None, progress: Progress) -> Iterator[_Frame]:
-    with open_results(source) as results:
+    with reading_results(source) as results:
         stacked = results if "frame" in results.dims else results.expand_dims("frame")
         chosen = selected(frames, stacked.sizes["frame"], source)
         for done, index in enumerate(chosen, 1):

@@ -14,7 +14,7 @@ from app.bench.config import Bench, parse_bench
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.dataset import open_results, results_in_pieces
+from app.results.dataset import reading_results, results_in_pieces
 
 
 class OpenedRecording:
@@ -66,7 +66,7 @@ class OpenedRecording:
         """
         path = self._recording.folder / "results.nc"
         if path.exists():
-            with open_results(path) as results:
+            with reading_results(path) as results:
                 bench = str(results.attrs.get("bench", ""))
                 if parse_bench(bench, f"{path}: bench", is_recorded=True) == self.bench:
                     return results.load()

@@ -11,7 +11,7 @@ import numpy as np
 
 from app.bench.config import parse_bench
 from app.errors import InputError
-from app.results.dataset import open_results
+from app.results.dataset import reading_results
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, ZernikeModes
@@ -57,7 +57,7 @@ class StoredWavefront:
 
         `InputError` if it holds none, or not for `lenslets` (lenslet_row, lenslet_column).
         """
-        with open_results(path) as results:
+        with reading_results(path) as results:
             if "coefficients" not in results or "bench" not in results.attrs:
                 raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method = 'modal'")
             bench = parse_bench(results.attrs["bench"], str(path), is_recorded=True)

@@ -10,7 +10,7 @@ from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
-from app.results.dataset import open_results
+from app.results.dataset import reading_results
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront
 
@@ -32,7 +32,7 @@ def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset
 
     Raises `InputError` if there is no such frame or variable, or no measurement can have given the coefficients.
     """
-    with open_results(path) as opened:
+    with reading_results(path) as opened:
         if "coefficients" not in opened:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
         if missing := [name for name in names if name not in opened]:

@@ -84,6 +84,7 @@ class DcamCamera(Camera):
         region = settings.region or self.capabilities.sensor
         if region is not None:
             self.set_region(region)
+        self._reset_trigger()
         self.set_trigger(settings.trigger)
         if settings.exposure_s is not None:
             self.set_exposure(settings.exposure_s)
@@ -93,6 +94,13 @@ class DcamCamera(Camera):
             for identifier, value in _simple_settings(settings).items():
                 if value is not None:
                     self._values.set(identifier, value)
+
+    def _reset_trigger(self) -> None:
+        """Reset what another program left: waiting for a first pulse, several pulses per frame."""
+        with self._access():
+            for identifier in (Id.TRIGGER_MODE, Id.TRIGGERTIMES):
+                if self._values.get_or(identifier, 1) != 1:
+                    self._values.set(identifier, 1)
 
     def _close(self) -> None:
         capture = self._capture  # a reader in another thread may end it meanwhile

@@ -15,6 +15,13 @@ FILTERS = {
     Id.PHOTONIMAGINGMODE: (0, "the camera's photon imaging mode changes the counts"),
     Id.CAPTUREMODE: (1, "the camera takes calibration frames, no images"),
     Id.EMCCD_CALIBRATIONMODE: (ids.OFF, "the camera calibrates its EM gain: its frames are no images"),
+    Id.SENSORMODE: (1, "the camera's sensor mode is not AREA: it may count photons, or expose line by line"),
+    Id.OUTPUT_INTENSITY: (1, "the camera sends a test pattern"),
+    Id.HIGHDYNAMICRANGE_MODE: (ids.OFF, "the camera's high dynamic range mode changes the counts"),
+    Id.REALTIMEGAINCORRECT_MODE: (ids.OFF, "the camera's real-time gain correction scales the pixels"),
+    Id.DEFECTCORRECT_MODE: (ids.OFF, "the camera's defect correction replaces single pixels"),
+    Id.INTENSITY_GAMMA: (1, "the camera's gamma bends the counts"),
+    Id.ADVANCEDEDGEENHANCEMENT_MODE: (ids.OFF, "the camera sharpens the image"),
 }
 
 

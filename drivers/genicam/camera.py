@@ -108,14 +108,15 @@ class GenicamCamera(Camera):
         line, settings = self._line, self._settings
         offered = line.choices("PixelFormat")
         asked = PIXEL_FORMATS.get(settings.pixel_format)
-        digitiser_bits = set_digitiser(line, asked.bits if asked else 16)
-        best = preferred_format(offered, digitiser_bits)
-        if best is None:
+        deepest = preferred_format(offered, None)
+        if deepest is None:
             raise Unsupported(f"{self.name} offers {', '.join(offered) or 'no pixel format'}: a grey camera is needed")
-        self._format: PixelFormat = asked or best
-        if self._format.name not in offered:
+        if asked and asked.name not in offered:
             usable = ", ".join(name for name in PIXEL_FORMATS if name in offered)
-            raise BadValue(f"pixel_format = {self._format.name} is not one of {usable}, which {self.name} sends")
+            raise BadValue(f"pixel_format = {asked.name} is not one of {usable}, which {self.name} sends")
+        line.set_text("PixelFormat", (asked or deepest).name)  # some digitisers follow it, as of the Basler ace 2
+        digitiser_bits = set_digitiser(line, asked.bits if asked else 16)
+        self._format: PixelFormat = asked or preferred_format(offered, digitiser_bits) or deepest
         line.set_text("PixelFormat", self._format.name)
         self._saturation = Saturation(self._format, digitiser_bits)
         is_big = line.optional_text("GevSCPSBigEndian") == "true"
@@ -208,11 +209,12 @@ class GenicamCamera(Camera):
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
         pixels = copied_pixels(address, rows, columns, padding.value, self._format, self._byte_order)
         self._observe_saturation(pixels)
+        host_time_s = time.perf_counter()
         return Frame(
             pixels=pixels,
             index=self._count.advance(self._aravis.call("arv_buffer_get_frame_id", buffer)),
-            camera_time_s=self._aravis.call("arv_buffer_get_timestamp", buffer) / 1e9,
-            host_time_s=time.perf_counter(),
+            camera_time_s=self._aravis.call("arv_buffer_get_timestamp", buffer) / 1e9 or host_time_s,  # 0: has no clock
+            host_time_s=host_time_s,
             exposure_s=self._exposures.of_frame(sent_s),
             em_gain=1.0,
         )

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_LAST_SHORT_ID = 65535  # GigE Vision counts frames 1 ... 65535, then 1 again; 0 is never used
+_LAST_SHORT_ID = 65535  # GigE Vision counts frames 1 ... 65535, then 1 again; some cameras count 0 ... 65535
+_NEAR_WRAP = 1024  # frames that may be lost across a wrap; a number that falls back by less has begun again
 
 
 @dataclass(slots=True)
@@ -22,8 +23,9 @@ class FrameCount:
             self.index = 0
         elif frame_id > self._last_id:
             self.index += frame_id - self._last_id
-        else:  # only short numbers wrap around
-            self.index += (frame_id - self._last_id) % _LAST_SHORT_ID
+        else:  # only short numbers wrap around; others repeat or begin again
+            step = (frame_id - self._last_id) % (_LAST_SHORT_ID + (frame_id == 0))
+            self.index += step if self._last_id <= _LAST_SHORT_ID and 0 < step < _NEAR_WRAP else 1
         self._last_id = frame_id
         return self.index
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 ByteOrder = Literal["little", "big"]
 # Models that send 16-bit pixels big-endian, whatever their features say. Aravis never swaps bytes; since 0.8.32 it
-# only names the order for GStreamer. Source: github.com/AravisProject/aravis, issue 921 and pull request 924.
-_BIG_ENDIAN_MODELS: Final = ("BFLY-PGE",)
+# only names the order for GStreamer. Source: github.com/AravisProject/aravis, issues 921 and 1029, pull request 924.
+_BIG_ENDIAN_MODELS: Final = ("BFLY-PGE", "A305sc", "A320G")
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,30 @@ RESETS: Final[dict[str, tuple[str, ...]]] = {
     "Gamma": ("1",),  # before it is disabled, which may lock it
     "GammaEnable": _OFF,
     "GammaEnabled": _OFF,
+    "SequencerMode": _OFF,  # cycles exposure and gain
+    "SequencerEnable": _OFF,
+    "TestPattern": _OFF,
+    "TestPatternEnable": _OFF,
+    "TestImageSelector": _OFF,
+    "BlackLevelAuto": _OFF,
+    "DefectCorrectStaticEnable": _OFF,
+    "DefectCorrectionEnable": _OFF,
+    "DefectCorrectionMode": _OFF,
+    "BslDefectPixelCorrectionMode": _OFF,
     "SharpnessEnabled": _OFF,
+    "SharpeningEnable": _OFF,
+    "SharpnessEnhancement": ("1",),  # 1 changes nothing
+    "BslSharpnessEnhancement": ("1",),
+    "Sharpness": ("0",),
+    "SharpnessAuto": _OFF,
+    "NoiseReduction": ("0", "Off"),
+    "NoiseReductionEnable": _OFF,
+    "BslNoiseReduction": ("0",),
+    "HDREnable": _OFF,
+    "HDRMode": _OFF,
+    "DigitalShift": ("0",),
+    "ImageCompressionMode": _OFF,  # its frames would be too short
+    "IspEnable": _OFF,  # after what it contains
     "LUTEnable": _OFF,
     "DecimationVertical": _ONE,
     "DecimationHorizontal": _ONE,

@@ -68,6 +68,7 @@ class MicroManagerCamera(Camera):
         if 1 in self._binnings:
             self._set_binning_text(1)
         self._line.call("clearROI")
+        self._em_gain = self._ask_em_gain()  # nothing changes it later
         binning = self._read_binning()
         rows, columns = (binning * self._line.call(f"getImage{side}") for side in ("Height", "Width"))
         self._sensor = Region(0, 0, rows, columns)
@@ -116,7 +117,7 @@ class MicroManagerCamera(Camera):
             pixel_pitch_m=None if pitch_m is None else binning * pitch_m,
             full_scale=self._settings.full_scale or 2 ** self._line.call("getImageBitDepth") - 1,
             exposure_range_s=Range(max(1e-3 * limits_ms[0], _SHORTEST_S), 1e-3 * limits_ms[1]),
-            em_gain_range=Range(1.0, 1.0),
+            em_gain_range=Range(self._em_gain, self._em_gain),
             amplifiers=("normal",),
             binnings=tuple(sorted(self._binnings)),
             sensor=self._sensor,
@@ -128,6 +129,18 @@ class MicroManagerCamera(Camera):
 
     def _ask_exposure(self) -> float:
         return 1e-3 * float(self._line.call("getExposure", LABEL))
+
+    def _read_em_gain(self) -> float:
+        return self._em_gain
+
+    def _ask_em_gain(self) -> float:
+        """Return the EM gain of an Andor iXon, whose adapter is the one with an `EMSwitch`; else 1."""
+        names = self._line.property_names()
+        if "EMSwitch" not in names or self._line.call("getProperty", LABEL, "EMSwitch") != "On":
+            return 1.0
+        if "Output_Amplifier" in names and "Conv" in self._line.call("getProperty", LABEL, "Output_Amplifier"):
+            return 1.0
+        return max(1.0, float(self._line.call("getProperty", LABEL, "Gain")))
 
     def _set_exposure(self, exposure_s: float) -> float:
         before_s = self._read_exposure()
@@ -256,5 +269,5 @@ class MicroManagerCamera(Camera):
             camera_time_s=camera_time_s,
             host_time_s=host_time_s,
             exposure_s=self._exposures[0][1],
-            em_gain=1.0,
+            em_gain=self._em_gain,
         )

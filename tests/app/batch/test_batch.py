@@ -18,6 +18,7 @@ from app.batch.job import Job
 from app.batch.sources import unique_names
 from app.bench.config import load_bench, write_bench
 from app.bench.imaging_model import BenchModel
+from app.cli.tables import print_batch
 from app.errors import InputError, Interrupted, RunError
 from app.recording.reader import Recording
 from app.recording.reprocess import Reprocessing
@@ -259,6 +260,14 @@ def test_moved_recording_is_recognised(mine: Recording, tmp_path: Path) -> None:
     batch(tmp_path / "r.zarr", mine)
     moved = mine.folder.rename(tmp_path / "moved")
     assert batch(tmp_path / "r.zarr", moved).computed == 0
+
+
+def test_identical_recordings_are_named(mine: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    copy = shutil.copytree(mine.folder, tmp_path / "copy")
+    made = batch(tmp_path / "r.zarr", mine, copy, mine)
+    assert (made.recordings, made.copies) == (1, {copy: mine.folder})
+    print_batch(made, tmp_path / "r.zarr")
+    assert "is a copy of" in " ".join(capsys.readouterr().out.split())
 
 
 def test_nothing_but_a_store_is_written_into(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:

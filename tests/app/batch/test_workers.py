@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import re
 import signal
@@ -12,10 +13,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import pytest
 import xarray as xr
+from distributed import Security
+from distributed.comm.core import connect
 from support.batches import batch, files_of, small_blocks
 from support.command_line import run
 from support.patience import HANG_S
@@ -129,10 +133,62 @@ def test_three_killed_workers_change_nothing(
     assert differing(tmp_path / "r.zarr", alone) == []
 
 
-def test_dashboard_answers(two_workers: Workers) -> None:
-    assert two_workers.dashboard.startswith("http://127.0.0.1:")
-    with urlopen(two_workers.dashboard, timeout=HANG_S) as page:  # noqa: S310 - of this computer, see above
-        assert b"Dask" in page.read()
+def test_dashboard_answers_only_if_asked(two_workers: Workers) -> None:
+    """Nothing else answers either, for example with what the workers do."""
+    (port,) = _http_ports(two_workers)
+    with pytest.raises(HTTPError, match="404"):
+        urlopen(f"http://127.0.0.1:{port}/info/main/workers.html", timeout=HANG_S)
+    with workers(1, None, dashboard=True) as started:
+        assert started.dashboard.startswith("http://127.0.0.1:")
+        with urlopen(started.dashboard, timeout=HANG_S) as page:  # noqa: S310 - of this computer, see above
+            assert b"Dask" in page.read()
+
+
+def _http_ports(started: Workers) -> set[int]:
+    """Ports of the scheduler's HTTP server."""
+    return set(started._client.run_on_scheduler(lambda dask_scheduler: {dask_scheduler.http_server.port}))
+
+
+def test_other_users_cannot_send_code_to_the_workers(two_workers: Workers) -> None:
+    """Neither without a certificate nor with another one, and neither to the scheduler nor to a worker."""
+    info = two_workers._client.scheduler_info(n_workers=-1)
+    nannies = [each["nanny"] for each in info["workers"].values()]
+    addresses = [info["address"], *info["workers"], *nannies]
+    assert len(addresses) == 5
+    for address in addresses:
+        assert address.startswith("tls://127.0.0.1:")
+        for scheme, security in (("tcp", None), ("tls", Security.temporary())):
+            with pytest.raises((OSError, TimeoutError)):
+                asyncio.run(_ask(address.replace("tls", scheme), security))
+
+
+async def _ask(address: str, security: Security | None) -> None:
+    arguments = {} if security is None else security.get_connection_args("client")
+    comm = await asyncio.wait_for(connect(address, timeout=2, **arguments), 5)
+    await comm.write({"op": "identity", "reply": True})
+    await asyncio.wait_for(comm.read(), 5)
+
+
+def test_workers_import_nothing_from_the_working_folder(tmp_path: Path) -> None:
+    for name in ("multiprocessing", "signal", "asyncio"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w').close()\n")
+    program = (
+        "from app.batch.workers import workers\nif __name__ == '__main__':\n with workers(1, None) as started:\n  "
+    )
+    program += "print(dict(started(abs, [-3.0])))"
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "scripts" / "command.py").write_text(program)
+    done = subprocess.run(  # noqa: S603 - the program above
+        [sys.executable, tmp_path / "scripts" / "command.py"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "{-3.0: 3.0}\n"), done.stderr
+    assert not (tmp_path / "ran").exists()
 
 
 def test_errors_of_tasks_are_results(two_workers: Workers) -> None:
@@ -283,6 +339,14 @@ def test_missing_scheduler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
         pass
     with pytest.raises(InputError, match="give one of them"), workers(2, "tcp://127.0.0.1:1"):
         pass
+
+
+def test_wrong_address_is_refused_before_a_client_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise the client waits 40 s for its end, and prints a traceback."""
+    monkeypatch.setattr("distributed.Client", None)
+    for address in ("garbage://x", "", "node1"):
+        with pytest.raises(RunError, match=f"{address}: no scheduler can be reached there"), workers(None, address):
+            pass
 
 
 def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,8 @@ import pytest
 from support.paths import FOREIGN_FRAMES
 
 from app.bench.bench_error import BenchError
-from app.bench.config import parse_bench
+from app.bench.config import load_bench, parse_bench
+from app.errors import InputError
 
 LINES = (FOREIGN_FRAMES / "bench.toml").read_text().splitlines()
 # what stands in the line, what replaces it, and what stands in the line that is named if it is another
@@ -50,3 +51,12 @@ def test_fault_of_an_override_names_no_line() -> None:
     with pytest.raises(BenchError) as fault:
         parse_bench("\n".join(LINES), "bench.toml", ("sensor.lenslet_rows=0",))
     assert fault.value.line is None
+
+
+def test_integer_of_too_many_digits_is_one_sentence() -> None:
+    """Python refuses to read more than 4300 digits, with another error than TOML's."""
+    number = "9" * 5000
+    with pytest.raises(InputError, match=r"bench: .*4300"):
+        parse_bench(f"[sensor]\nlenslet_rows = {number}\n", "bench")
+    with pytest.raises(InputError, match="lenslet_rows"):
+        load_bench("small_demo", (f"sensor.lenslet_rows={number}",))

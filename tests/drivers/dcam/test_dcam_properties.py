@@ -142,6 +142,31 @@ def test_camera_filters_warn(camera: DcamCamera, identifier: Id, value: float, w
     assert camera.properties()["warnings"] == warning
 
 
+@pytest.mark.parametrize(
+    ("identifier", "harmless", "value", "word"),
+    [
+        (Id.SENSORMODE, 1, 18, "sensor mode"),
+        (Id.OUTPUT_INTENSITY, 1, 2, "test pattern"),
+        (Id.HIGHDYNAMICRANGE_MODE, 1, 2, "dynamic range"),
+        (Id.REALTIMEGAINCORRECT_MODE, 1, 2, "gain correction"),
+        (Id.DEFECTCORRECT_MODE, 1, 2, "defect correction"),
+        (Id.INTENSITY_GAMMA, 1, 0.5, "gamma"),
+        (Id.ADVANCEDEDGEENHANCEMENT_MODE, 1, 2, "sharpens"),
+    ],
+)
+def test_modes_of_an_orca_warn(
+    camera: DcamCamera, identifier: Id, harmless: float, value: float, word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stand-in has none of them."""
+    values, found = camera._values, harmless
+    get_or = values.get_or
+    monkeypatch.setattr(values, "get_or", lambda each, default: found if each == identifier else get_or(each, default))
+    assert camera.warnings() == ()
+    found = value
+    (warning,) = camera.warnings()
+    assert word in warning
+
+
 def test_warm_sensor_warns(stand_in: StandIn, camera: DcamCamera) -> None:
     stand_in.break_cooler()
     (warning,) = camera.warnings()

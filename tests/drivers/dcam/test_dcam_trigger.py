@@ -37,6 +37,15 @@ def test_change_before_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
             assert frame.camera_time_s == pytest.approx(stand_in.now(), abs=2e-6)
 
 
+def test_leftover_trigger_settings_are_reset(camera: DcamCamera) -> None:
+    """START would wait for a first pulse, several TIMES for several pulses per frame."""
+    camera._values.set(0x00100210, 6)
+    camera._values.set(0x00100240, 3)
+    camera._set_up(camera._settings)
+    properties = camera.properties()
+    assert (properties["TRIGGER MODE"], properties["TRIGGER TIMES"]) == ("NORMAL", 1)
+
+
 def test_exposure_by_trigger_pulse_warns(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="external", trigger_active="level") as camera:
         assert camera.warnings() == ("the trigger pulses determine the exposure, not the set time",)

@@ -326,6 +326,23 @@ def test_digitiser_suits_the_format(
         assert (properties["pixel_format"], properties[feature]) == (name, depth)
 
 
+def test_digitiser_that_follows_the_format_keeps_all_bits(peer: Callable[[Model], GigeCamera]) -> None:
+    """Basler ace 2 as delivered: Mono8, and a locked depth that follows the pixel format."""
+    of = usual(("Mono8", "Mono10", "Mono12"))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    locked = "<ImposedAccessMode>RO</ImposedAccessMode>"
+    of.enumeration("BslSensorBitDepth", "Bpp10", {"Bpp10": 10, "Bpp12": 12}, more=locked)
+
+    def follow(camera: GigeCamera, of: Description) -> None:
+        is_deep = camera.register(of.addresses["PixelFormat"]) == PFNC["Mono12"]
+        camera.set_register(of.addresses["BslSensorBitDepth"], 12 if is_deep else 10)
+
+    peer(Model("Basler", "a2A2600-20gmBAS", of, after_write=follow))
+    with GenicamCamera(SETTINGS) as camera:
+        properties = camera.properties()
+        assert (properties["pixel_format"], properties["BslSensorBitDepth"]) == ("Mono12", "Bpp12")
+
+
 @pytest.mark.parametrize(("depth", "name"), [("Bit10", "Mono10p"), ("Bit12", "Mono12p")])
 def test_format_suits_a_fixed_digitiser(depth: str, name: str, peer: Callable[[Model], GigeCamera]) -> None:
     of = usual(("Mono8", "Mono16", "Mono10p", "Mono12p"))
@@ -378,6 +395,43 @@ def test_leftover_frame_rate_is_released(peer: Callable[[Model], GigeCamera]) ->
         assert camera.properties()["frame_rate_hz"] == 20
         camera.set_trigger("Line0")
         assert camera.properties()["AcquisitionFrameRateEnabled"] == "false"
+
+
+def test_leftover_processing_is_switched_off_and_recorded(peer: Callable[[Model], GigeCamera]) -> None:
+    of = usual(("Mono12",))
+    of.number("ExposureTime", 9000, 10, 1e6)
+    modes = ("SequencerMode", "BlackLevelAuto", "ImageCompressionMode", "HDRMode", "BslDefectPixelCorrectionMode")
+    switches = ("SharpeningEnable", "DefectCorrectStaticEnable", "IspEnable", "NoiseReductionEnable", "HDREnable")
+    numbers = {"DigitalShift": "0", "Sharpness": "0", "SharpnessEnhancement": "1", "BslSharpnessEnhancement": "1"}
+    for name in modes:
+        of.enumeration(name, "On", _ON_OFF)
+    of.enumeration("TestPattern", "Ramp", {"Off": 0, "Ramp": 1})
+    for name in switches:
+        of.boolean(name, 1)
+    for name in numbers:
+        of.integer(name, 3, 0, 4)
+    peer(Model("Maker", "Model", of))
+    expected = dict.fromkeys((*modes, "TestPattern"), "Off") | dict.fromkeys(switches, "false") | numbers
+    with GenicamCamera(SETTINGS) as camera:
+        properties = camera.properties()
+        assert {name: properties[name] for name in expected} == expected
+
+
+def test_frames_without_timestamp_have_the_host_time(
+    peer: Callable[[Model], GigeCamera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Lucid Atlas cameras send them."""
+    peer(pco1600())
+    with GenicamCamera(SETTINGS) as camera:
+        call = camera._aravis.call
+        monkeypatch.setattr(
+            camera._aravis,
+            "call",
+            lambda name, *arguments: 0 if name == "arv_buffer_get_timestamp" else call(name, *arguments),
+        )
+        camera.start()
+        frame = camera.read(5.0)
+        assert frame.camera_time_s == frame.host_time_s > 0
 
 
 def test_odd_nodes_do_not_spoil_the_properties(peer: Callable[[Model], GigeCamera]) -> None:

@@ -22,7 +22,7 @@ from drivers.genicam.library import Aravis, kinds_of_errors, load_aravis, load_l
 from drivers.genicam.settings import GenicamSettings
 
 
-@given(first=st.integers(1, 65535), steps=st.lists(st.integers(1, 65534), max_size=50))
+@given(first=st.integers(1, 65535), steps=st.lists(st.integers(1, 1023), max_size=200))
 def test_short_frame_numbers_wrap_without_zero(first: int, steps: list[int]) -> None:
     given_in_turn = itertools.cycle(range(1, 65536))
     ids = itertools.islice(given_in_turn, first - 1, None)
@@ -35,6 +35,22 @@ def test_short_frame_numbers_wrap_without_zero(first: int, steps: list[int]) -> 
 def test_loss_across_number_wrap_is_counted() -> None:
     count = FrameCount()
     assert [count.advance(frame_id) for frame_id in (65533, 65534, 2, 3)] == [0, 1, 4, 5]  # 65535 and 1 are missing
+
+
+@pytest.mark.parametrize(
+    ("ids", "indices"),
+    [
+        ((7, 7, 7, 8), (0, 1, 2, 3)),
+        ((0, 0, 0), (0, 1, 2)),
+        ((65534, 65535, 0, 1), (0, 1, 2, 3)),
+        ((65530, 0, 1), (0, 6, 7)),
+        ((500, 501, 1, 2), (0, 1, 2, 3)),  # the camera restarted
+        ((70000, 70001, 1), (0, 1, 2)),
+    ],
+)
+def test_repeated_and_restarted_frame_numbers_are_new_frames(ids: tuple[int, ...], indices: tuple[int, ...]) -> None:
+    count = FrameCount()
+    assert tuple(map(count.advance, ids)) == indices
 
 
 def test_long_frame_numbers_may_begin_with_zero() -> None:

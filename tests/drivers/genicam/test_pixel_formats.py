@@ -127,6 +127,8 @@ def test_full_scale_follows_the_used_bits(
         ("Point Grey Research Blackfly BFLY-PGE-31S4M 14", False, "big"),
         ("Point Grey Research Grasshopper3 GS3-U3-51S5M", False, "little"),
         ("Basler acA640", True, "big"),
+        ("FLIR Systems A305sc", False, "big"),
+        ("FLIR Systems A320G", False, "big"),
     ],
 )
 def test_byte_order_is_that_of_the_model(model: str, is_reported_big: bool, order: str) -> None:

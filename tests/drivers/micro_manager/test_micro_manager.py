@@ -33,7 +33,7 @@ from drivers.interface import (
     WrongState,
 )
 from drivers.micro_manager.camera import MicroManagerCamera
-from drivers.micro_manager.core import discover
+from drivers.micro_manager.core import LoadedCamera, discover
 from drivers.micro_manager.settings import MicroManagerSettings
 
 
@@ -109,6 +109,31 @@ def test_frames_are_those_of_the_core(faults: DemoCamera) -> None:
         np.testing.assert_array_equal(frame.pixels, core.getImage())
     assert frame.pixels.shape == (60, 80)
     assert frame.pixels.std() > 0
+
+
+@pytest.mark.parametrize(
+    ("switch", "amplifier", "em_gain"),
+    [("On", "Electron Multiplying", 300), ("Off", "Electron Multiplying", 1), ("On", "Conventional", 1)],
+)
+def test_em_gain_of_an_ixon_is_recorded(
+    faults: DemoCamera, monkeypatch: pytest.MonkeyPatch, switch: str, amplifier: str, em_gain: float
+) -> None:
+    andor = {"EMSwitch": switch, "Gain": "300", "Output_Amplifier": amplifier}
+    initialize, names, call = LoadedCamera.initialize, LoadedCamera.property_names, LoadedCamera.call
+
+    def initialized(line: LoadedCamera, properties: dict[str, str]) -> None:
+        initialize(line, properties)
+        monkeypatch.setattr(LoadedCamera, "property_names", lambda line: (*names(line), *andor))
+
+    def answer(line: LoadedCamera, name: str, *arguments: Any) -> Any:
+        is_andor = name == "getProperty" and arguments[-1] in andor
+        return andor[arguments[-1]] if is_andor else call(line, name, *arguments)
+
+    monkeypatch.setattr(LoadedCamera, "initialize", initialized)
+    monkeypatch.setattr(LoadedCamera, "call", answer)
+    with faults.open() as camera:
+        camera.start()
+        assert (camera.em_gain, camera.read(HANG_S).em_gain) == (em_gain, em_gain)
 
 
 def test_exposure_of_frames_follows_change(faults: DemoCamera) -> None:
