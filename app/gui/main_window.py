@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QEventLoop, QSettings, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QApplication, QMainWindow
+from PyQt6.QtWidgets import QApplication
 
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, acquisition_of, start_up
@@ -27,6 +27,7 @@ from app.gui.late_measurements import LateMeasurements
 from app.gui.menu import fill_menus
 from app.gui.message_log import MessageLog
 from app.gui.message_strip import MessageStrip
+from app.gui.neutral_focus import NeutralFocusWindow
 from app.gui.number_field import NumberField
 from app.gui.recording_bar import RecordingBar
 from app.gui.recording_panel import RecordingPanel
@@ -46,7 +47,7 @@ _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 
 
-class MainWindow(QMainWindow):
+class MainWindow(NeutralFocusWindow):
     """The window of `svwfs live`."""
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference

@@ -34,10 +34,7 @@ def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, F
 
 
 def test_error_in_a_refresh_is_shown_once(
-    live: tuple[MainWindow, FakeCamera],
-    qtbot: QtBot,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
     calls: list[object] = []
