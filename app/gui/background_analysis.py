@@ -7,6 +7,7 @@ from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
 from app.gui.analysis_tabs import AnalysisTabs
 from app.gui.analysis_thread import AnalysisThread
+from app.gui.guard import Guard
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
 from app.results.layers.answers import FoundLayers, LayersRequest, find_shown_correctors, find_shown_layers
@@ -24,7 +25,7 @@ class BackgroundAnalysis(QObject):
 
     failed = pyqtSignal(str)
 
-    def __init__(self, wavefront_panel: WavefrontPanel, tabs: AnalysisTabs, parent: QObject) -> None:
+    def __init__(self, wavefront_panel: WavefrontPanel, tabs: AnalysisTabs, guard: Guard, parent: QObject) -> None:
         super().__init__(parent)
         self._wavefront_panel, self._tabs = wavefront_panel, tabs
         self._thread = AnalysisThread(analyse)
@@ -37,15 +38,15 @@ class BackgroundAnalysis(QObject):
         wavefront_panel.grid.selected.connect(self._select)
         self._timer = QTimer(self)
         self._timer.setInterval(_POLL_INTERVAL_MS)
-        self._timer.timeout.connect(self.poll)
+        self._timer.timeout.connect(guard(self.poll))
         self._timer.start()
 
     def use_settings(self, settings: ReconstructionSettings) -> None:
         """Set how the wavefronts are reconstructed."""
         self._settings = settings
 
-    def use_measurement(self, measurement: Measurement) -> None:
-        """Set the newest measurement."""
+    def use_measurement(self, measurement: Measurement | None) -> None:
+        """Set the newest measurement, or none of a new bench."""
         self._measurement = measurement
 
     @property

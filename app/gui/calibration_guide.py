@@ -91,6 +91,13 @@ class CalibrationGuide(QDialog):
         else:
             self._next()
 
+    def end_for_light(self) -> bool:
+        """End the sequence because the light is switched off; return whether it was running."""
+        was_running = self._is_running
+        if was_running:
+            self._end("ended: the light was switched off")
+        return was_running
+
     def reject(self) -> None:
         """Cancel the running step, or close."""
         if self._is_running:
@@ -106,6 +113,8 @@ class CalibrationGuide(QDialog):
         self._refuse()
 
     def _next(self) -> None:
+        if not self._is_running:
+            return
         status = self._status()
         if not self._left or status is None:
             sample = (

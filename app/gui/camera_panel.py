@@ -112,6 +112,11 @@ class CameraPanel(QWidget):
             self._sensor, self._lattice, self.full_scale = sensor, lattice, full_scale
             self._show_overlay()
 
+    def forget(self) -> None:
+        """Forget the bench: its lattice, the inspected lenslet and the arrows."""
+        self._lattice = self._sensor = self._displacement = self._inspected = None
+        self._show_overlay()
+
     def propose(self, survey: Survey | None) -> None:
         """Draw a proposed lattice and its lenslets without light, or none."""
         for item in (self._proposed_lines, self._proposed_boxes):

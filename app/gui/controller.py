@@ -200,6 +200,7 @@ class Controller:
         )
         window = self._region_dialog.parentWidget()
         self.guide = CalibrationGuide(self._send, lambda: self.status, self._use_lattice, self._cancel, window)
+        self.light.end_sequence = self.guide.end_for_light
         controls.calibration_requested.connect(self.guide.begin)
         controls.sensor_region_requested.connect(self._open_region_dialog)
         self._region_dialog.area_requested.connect(

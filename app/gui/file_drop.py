@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QEvent, QMimeData, QObject
-from PyQt6.QtGui import QDragEnterEvent, QDropEvent
+from PyQt6.QtGui import QDropEvent
 
 from app.errors import InputError
 from app.images import SUFFIXES
@@ -28,12 +28,9 @@ class FileDrop(QObject):
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
         """Accept local files and open them."""
-        if isinstance(event, QDragEnterEvent) and _paths(event.mimeData()):
+        if isinstance(event, QDropEvent) and (paths := _paths(event.mimeData())):  # also its subclasses: enter, move
             event.acceptProposedAction()
-            return True
-        if isinstance(event, QDropEvent) and (paths := _paths(event.mimeData())):
-            event.acceptProposedAction()
-            for path in paths:
+            for path in paths if event.type() == QEvent.Type.Drop else ():
                 self.open(path)
             return True
         return super().eventFilter(watched, event)

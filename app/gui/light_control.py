@@ -33,6 +33,7 @@ class LightControl:
         self._acquisition, self._send, self._ask = acquisition, send, ask
         self._controls, self._messages = controls, messages
         self._switching_off: Future[None] | None = None
+        self.end_sequence: Callable[[], bool] = lambda: False  # of commands; returns whether one was running
         controls.light_requested.connect(self._switch)
         controls.dark_requested.connect(self._take_dark)
         controls.reference_requested.connect(self._take_reference)
@@ -60,16 +61,21 @@ class LightControl:
         return True
 
     def _switch(self, on: bool) -> None:
+        """Switch the light; during a sequence, which switches it on and off, always off and the sequence ends."""
         acquisition = self._acquisition()
         if acquisition is None or acquisition.status is None:
             return
+        has_ended = self.end_sequence()
         if acquisition.status.bench.has_manual_light:
+            if has_ended:
+                acquisition.cancel()
             self._controls.light.setChecked(acquisition.status.is_light_on)  # until it is confirmed
             self._ask_by_hand(on=on, then=lambda: None)
-        elif on:
+        elif on and not has_ended and not acquisition.activity.text:
             self._send(lambda to: to.submit(lambda instrument: instrument.devices.light.set_on(True)), None)
         else:
             self._messages.clear_notice()
+            self._controls.light.setChecked(False)
             self._controls.show_switching_off()
             self._switching_off = acquisition.switch_light_off()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QEventLoop, QSettings, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QApplication, QMainWindow
+from PyQt6.QtWidgets import QApplication
 
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import FRAMES, acquisition_of, start_up
@@ -21,11 +21,13 @@ from app.gui.camera_panel import CameraPanel
 from app.gui.controller import Begin, Controller
 from app.gui.controls_panel import ControlsPanel
 from app.gui.file_drop import FileDrop
+from app.gui.guard import Guard
 from app.gui.help_menu import help_entries
 from app.gui.late_measurements import LateMeasurements
 from app.gui.menu import fill_menus
 from app.gui.message_log import MessageLog
 from app.gui.message_strip import MessageStrip
+from app.gui.neutral_focus import NeutralFocusWindow
 from app.gui.number_field import NumberField
 from app.gui.recording_bar import RecordingBar
 from app.gui.recording_panel import RecordingPanel
@@ -45,7 +47,7 @@ _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 
 
-class MainWindow(QMainWindow):
+class MainWindow(NeutralFocusWindow):
     """The window of `svwfs live`."""
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
@@ -94,7 +96,8 @@ class MainWindow(QMainWindow):
             messages=self.messages,
         )
         self.messages.reconnect_requested.connect(self._reconnect)
-        self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self)
+        self._guard = Guard(self.messages.alarm)
+        self._analysis = BackgroundAnalysis(self.wavefront_panel, self.tabs, self._guard, self)
         for failed in (self._analysis.failed, self.wavefront_panel.refused, self.replay.failed):
             failed.connect(self.messages.warn)
         self.camera_panel.lenslet_clicked.connect(self.tabs.inspect)
@@ -110,11 +113,11 @@ class MainWindow(QMainWindow):
         fit_to_screen(self)
         self._timer = QTimer(self)
         self._timer.setInterval(_REFRESH_INTERVAL_MS)
-        self._timer.timeout.connect(self.refresh)
+        self._timer.timeout.connect(self._guard(self.refresh))
         self._text_timer = QTimer(self)  # between two frames: together they would hold up the measurement
         self._text_timer.setInterval(_REFRESH_INTERVAL_MS // 2)
         self._text_timer.setSingleShot(True)
-        self._text_timer.timeout.connect(self.update_text)
+        self._text_timer.timeout.connect(self._guard(self.update_text))
         self.recording_panel.setEnabled(False)
         self.update_text()
 
@@ -134,6 +137,7 @@ class MainWindow(QMainWindow):
             self._timer.stop()
             self._text_timer.stop()
             self.controller.use(make_acquisition, begin, self._show_closing)
+            self._forget_bench()
             self.replay.use(player)
             self.connect_devices()
             if player is not None and player.notice:
@@ -141,6 +145,13 @@ class MainWindow(QMainWindow):
 
         if not self.controller.light.ask_off(connect):
             connect()
+
+    def _forget_bench(self) -> None:
+        self._guard.restart()
+        self.camera_panel.forget()
+        self.wavefront_panel.show_wavefront(None)
+        self.tabs.lenslet.select(None)
+        self._analysis.use_measurement(None)
 
     def refresh(self) -> None:
         """Show what has changed in the acquisition."""

@@ -35,6 +35,7 @@ A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """
 
+_EVERYWHERE = {"L"}  # keys that work in every dialog: the light
 _HELP_WIDTH = 960  # px
 _HELP_OF_SCREEN = 0.9
 
@@ -70,6 +71,8 @@ def _fill(menu: QMenu | None, entries: Entries) -> None:
                 buttons.append((action, act))
                 act = act.click
             action.setShortcut(QKeySequence(key))
+            if key in _EVERYWHERE:
+                action.setShortcutContext(Qt.ShortcutContext.ApplicationShortcut)
             action.triggered.connect(lambda _=False, act=act: act())
     menu.aboutToShow.connect(lambda: _follow(buttons))
     menu.aboutToHide.connect(lambda: _enable(buttons))

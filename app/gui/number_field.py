@@ -103,6 +103,9 @@ class NumberField(QDoubleSpinBox):
         ends = key == Qt.Key.Key_Escape or key in ENTER
         if kind == QEvent.Type.ShortcutOverride:
             is_typed = bool(event.text()) and not event.modifiers() & _COMMANDS
+            if is_typed and key == Qt.Key.Key_L:  # in no number: it switches the light
+                event.ignore()
+                return False
             if ends or is_typed:
                 event.accept()
                 return True

@@ -34,6 +34,7 @@ class RecordingPanel(QWidget):
         # A menu bar never updates the width of its corner; with a fixed height, too, a new text is not laid out.
         self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.record_requested.connect(self._leave_fields)
         row(self.text, self.keep, self.record, parent=self).setContentsMargins(10, 3, 6, 3)
         self._show_button(is_recording=True)
         self.record.setMinimumWidth(self.record.sizeHint().width())  # of the longer of its two texts
@@ -57,6 +58,10 @@ class RecordingPanel(QWidget):
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange:
             self._show_button(is_recording=self.record.text() == _STOP)
+
+    def _leave_fields(self) -> None:
+        if (window := self.window()) is not None:
+            window.setFocus()
 
     def _show_button(self, *, is_recording: bool) -> None:
         self.record.setText(_STOP if is_recording else "Record")

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QTimer
+from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtWidgets import (
     QCheckBox,
     QDialog,
@@ -178,6 +178,7 @@ class SettingsDialog(QDialog):
             choice.textActivated.connect(lambda text: self._enter(field, choice, text))
             return choice
         line = QLineEdit(field.text)
+        line.setFocusPolicy(Qt.FocusPolicy.ClickFocus)  # else it might swallow the key of the light
         line.setPlaceholderText(f"for example {field.example}" if field.example else "automatic" * field.is_optional)
         line.textEdited.connect(lambda text: self._enter(field, line, text))
         return line

@@ -8,13 +8,17 @@ from app.gui.widgets import ENTER
 
 
 class TextField(QLineEdit):
-    """Emits a changed text when the user enters it; Return enters, Esc restores, and both leave the field."""
+    """Emits a changed text when the user enters it; Return enters, Esc restores, and both leave the field.
+
+    Tab does not reach it: keys are typed only after a click, or where the window gives it the focus.
+    """
 
     entered = pyqtSignal(str)
 
     def __init__(self, *, tool_tip: str, hint: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._in_force = ""
+        self.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         self.setToolTip(tool_tip)
         self.setPlaceholderText(hint)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PyQt6.QtGui import QDragEnterEvent, QDropEvent
+from PyQt6.QtGui import QDragEnterEvent, QDragMoveEvent, QDropEvent
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
@@ -43,6 +43,25 @@ def test_recording_opens_another_window(
     drop(window, tmp_path / "photos")
     assert len(started) == 1
     assert "holds no recording" in window.log.text
+
+
+def test_dragging_across_opens_nothing(
+    live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A move event is also a `QDropEvent` in Qt."""
+    window, _ = live
+    opened: list[Path] = []
+    monkeypatch.setattr(window.drop, "open", opened.append)
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(tmp_path))])
+    for kind in (QDragEnterEvent, QDragMoveEvent, QDragMoveEvent):
+        copy, button, keys = Qt.DropAction.CopyAction, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+        event = kind(QPoint(50, 50), copy, data, button, keys)
+        QApplication.sendEvent(window, event)
+        assert event.isAccepted()
+    assert not opened
+    drop(window, tmp_path)
+    assert opened == [tmp_path]
 
 
 def test_bench_is_opened(live: tuple[MainWindow, FakeCamera], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

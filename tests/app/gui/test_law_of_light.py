@@ -1,0 +1,162 @@
+"""A request to switch the light off wins over every sequence, and no field swallows its key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QApplication, QDialog, QWidget
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import MakeWindow, press, wait_for_wavefront
+from test_calibration_guide import ExposedCamera
+from test_window_small import open_help
+
+from app.gui.main_window import MainWindow
+
+
+def focused(window: QWidget) -> QWidget:
+    """Where a key goes that is pressed now."""
+    return QApplication.focusWidget() or window
+
+
+def activate(window: QWidget, qtbot: QtBot) -> None:
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+
+
+def test_light_off_between_two_steps_ends_the_guided_calibration(make_window: MakeWindow, qtbot: QtBot) -> None:
+    camera = ExposedCamera()
+    window = make_window(camera)
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    guide = window.controller.guide
+    window._timer.stop()  # no answer is seen yet
+    window.controls.calibrate.click()
+    qtbot.waitUntil(window.controller.pending._pending[-1][0].done)
+    window.controls.light.click()
+    qtbot.waitUntil(lambda: not camera.light.shines)
+    window._timer.start()
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    assert guide.question.text() == "Ended: the light was switched off"
+    assert not camera.light.shines
+    press(qtbot, guide, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light off")
+    activate(window, qtbot)
+    press(qtbot, window, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: camera.light.shines)
+
+
+def test_light_key_during_a_dark_keeps_the_light_off(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.controls.frames.setValue(1000)
+    window.controls.dark.click()
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light off")
+    activate(window, qtbot)
+    press(qtbot, window, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty and not window.controller.light.is_switching_off)
+    assert not camera.light.shines
+    assert camera.is_running
+
+
+def enlarged(window: MainWindow) -> None:
+    window.wavefront_panel.enlarge()
+
+
+DIALOGS: dict[str, Callable[[MainWindow], object]] = {
+    "guide": lambda window: window.controller.guide.show(),
+    "region": lambda window: window.region_dialog.begin(window._status),  # type: ignore[arg-type] # is live
+    "settings": lambda window: window.benches.edit(),
+    "fault": lambda window: window.benches.dialog.show_message("Faulty bench", "It is faulty", ()),
+    "enlarged": enlarged,
+    "help": open_help,
+}
+
+
+def test_light_key_works_in_every_dialog(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    activate(window, qtbot)
+    for name, opens in DIALOGS.items():
+        before = camera.light.shines
+        opens(window)
+        dialog = next(one for one in window.findChildren(QDialog) if one.isVisible())
+        activate(dialog, qtbot)
+        press(qtbot, focused(dialog), Qt.Key.Key_L)
+        qtbot.waitUntil(lambda before=before: camera.light.shines != before)  # type: ignore[misc] # mypy and defaults
+        qtbot.waitUntil(lambda before=before: window.controls.light.text() == f"Light {'off' if before else 'on'}")  # type: ignore[misc]
+        dialog.close()
+        activate(window, qtbot)
+        assert focused(window) is window, name
+
+
+@pytest.mark.parametrize("field", ["name", "current"])
+def test_light_key_is_never_swallowed(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, field: str
+) -> None:
+    window, camera = live
+    window.controller.recordings_folder = tmp_path
+    activate(window, qtbot)
+    for stage in ("recording", "finished"):
+        press(qtbot, window, Qt.Key.Key_W)
+        qtbot.waitUntil(lambda stage=stage: window.recording_bar._stage == stage)  # type: ignore[misc]
+    if field == "name":
+        window.recording_bar.name.setFocus()  # as by a click
+    else:
+        window.controls.current.edit()
+    guide = window.controller.guide
+    guide.show()
+    activate(guide, qtbot)
+    guide.close()
+    activate(window, qtbot)
+    press(qtbot, focused(window), Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.shines)
+    assert not window.recording_bar.name.text()
+    assert [path.name[-2:] != "-l" for path in tmp_path.iterdir()] == [True]
+
+
+def test_number_field_leaves_the_light_key_alone(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    activate(window, qtbot)
+    window.controls.exposure.edit()
+    qtbot.waitUntil(window.controls.exposure.hasFocus)
+    press(qtbot, window.controls.exposure, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.shines)
+
+
+def test_stopping_a_recording_leaves_its_name(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    window, _ = live
+    window.controller.recordings_folder = tmp_path
+    activate(window, qtbot)
+    press(qtbot, window, Qt.Key.Key_W)
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    window.recording_bar.stop_after.setFocus()
+    window.recording_panel.record.click()
+    assert focused(window) is window
+    qtbot.waitUntil(lambda: window.recording_bar._stage == "finished")
+    assert focused(window) is window
+
+
+def test_hidden_field_gives_the_focus_to_the_window(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    activate(window, qtbot)
+    window.recording_bar.prepare()
+    window.recording_bar.stop_after.setFocus()
+    window.recording_bar.hide()
+    assert focused(window) is window
+
+
+def test_space_stops_the_camera_although_nothing_was_clicked(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.activateWindow()
+    activate(window, qtbot)
+    press(qtbot, focused(window), Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: not camera.is_running)
+    assert window.camera_panel.lattice_toggle.isChecked()
+    press(qtbot, focused(window), Qt.Key.Key_N)
+    qtbot.waitUntil(window.messages.accept.isVisible)
+    press(qtbot, focused(window), Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: "lattice is in use" in window.log.text)

@@ -1,0 +1,58 @@
+"""Errors of the display, and what a new bench finds of the old one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from PyQt6.QtCore import QPointF
+from pytestqt.qtbot import QtBot
+from support.gui_bench import BENCH, FakeCamera, opener
+from support.optics import sensor_of
+
+from app.acquisition.worker import Acquisition
+from app.gui.main_window import MainWindow
+
+
+class Click:
+    def __init__(self, position: QPointF) -> None:
+        self.scenePos = lambda: position
+
+
+def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    panel, lenslet = window.camera_panel, window.tabs.lenslet
+    panel._click(Click(panel._view.mapViewToScene(QPointF(215 + 6 * 31.25, 150.5 + 4 * 31.25))))
+    assert lenslet.lenslet == (8, 12)
+    smaller = replace(BENCH, sensor=sensor_of(5, 7))
+    window.open(lambda: Acquisition(smaller, opener(FakeCamera())))
+    assert lenslet.lenslet is None
+    assert window.wavefront_panel.shown is None
+    assert not panel._inspected_box.isVisible()
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
+    assert "display failed" not in window.log.text
+
+
+def test_error_in_a_refresh_is_shown_once(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    calls: list[object] = []
+
+    def fail(*arguments: object) -> None:
+        calls.append(arguments)
+        raise IndexError("index 8 is out of bounds")
+
+    with qtbot.capture_exceptions() as printed, monkeypatch.context() as patch:
+        patch.setattr(window.camera_panel, "show_frame", fail)
+        qtbot.waitUntil(lambda: len(calls) > 3)
+    window.update_text()
+    assert (
+        "The display failed (IndexError: index 8 is out of bounds; test_window_errors.py:"
+        in window.messages.text.text()
+    )
+    assert window.log.text.count("display failed") == 1
+    assert len(printed) == 1
+    window.messages.escape()
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    assert window.log.text.count("display failed") == 1
