@@ -15,7 +15,7 @@ from reconstruction.solve.sensitivity import MeanGradients
 from reconstruction.wavefront import Wavefront
 
 _PUPIL_MODES = 45  # for the predicted noise; a smooth wavefront needs about as many
-# Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad RMS).
+# Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
 _SYSTEMATIC_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
 CHOSEN_WARPS = list(_SYSTEMATIC_RAD)
 
