@@ -10,6 +10,8 @@ import numba
 P = ParamSpec("P")
 R = TypeVar("R")
 
+FAST_MATH = ("contract", "reassoc", "nsz")  # what the compiler may change of floating-point operations
+
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py")))).hexdigest()
 
@@ -19,7 +21,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     # A function that is called, not inlined, may be another process's copy of it, which rounds differently: results
     # would depend on what was compiled and what came from the cache.
     options: dict[str, Any] = {"nogil": True, "forceinline": True, "error_model": "numpy"}
-    options["fastmath"] = {"contract", "reassoc", "nsz"}
+    options["fastmath"] = set(FAST_MATH)
     try:
         dispatcher: Any = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no folder for the cache can be written

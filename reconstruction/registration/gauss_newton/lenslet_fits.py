@@ -20,6 +20,7 @@ from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.shared_work import Ledger, finish, is_finished, take
 
 _NOISE_STRIDE = 7  # pixels between samples of the interpolation noise; no divisor of a window's width
+_GIVEN, _TRANSLATED, _SEARCHED, _REPEATED, _DONE = range(5)  # from what a lenslet's fit starts
 
 
 class WholePixelSearch(NamedTuple):
@@ -56,7 +57,7 @@ class Fits(NamedTuple):
 
 
 @compiled
-def fit_lenslets(  # noqa: PLR0917 - compiled code takes its arguments by their place
+def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined once more, compile to slower code
     frame: FrameData,
     start: Grid,
     warp: Grid,
@@ -78,63 +79,48 @@ def fit_lenslets(  # noqa: PLR0917 - compiled code takes its arguments by their 
         lenslet = take(ledger)
         if lenslet >= fits.gain.size:
             return is_finished(ledger, fits.gain.size)
-        if np.any(warp.weight[lenslet]):
-            _fit_lenslet(frame, start, warp, search, limits, fits, lenslet, scratch, coarse, patch)
-            light, weight = warp.light[lenslet], warp.weight[lenslet]
-            _interpolated_noise(weight, light, power, scratch, fits.noise_power[lenslet])
-        else:
+        if not np.any(warp.weight[lenslet]):
             fits.step_px[lenslet] = LOST_PX
-        finish(ledger)
-
-
-@compiled
-def _fit_lenslet(  # noqa: PLR0913, PLR0917 - compiled code takes its arguments by their place
-    frame: FrameData,
-    start: Grid,
-    warp: Grid,
-    search: WholePixelSearch,
-    limits: FitLimits,
-    fits: Fits,
-    lenslet: int,
-    scratch: Scratch,
-    coarse: Scratch,
-    patch: Scratch,
-) -> None:
-    """Fit one lenslet from its given start, from a translation, or from the whole-pixel search; fill in all but noise.
-
-    Each grid has its scratch: `scratch` that of the warp, `coarse` that of the start, `patch` that of the search.
-    """
-    cell = frame.half_cell_px
-    displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
-    state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
-    poor = True
-    if np.all(np.isfinite(displacement)):
-        state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
-        poor = _is_poor(state, limits, lenslet)
-    if poor:
-        translation = np.zeros(2, np.float32)
-        fit_warp(frame, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse)
-        displacement[:] = 0
-        if max(abs(translation[0]), abs(translation[1])) < cell:
-            _translate(displacement, translation[0], translation[1], warp)
-        state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
-        poor = _is_poor(state, limits, lenslet)
-    if poor and search.reach > 0:
+            finish(ledger)
+            continue
+        displacement, settled = fits.displacement[lenslet], (limits.iterations, limits.tolerance_px[lenslet])
         again = np.zeros_like(displacement)
-        x, y = _best_shift(frame, search, lenslet, patch)
-        _translate(again, x, y, warp)
-        other = fit_warp(frame, warp, lenslet, again, settled, scratch)
-        better = other.square < state.square if state.step_px < limits.converged_px else True
-        if other.step_px < limits.converged_px and better:
-            displacement[:] = again
-            state = other
-        elif state.step_px < limits.converged_px:  # repeat, to restore the excluded pixels
-            state = fit_warp(frame, warp, lenslet, displacement, settled, scratch)
-    fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
-    fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
-    fits.is_partial[lenslet] = state.is_partial
-    if state.is_partial:
-        fits.excluded[lenslet] = scratch.excluded
+        state = State(np.float32(np.inf), LOST_PX, np.float32(1.0), np.float32(0.0), False)
+        stage = _GIVEN if np.all(np.isfinite(displacement)) else _TRANSLATED
+        while stage != _DONE:  # one call for all warps: each is compiled anew, since all code is inlined
+            if stage == _TRANSLATED:
+                translation = np.zeros(2, np.float32)
+                fit_warp(
+                    frame, start, lenslet, translation, (limits.start_iterations, limits.start_tolerance_px), coarse
+                )
+                displacement[:] = 0
+                if max(abs(translation[0]), abs(translation[1])) < frame.half_cell_px:
+                    _translate(displacement, translation[0], translation[1], warp)
+            fit = fit_warp(frame, warp, lenslet, again if stage == _SEARCHED else displacement, settled, scratch)
+            if stage == _SEARCHED:
+                is_converged = state.step_px < limits.converged_px
+                stage = _REPEATED if is_converged else _DONE  # to restore the excluded pixels
+                if fit.step_px < limits.converged_px and (fit.square < state.square or not is_converged):
+                    displacement[:], state, stage = again, fit, _DONE
+            else:
+                state = fit
+                poor = stage != _REPEATED and _is_poor(state, limits, lenslet)
+                if poor and stage == _GIVEN:
+                    stage = _TRANSLATED
+                elif poor and search.reach > 0:
+                    x, y = _best_shift(frame, search, lenslet, patch)
+                    _translate(again, x, y, warp)
+                    stage = _SEARCHED
+                else:
+                    stage = _DONE
+        fits.contrast[lenslet], fits.gain[lenslet] = state.contrast, state.gain
+        fits.square[lenslet], fits.step_px[lenslet] = state.square, state.step_px
+        fits.is_partial[lenslet] = state.is_partial
+        if state.is_partial:
+            fits.excluded[lenslet] = scratch.excluded
+        light, weight = warp.light[lenslet], warp.weight[lenslet]
+        _interpolated_noise(weight, light, power, scratch, fits.noise_power[lenslet])
+        finish(ledger)
 
 
 @compiled

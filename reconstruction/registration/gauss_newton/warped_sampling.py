@@ -4,18 +4,24 @@ A warp is a pair of quartic polynomials, for x and for y, of the normalised posi
 pixels v is constant, so that a few operations per pixel remain.
 """
 
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import FAST_MATH, compiled
 
 MONOMIALS = tuple((degree - n, n) for degree in range(5) for n in range(degree + 1))  # powers of u and v
 _ONE, _TWO, _THREE, _FOUR, _HALF = np.float32(1.0), np.float32(2.0), np.float32(3.0), np.float32(4.0), np.float32(0.5)
 _SIXTH, _TWO_THIRDS = np.float32(1 / 6), np.float32(2 / 3)
-_NEXT, _NEXT_BUT_ONE, _LAST = np.uint64(1), np.uint64(2), np.uint64(3)  # columns of a 4 x 4 neighbourhood
+_FOUR_FLOATS, _INDEX = ir.VectorType(ir.FloatType(), 4), ir.IntType(32)
+# Of a cubic B-spline's weights of four neighbours at the pixel fraction t: coefficients of t^3, t^2, t and 1.
+_SPLINE = ((-1 / 6, 1 / 2, -1 / 2, 1 / 6), (1 / 2, -1, 1 / 2, 0), (-1 / 2, 0, 1 / 2, 0), (1 / 6, 2 / 3, 1 / 6, 0))
 
 Polynomial: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32, np.float32]  # rising powers of u
 
@@ -42,8 +48,9 @@ class Scratch(NamedTuple):
     y: Image
     light: Image  # of the frame there, counts, (N,)
     stretch: Image  # determinant of the warp, (N,)
-    corner: NDArray[np.uint64]  # flat index of the first of the 4 x 4 coefficients about it, (N,)
-    weights: Image  # of the four columns and the four rows of coefficients, (8, N)
+    corner: NDArray[np.uint32]  # flat index of the first of the 4 x 4 coefficients about it, (N,)
+    weights: Image  # of the four rows of coefficients, (4, N)
+    fraction: Image  # of a pixel, along x, (N,)
     residual: Image  # counts, (N,)
     excluded: NDArray[np.bool_]  # excluded pixels, (N,)
 
@@ -56,8 +63,9 @@ def new_scratch(pixels: int) -> Scratch:
         np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
         np.ones(pixels, np.float32),
-        np.empty(pixels, np.uint64),
-        np.empty((8, pixels), np.float32),
+        np.empty(pixels, np.uint32),
+        np.empty((4, pixels), np.float32),
+        np.empty(pixels, np.float32),
         np.empty(pixels, np.float32),
         np.zeros(pixels, np.bool_),
     )
@@ -142,19 +150,14 @@ def sample_warped(  # noqa: PLR0917 - compiled code takes its arguments by their
                 stretch[n] = s0 + u * (s1 + u * (s2 + u * (s3 + u * (s4 + u * (s5 + u * s6)))))
     for n in range(x_all.size):
         left, above = np.int32(x_all[n]), np.int32(y_all[n])
-        t, w = x_all[n] - np.float32(left), y_all[n] - np.float32(above)
-        s, r = _ONE - t, _ONE - w
-        weights[0, n], weights[3, n] = _SIXTH * s * s * s, _SIXTH * t * t * t
+        scratch.fraction[n], w = x_all[n] - np.float32(left), y_all[n] - np.float32(above)
+        r = _ONE - w
+        weights[0, n], weights[3, n] = _SIXTH * r * r * r, _SIXTH * w * w * w
         weights[1, n], weights[2, n] = (
-            _TWO_THIRDS - t * t * (_ONE - _HALF * t),
-            _TWO_THIRDS - s * s * (_ONE - _HALF * s),
-        )
-        weights[4, n], weights[7, n] = _SIXTH * r * r * r, _SIXTH * w * w * w
-        weights[5, n], weights[6, n] = (
             _TWO_THIRDS - w * w * (_ONE - _HALF * w),
             _TWO_THIRDS - r * r * (_ONE - _HALF * r),
         )
-        scratch.corner[n] = (above - 1) * columns + left - 1
+        scratch.corner[n] = np.uint32((above - 1) * columns + left - 1)
     _interpolate(coefficients.reshape(-1), np.uint64(columns), scratch)
 
 
@@ -212,19 +215,50 @@ def _stretch_row(
 @compiled
 def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
     """Interpolate the light from the flat coefficients at the corners in `scratch`."""
-    weights, light, corner = scratch.weights, scratch.light, scratch.corner
+    weights, light = scratch.weights, scratch.light
     for n in range(light.size):
-        # Column by column, so that four neighbours of a row are one vector operation.
-        a = corner[n]
-        b, c, d = a + stride, a + stride + stride, a + stride + stride + stride
-        y0, y1, y2, y3 = weights[4, n], weights[5, n], weights[6, n], weights[7, n]
-        v0 = y0 * flat[a] + y1 * flat[b] + y2 * flat[c] + y3 * flat[d]
-        v1 = y0 * flat[a + _NEXT] + y1 * flat[b + _NEXT] + y2 * flat[c + _NEXT] + y3 * flat[d + _NEXT]
-        v2 = (
-            y0 * flat[a + _NEXT_BUT_ONE]
-            + y1 * flat[b + _NEXT_BUT_ONE]
-            + y2 * flat[c + _NEXT_BUT_ONE]
-            + y3 * flat[d + _NEXT_BUT_ONE]
+        light[n] = _neighbourhood_sum(
+            flat,
+            np.uint64(scratch.corner[n]),
+            stride,
+            scratch.fraction[n],
+            weights[0, n],
+            weights[1, n],
+            weights[2, n],
+            weights[3, n],
         )
-        v3 = y0 * flat[a + _LAST] + y1 * flat[b + _LAST] + y2 * flat[c + _LAST] + y3 * flat[d + _LAST]
-        light[n] = (weights[0, n] * v0 + weights[1, n] * v1) + (weights[2, n] * v2 + weights[3, n] * v3)
+
+
+def _sum_in_vectors(
+    _context: Any, flat: Any, _corner: Any, _stride: Any, _fraction: Any, _w0: Any, _w1: Any, _w2: Any, _w3: Any
+) -> Any:
+    """Describe to Numba, which would load number by number, how to add four rows of four neighbours as vectors."""
+
+    def repeated(builder: Any, number: Any) -> Any:
+        nothing = ir.Constant(_FOUR_FLOATS, ir.Undefined)
+        first = builder.insert_element(nothing, number, _INDEX(0))
+        return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INDEX, 4), [0] * 4))
+
+    def sum_of(builder: Any, total: Any, a: Any, b: Any) -> Any:
+        return builder.fadd(total, builder.fmul(a, b, flags=FAST_MATH), flags=FAST_MATH)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        corner, stride, fraction, *weights = arguments[1:]
+        total = ir.Constant(_FOUR_FLOATS, [0.0] * 4)
+        for weight in weights:
+            row = builder.load(builder.bitcast(builder.gep(data, [corner]), _FOUR_FLOATS.as_pointer()), align=4)
+            total = sum_of(builder, total, row, repeated(builder, weight))
+            corner = builder.add(corner, stride)
+        t = repeated(builder, fraction)
+        cubic, *others = (ir.Constant(_FOUR_FLOATS, [float(np.float32(c)) for c in row]) for row in _SPLINE)
+        for other in others:
+            cubic = sum_of(builder, other, cubic, t)
+        columns = builder.fmul(total, cubic, flags=FAST_MATH)
+        a, b, c, d = (builder.extract_element(columns, _INDEX(n)) for n in range(4))
+        return builder.fadd(builder.fadd(a, c, flags=FAST_MATH), builder.fadd(b, d, flags=FAST_MATH), flags=FAST_MATH)
+
+    return types.float32(flat, types.uint64, types.uint64, *[types.float32] * 5), generate
+
+
+_neighbourhood_sum = cast("Callable[..., np.float32]", intrinsic(_sum_in_vectors))
