@@ -288,11 +288,13 @@ class Reconstructor:
             )
         modes, parameters = pupil_modes(self.sensor, basis, count), _parameters(self._register, at_rest)
         has_prior = count is None or self.hidden > 0  # else nothing determines what the mask hides
+        # Conserved flux shows all displacements, so that their systematic errors are not spread as noise would be.
+        is_unknown = self.noise is None and self.field.neglect_propagation
         return ModalSolver(
             modes,
             self._sensitivity,
             parameters,
-            at_rest.covariance,
+            at_rest.covariance * (0.0 if is_unknown else 1.0),
             layered=layered_wavefronts(self.sensor, modes, at_rest.modes, parameters),
             field_degree=at_rest.modes.degree if has_prior else None,
         )
