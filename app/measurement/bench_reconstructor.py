@@ -112,8 +112,7 @@ class BenchReconstructor:
             bench, noise, frames = self.bench, None, np.inf
             if frame is not None:
                 AboveDark(self._reference.shape, None, np.inf)(frame, "frame")  # refuses one of another size
-                curves = self._transfer(frame), self._transfer(self._reference)
-                noise, frames = _noise(*(curve and curve.noise for curve in curves))
+                noise, frames = _noise(self._transfer(frame), self._transfer(self._reference))
                 if not self._is_scale_given:
                     self._full_scale = min(self._full_scale, full_scale_of(frame, bench.camera_model.bits))
             self._prepared = bench.reconstructor(
@@ -157,11 +156,12 @@ class BenchReconstructor:
             raise ReconstructionError(str(error), image="reference") from error
 
 
-def _noise(of_frame: CameraNoise | None, of_reference: CameraNoise | None) -> tuple[CameraNoise | None, float]:
+def _noise(frame: TransferCurve | None, reference: TransferCurve | None) -> tuple[CameraNoise | None, float]:
     """Noise of a frame, None if it cannot be seen, and the number of frames averaged in the reference.
 
     Filtering or a gamma can hide the noise of a frame; then it is that of the reference.
     """
+    of_frame, of_reference = (None if curve is None else curve.noise for curve in (frame, reference))
     if of_frame is None or of_reference is None:
         return of_frame or of_reference, np.inf if of_frame else 1.0
     return of_frame, max(of_frame.counts_per_electron / of_reference.counts_per_electron, 1.0)

@@ -66,7 +66,7 @@ class Calibration:
     def noise(self) -> CameraNoise | None:
         """Camera noise from the scatter of the averaged frames; None without a dark."""
         curve = self._transfer()
-        return curve and curve.noise
+        return None if curve is None else curve.noise
 
     def _transfer(self) -> TransferCurve | None:
         """Variance of the averaged frames against their light; None without a dark."""

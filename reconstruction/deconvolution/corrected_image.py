@@ -111,7 +111,7 @@ def corrected_image(
     restore = wiener if method == "wiener" else richardson_lucy
     if own.counts_per_electron is None:
         curve = image_transfer(cut, own.blur_px(sensor, field))
-        noise = curve and curve.noise
+        noise = None if curve is None else curve.noise
     else:
         noise = CameraNoise(own.counts_per_electron, own.read_noise_counts)
     restored = restore(cut, blur, noise=noise, counted=counted, iterations=iterations, progress=iterating)
