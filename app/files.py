@@ -1,16 +1,21 @@
 """The one way to write any file: checked, atomic and durable."""
 
 import os
+import re
 import secrets
+import shutil
 import sys
+import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from app.errors import InputError, RunError
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 _PARTIAL = ".partial"  # in the name of a file that is being written
+_NAME = re.compile(r"\.[0-9a-f]{16}" + re.escape(_PARTIAL) + r"(\.\w+)?")
+_STALE_S = 86400.0  # nobody is still writing a file that has not changed for so long
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
 _SUFFIXES = {".csv", ".fits", ".json", ".nc", ".npy", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".toml"}
 
@@ -54,7 +59,7 @@ def check_writable(folder: Path) -> None:
 
 
 def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
-    """Check the files that a command will write before it begins.
+    """Check the files that a command will write before it begins, and clear their folders of stale half-written ones.
 
     Parameters
     ----------
@@ -85,6 +90,7 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
             if not path.name or (path.exists() and not path.is_file()):
                 raise InputError(f"{path}: not a file that can be written")
             check_writable(path.parent)
+            _remove_stale(path.parent)
         except OSError as error:
             raise InputError(f"{path}: cannot be used: {in_words(error)}") from error
         taken.append(path)
@@ -133,13 +139,29 @@ def atomic_write(path: Path) -> Iterator[Path]:
         raise RunError(f"{path}: cannot be written: {in_words(error)}") from error
 
 
-def remove_partial(folder: Path) -> None:
-    """Remove what processes killed in `atomic_write` left in a folder and those in it; nobody may be writing there."""
-    for left in folder.rglob(f".*{_PARTIAL}*"):
+def remove_partial(folder: Path) -> list[Path]:
+    """Remove the files and folders that killed processes left half-written in a folder and those in it; return them.
+
+    Nobody may be writing there.
+    """
+    found = sorted(folder.rglob(f".*{_PARTIAL}*"))
+    for left in found:
         try:
-            left.unlink(missing_ok=True)
+            if left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left)
+            else:
+                left.unlink(missing_ok=True)
         except OSError as error:
             raise RunError(f"{left}: cannot be removed: {in_words(error)}") from error
+    return found
+
+
+def _remove_stale(folder: Path) -> None:
+    """Remove files that processes killed in `atomic_write` left in a folder at least a day ago."""
+    for left in folder.glob(f".*{_PARTIAL}*"):
+        with suppress(OSError):  # another user's, or gone by now
+            if _NAME.fullmatch(left.name) and time.time() - left.lstat().st_mtime > _STALE_S:
+                left.unlink()
 
 
 def sync(path: Path) -> None:

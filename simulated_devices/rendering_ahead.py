@@ -6,7 +6,6 @@ however the parent ends.
 
 import os
 import pickle
-import signal
 import subprocess
 import sys
 import threading
@@ -30,6 +29,7 @@ class RenderingAhead:
             stdout=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"},
             creationflags=below_normal,
+            start_new_session=True,  # Ctrl-C ends the parent, and that ends this process
         )
         if self._process.stdin is None:  # impossible with a pipe
             raise RuntimeError("the background process has no standard input")
@@ -60,7 +60,6 @@ def _end_with_parent() -> None:
 
 
 def _main() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, and that ends this process
     if hasattr(os, "nice"):
         os.nice(10)
     scene, mask, cache_folder = pickle.load(sys.stdin.buffer)  # noqa: S301 - our own parent wrote it

@@ -9,7 +9,7 @@ import typer
 
 from app.cli.command import FOLDER
 from app.cli.options import BenchOption, FramesOption, OverwriteOption, SetOption, bench_file, load
-from app.files import check_outputs, check_suffix
+from app.files import check_outputs, check_readable, check_suffix
 from app.images import FORMATS
 from app.progress import counted
 
@@ -39,6 +39,7 @@ def calibrate(
     from app.commands.calibrate import calibrate as run
 
     loaded = load(bench, setting)
+    _check_images(reference, dark)
     check_outputs((out, plot), inputs=(reference, dark, bench_file(bench), *loaded.files), overwrite=overwrite)
     check_suffix(out, ".toml")
     if plot is not None:
@@ -116,6 +117,7 @@ def reconstruct(
     from app.results.quality import QualityTally
 
     loaded = load(bench, setting)
+    _check_images(frame, reference, dark)
     inputs = (frame, reference, dark, bench_file(bench), *loaded.files)
     check_outputs((out, plot), inputs=inputs, overwrite=overwrite)
     check_suffix(out, ".nc")
@@ -199,3 +201,8 @@ def deconvolve(
     known = "noise unknown" if math.isnan(made.chi_square) else f"chi-square {made.chi_square:.2f}"
     share = f"{100 * made.inside.mean():.0f} % of the pixels lie in the measured field"
     typer.echo(f"{counted(made.iterations, 'iteration')}, {known}; {share}; the image is in {out}")
+
+
+def _check_images(*images: Path | None) -> None:
+    for image in filter(None, images):
+        check_readable(image)

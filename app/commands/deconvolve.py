@@ -11,7 +11,7 @@ import tifffile
 from app.bench.bench_files import read_bench_text
 from app.bench.config import Bench
 from app.errors import InputError, Interrupted
-from app.files import atomic_write, check_outputs, check_suffix, in_words
+from app.files import atomic_write, check_outputs, check_readable, check_suffix, in_words
 from app.images import read_image
 from app.progress import Progress, between
 from app.recording.folder import parts_of
@@ -49,6 +49,7 @@ def deconvolve(plan: Plan, progress: Progress) -> CorrectedImage:
     """
     bench = read_bench_of(plan.source, (*_section(plan.imaging), *plan.settings))
     source = parts_of(plan.source) if plan.source.is_dir() else [plan.source]
+    check_readable(plan.image)
     check_outputs([plan.out], inputs=[plan.image, plan.imaging, *source, *bench.files], overwrite=plan.overwrite)
     check_suffix(plan.out, ".tif", ".tiff")
     image = read_image(plan.image)

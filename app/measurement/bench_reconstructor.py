@@ -15,16 +15,16 @@ from app.bench.imaging_model import BenchModel
 from app.errors import InputError
 from app.measurement.assumptions import mask_sentence
 from app.measurement.judging import frame_judge
-from reconstruction.arrays import Counts
+from reconstruction.arrays import Counts, Mask
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.above_dark import AboveDark
 from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
-from reconstruction.frame.noise import CameraNoise, image_noise
-from reconstruction.geometry import Sensor
+from reconstruction.frame.noise import CameraNoise, TransferCurve, image_transfer
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.reference_quality import linearity_quality
 from reconstruction.quality.sequence import repeated_reference
 from reconstruction.quality.verdict import Quality
 from reconstruction.refinement import Refinement, Round
@@ -86,7 +86,8 @@ class BenchReconstructor:
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
         counts = as_image(frame, "frame")
-        return repeated_reference(counts, self._reference) | self._judge(counts, wavefront.displacement)
+        of_frame = linearity_quality(self._transfer(counts), "frame")
+        return repeated_reference(counts, self._reference) | of_frame | self._judge(counts, wavefront.displacement)
 
     def mask_sentence(self, wavefront: Wavefront) -> str:
         """Say which displacements the mask hides, and what they follow from; empty if it shows all."""
@@ -111,7 +112,7 @@ class BenchReconstructor:
             bench, noise, frames = self.bench, None, np.inf
             if frame is not None:
                 AboveDark(self._reference.shape, None, np.inf)(frame, "frame")  # refuses one of another size
-                noise, frames = _noise(bench.sensor, frame, self._reference, self._dark)
+                noise, frames = _noise(self._transfer(frame), self._transfer(self._reference))
                 if not self._is_scale_given:
                     self._full_scale = min(self._full_scale, full_scale_of(frame, bench.camera_model.bits))
             self._prepared = bench.reconstructor(
@@ -130,7 +131,22 @@ class BenchReconstructor:
         if self._is_lattice_given:
             with suppress(ReconstructionError):  # a few lit lenslets show no lattice
                 shown = survey(self._reference, sensor, dark=self._dark, full_scale=self._full_scale).lattice
-        return frame_judge(self._reconstructor(), self._reference, shown=shown, dark=self._dark)
+        curve = self._transfer(self._reference)
+        return frame_judge(self._reconstructor(), self._reference, shown=shown, dark=self._dark, curve=curve)
+
+    def _transfer(self, image: Counts) -> TransferCurve | None:
+        """Variance of an image's pixels against their light; None if it does not show them."""
+        dark, bad = self._dark_of(image), self._bad
+        light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
+        return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
+
+    @cached_property
+    def _bad(self) -> Mask:
+        return find_bad_pixels(self._reference, self._dark_of(self._reference))
+
+    def _dark_of(self, image: Counts) -> Counts | None:
+        """The dark, unless it has another size, which is refused later."""
+        return self._dark if self._dark is not None and self._dark.shape == image.shape else None
 
     @cached_property
     def _refinement(self) -> Refinement:
@@ -140,19 +156,12 @@ class BenchReconstructor:
             raise ReconstructionError(str(error), image="reference") from error
 
 
-def _noise(sensor: Sensor, frame: Counts, reference: Counts, dark: Counts | None) -> tuple[CameraNoise | None, float]:
+def _noise(frame: TransferCurve | None, reference: TransferCurve | None) -> tuple[CameraNoise | None, float]:
     """Noise of a frame, None if it cannot be seen, and the number of frames averaged in the reference.
 
     Filtering or a gamma can hide the noise of a frame; then it is that of the reference.
     """
-    found = []
-    if dark is not None and dark.shape != reference.shape:
-        dark = None  # refused later
-    bad = find_bad_pixels(reference, dark)
-    for image in (frame, reference):
-        light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
-        found.append(image_noise(repaired(light, bad) if light.shape == bad.shape else light, sensor.blur_px))
-    of_frame, of_reference = found
+    of_frame, of_reference = (None if curve is None else curve.noise for curve in (frame, reference))
     if of_frame is None or of_reference is None:
         return of_frame or of_reference, np.inf if of_frame else 1.0
     return of_frame, max(of_frame.counts_per_electron / of_reference.counts_per_electron, 1.0)

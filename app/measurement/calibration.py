@@ -13,7 +13,7 @@ from app.bench.config import Bench
 from app.measurement.judging import frame_judge
 from app.measurement.routines.averages import Average
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.noise import CameraNoise, photon_transfer
+from reconstruction.frame.noise import CameraNoise, TransferCurve, photon_transfer
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.pipeline import Reconstructor
@@ -60,10 +60,16 @@ class Calibration:
             dark=None if dark is None else dark.mean,
             variance=reference.variance,
             frames=reference.frames,
+            curve=self._transfer(),
         )
 
     def noise(self) -> CameraNoise | None:
         """Camera noise from the scatter of the averaged frames; None without a dark."""
+        curve = self._transfer()
+        return None if curve is None else curve.noise
+
+    def _transfer(self) -> TransferCurve | None:
+        """Variance of the averaged frames against their light; None without a dark."""
         dark, reference = self.dark, self.reference
         if dark is None or dark.mean.shape != reference.mean.shape:  # refused by `reconstructor`
             return None

@@ -1,10 +1,12 @@
 """Preparation of the judgement of frames from what was made of their reference."""
 
 from reconstruction.arrays import Counts, Image
+from reconstruction.frame.noise import TransferCurve
 from reconstruction.geometry import Lattice
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
-from reconstruction.quality.reference_quality import reference_quality, response_quality
+from reconstruction.quality.reference_quality import linearity_quality, reference_quality, response_quality
+from reconstruction.quality.reference_sample import sample_quality
 
 
 def frame_judge(
@@ -15,8 +17,12 @@ def frame_judge(
     dark: Counts | None,
     variance: Image | None = None,
     frames: float = 1,
+    curve: TransferCurve | None = None,
 ) -> FrameJudge:
-    """Judge a reference, and prepare the judgement of frames reconstructed with it; see `reference_quality`."""
+    """Judge a reference, and prepare the judgement of frames reconstructed with it; see `reference_quality`.
+
+    `curve` is the variance of its frames against their light.
+    """
     sensor = reconstructor.sensor
     return FrameJudge(
         reconstructor.subimages,
@@ -34,5 +40,7 @@ def frame_judge(
             noise=reconstructor.noise,
             frames=frames,
         )
-        | response_quality(reconstructor.response_problem),
+        | response_quality(reconstructor.response_problem)
+        | sample_quality(reconstructor.subimages)
+        | linearity_quality(curve, "reference"),
     )

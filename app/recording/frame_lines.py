@@ -10,6 +10,7 @@ from pathlib import Path
 import cattrs
 
 _DIGITS = 18  # of whole numbers, so that they fit into 64 bits
+_LATEST_S = 1e11  # camera clocks count 64 bits of ns at most
 UNREADABLE = b"{}\n"  # replaces a line that cannot be read, so that the others keep their places
 
 
@@ -52,9 +53,13 @@ class FrameLine:
         """Read a line; `ValueError` if it is damaged."""
         try:
             tree = json.loads(line, parse_constant=_refuse, parse_int=_whole)
-            return _CONVERTER.structure(tree, cls)
+            found = _CONVERTER.structure(tree, cls)
         except (cattrs.BaseValidationError, TypeError, RecursionError) as error:
             raise ValueError("not the line of a frame") from error
+        times_s = (found.camera_time_s, found.host_time_s, found.bias_age_s or 0.0)
+        if found.exposure_s < 0 or found.em_gain < 0 or max(map(abs, (*times_s, found.exposure_s))) > _LATEST_S:
+            raise ValueError("exposure, gain or times are impossible")
+        return found
 
 
 _CONVERTER = cattrs.Converter()

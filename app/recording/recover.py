@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 
 from app.errors import InputError, RunError
-from app.files import atomic_write
+from app.files import atomic_write, remove_partial
 from app.progress import counted
 from app.recording.folder import FRAME_LINES, PIXELS, RESULTS, RUN, STORE, damaged_name, lock
 from app.recording.frame_array import METADATA, FrameArray, is_array
@@ -40,6 +40,8 @@ class Recovered:
     @property
     def summary(self) -> str:
         """The numbers in words."""
+        if not self.frames:
+            return "it holds no frame"
         text = f"{counted(self.frames)}, {self.reconstructed} of them reconstructed live"
         return text + (f"; the camera lost {self.lost} in {counted(self.gaps, 'gap')}" if self.lost else "; no gaps")
 
@@ -82,6 +84,8 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
                 _set_length(recording, found.frames)
             if not found.was_complete:
                 _finish(recording, found)
+            if left := ", ".join(str(each.relative_to(folder)) for each in remove_partial(folder)):
+                found.rebuilt += (f"half written, and removed: {left}",)
     except OSError as error:
         raise RunError(f"{error.filename or folder}: {error.strerror or error}") from error
     return found

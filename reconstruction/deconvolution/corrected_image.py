@@ -13,7 +13,7 @@ from reconstruction.deconvolution.blur import SpaceVariantBlur
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.deconvolution.psf_optics import PsfOptics, reach_px
 from reconstruction.deconvolution.restoration import richardson_lucy, wiener
-from reconstruction.frame.noise import CameraNoise, image_noise
+from reconstruction.frame.noise import CameraNoise, image_transfer
 from reconstruction.geometry import Field, Sensor
 from reconstruction.wavefront import rms
 
@@ -110,7 +110,8 @@ def corrected_image(
 
     restore = wiener if method == "wiener" else richardson_lucy
     if own.counts_per_electron is None:
-        noise = image_noise(cut, own.blur_px(sensor, field))
+        curve = image_transfer(cut, own.blur_px(sensor, field))
+        noise = None if curve is None else curve.noise
     else:
         noise = CameraNoise(own.counts_per_electron, own.read_noise_counts)
     restored = restore(cut, blur, noise=noise, counted=counted, iterations=iterations, progress=iterating)

@@ -17,6 +17,9 @@ _BEYOND = 1.05  # times the highest spatial frequency of the light
 _FEWEST_FREQUENCIES = 0.1  # share of those beyond it
 _MEDIAN_SQUARE = 0.4549  # of a normal deviate; hot pixels do not move it
 _LEAST_NOISE = 2e-3  # of the light; noise-free images of lenslets seem to have 4e-4, from the borders of cells
+_BRIGHT = 0.1  # of the brightest bin; dimmer ones tell little about shot noise
+_TERMS = 2  # of a bent curve: proportional to light, and to its square
+_CHANCE = 4.0  # standard errors of a bend that are not counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,49 @@ class CameraNoise:
         return np.asarray(self.counts_per_light * np.maximum(light, 0.0) + self.read_noise_counts**2, np.float64)
 
 
-def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance: Image) -> CameraNoise | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class TransferCurve:
+    """Variance of pixels against their light, in bins, (bin,): a straight line if counts are proportional to light."""
+
+    light: Floats  # counts, rising
+    variance: Floats  # counts^2
+    read_variance: float  # without light, counts^2
+
+    @property
+    def noise(self) -> CameraNoise | None:
+        """Fit a line through the read noise, all bins with the same relative error; None with too little light."""
+        light, variance = self._bright
+        if not light.size or np.min(variance) <= self.read_variance:
+            return None
+        weight = 1 / variance**2
+        slope = float(np.sum(weight * light * (variance - self.read_variance)) / np.sum(weight * light**2))
+        return CameraNoise(counts_per_electron=slope, read_noise_counts=float(np.sqrt(self.read_variance)))
+
+    @property
+    def loss(self) -> float:
+        """Share of the variance per count that is lost from dim to bright pixels, beyond chance; 0 for a line.
+
+        Saturation or a gamma below 1 compress bright counts, and their noise more.
+        """
+        light, variance = self._bright
+        if len(light) <= _TERMS or np.min(variance) <= self.read_variance:
+            return 0.0
+        share = light / np.max(light)
+        terms = np.stack([share, share**2], axis=-1) / variance[:, None]
+        shot = 1 - self.read_variance / variance
+        inverse = np.linalg.pinv(terms)
+        slope, bend = inverse @ shot
+        scatter = np.sum((shot - terms @ (slope, bend)) ** 2) / (len(terms) - _TERMS)
+        error = math.sqrt(scatter * np.sum(inverse[1] ** 2))
+        return max(float(-(bend + _CHANCE * error) / slope), 0.0) if slope > 0 else 0.0
+
+    @property
+    def _bright(self) -> tuple[Floats, Floats]:
+        bright = self.light > _BRIGHT * np.max(self.light)
+        return self.light[bright], self.variance[bright]
+
+
+def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance: Image) -> TransferCurve | None:
     """Measure the noise of one frame from the variance of each pixel against its light.
 
     The photon-transfer method (J. R. Janesick, Photon Transfer, SPIE 2007): the slope is the counts per photoelectron
@@ -62,8 +107,8 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
 
     Returns
     -------
-    CameraNoise or None
-        None if there are too few frames or too little light.
+    TransferCurve or None
+        None if there are too few frames.
     """
     if frames < _FEWEST_FRAMES:
         return None
@@ -72,10 +117,10 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
     order = np.argsort(mean, axis=None)
     light = np.array([np.mean(part) for part in np.array_split(mean.ravel()[order], _BINS)])
     noise = np.array([np.median(part) for part in np.array_split(variance.ravel()[order], _BINS)]) / scatter
-    return _line(light, noise, read_variance)
+    return TransferCurve(light, noise, read_variance)
 
 
-def image_noise(light: Image, blur_px: float) -> CameraNoise | None:
+def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
     """Estimate the noise of a single image from what no optics can show.
 
     The light of lenslets holds no spatial frequency, along x or y, above the inverse of the blur. Beyond it there is
@@ -90,7 +135,7 @@ def image_noise(light: Image, blur_px: float) -> CameraNoise | None:
 
     Returns
     -------
-    CameraNoise or None
+    TransferCurve or None
         None if the pixels are too coarse, or the image has hardly any noise.
     """
     rows, columns = light.shape
@@ -107,19 +152,7 @@ def image_noise(light: Image, blur_px: float) -> CameraNoise | None:
     variance = np.array([np.median(noise.ravel()[part] ** 2) for part in parts]) / (_MEDIAN_SQUARE * np.mean(is_noise))
     if variance[-1] < (_LEAST_NOISE * levels[-1]) ** 2:
         return None
-    return _line(levels, variance, float(np.min(variance)))
-
-
-def _line(light: Floats, noise: Floats, read_variance: float) -> CameraNoise | None:
-    """Fit a line through the read noise to the variances of bins of light; each has the same relative error."""
-    bright = light > np.max(light) / 10
-    if not bright.any() or np.min(noise[bright]) <= read_variance:
-        return None
-    weight = 1 / noise[bright] ** 2
-    slope = float(
-        np.sum(weight * light[bright] * (noise[bright] - read_variance)) / np.sum(weight * light[bright] ** 2)
-    )
-    return CameraNoise(counts_per_electron=slope, read_noise_counts=float(np.sqrt(read_variance)))
+    return TransferCurve(levels, variance, float(np.min(variance)))
 
 
 def _median_of_chi_square(degrees: int) -> float:

@@ -253,10 +253,10 @@ def _rms(vectors: Floats) -> float:
 
 def _misfit(displacement: Displacement) -> float:
     """Residual of a typical lenslet beyond its noise, over the reference's contrast."""
-    chi_square = displacement.chi_square[displacement.valid]
-    if not chi_square.size:
+    known = displacement.valid & (displacement.chi_square > 0)  # 0: an image without a residual
+    if not known.any():
         return 0.0
-    square = displacement.residual_rms[displacement.valid] ** 2 * (1 - _NOISE_PIXELS / chi_square)
+    square = displacement.residual_rms[known] ** 2 * (1 - _NOISE_PIXELS / displacement.chi_square[known])
     return math.sqrt(max(float(np.median(square)), 0.0))
 
 

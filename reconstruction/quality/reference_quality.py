@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
-from reconstruction.frame.noise import CameraNoise
+from reconstruction.frame.noise import CameraNoise, TransferCurve
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.clipping import clipped_fraction
 from reconstruction.quality.verdict import Fault, Quality
@@ -16,6 +16,7 @@ _MISSING = 0.25  # of the shorter side of the lattice; as many lenslets more lie
 _SAMPLES = 16  # across a cell
 _LEAK = 0.01  # of the light in the dark; 0.2 changes a wavefront of 4 rad RMS by 0.9 rad
 _CLIPPED = 0.01  # of the pixels
+_LOST = 0.25  # of the variance per count; good sensors lose 0.1 near their full well
 
 
 def reference_quality(
@@ -90,6 +91,19 @@ def reference_quality(
 def response_quality(problem: str) -> Quality:
     """Quality of a reference for which the response of the registration is not used; the problem is empty if it is."""
     return Quality({Fault.RESPONSE: problem} if problem else {})
+
+
+def linearity_quality(curve: TransferCurve | None, image: str) -> Quality:
+    """Judge by the noise of an image, which is "frame" or "reference", whether its counts are proportional to light."""
+    loss = 0.0 if curve is None else curve.loss
+    if loss <= _LOST:
+        return Quality()
+    return Quality(
+        {
+            Fault.LINEARITY: f"bright counts of the {image} are compressed, by their noise, which is {100 * loss:.0f} %"
+            " too small: lower the EM gain or the light, and switch gamma off"
+        }
+    )
 
 
 def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:

@@ -22,6 +22,8 @@ class Fault(IntFlag):
     RESPONSE = 128  # the reference does not look as the bench is modelled
     FROZEN = 256  # the same counts as the frame before, or as the reference
     CLOCK = 512  # not later than the frame before
+    SAMPLE = 1024  # the reference was taken with a sample
+    LINEARITY = 2048  # counts are not proportional to light
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,6 +68,13 @@ def test_closing_kills_rendering_ahead(tmp_path: Path) -> None:
     assert process._process.returncode == -signal.SIGKILL
 
 
+def test_ctrl_c_of_the_terminal_does_not_reach_rendering_ahead(bench: SimulatedBench, tmp_path: Path) -> None:
+    """It would end with a traceback while it starts."""
+    process = RenderingAhead(replace(bench._scene, simulation=DRIFTING), "square", tmp_path)
+    assert os.getpgid(process._process.pid) != os.getpgid(0)
+    process.close()
+
+
 def test_rendering_ahead_ends_quietly(bench: SimulatedBench, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     scene = replace(bench._scene, simulation=DRIFTING)
     process = RenderingAhead(scene, "square", tmp_path)

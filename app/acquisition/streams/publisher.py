@@ -67,6 +67,7 @@ class Publisher:
         self._notify()
         self._thread.join()
         self._socket.disable_monitor()
+        self._guard.join()
         self._context.destroy()
         self._close_wake()
 
@@ -80,14 +81,13 @@ class Publisher:
 
     def _work(self) -> None:
         poller = zmq.Poller()
-        for each in (self._guard.monitor, self._socket, self._woken):
+        for each in (self._socket, self._woken):
             poller.register(each, zmq.POLLIN)
         is_last = False
         while not is_last:
             if (self._woken.fileno(), zmq.POLLIN) in poller.poll():
                 self._woken.recv(_NOTIFICATIONS)
             is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
-            self._guard.watch()
             self._read_subscriptions()
             while self._waiting:
                 sequence, measurement = self._waiting.popleft()
@@ -105,9 +105,7 @@ class Publisher:
         for _ in range(_CHANGES_AT_ONCE):
             if not self._socket.poll(0):
                 break
-            received = self._socket.recv(copy=False)
-            self._guard.count_change(received)
-            change = received.bytes
+            change = self._socket.recv()
             if change[:1] == b"\x01":
                 self._subscriptions.add(change[1:])
             elif change[:1] == b"\x00":

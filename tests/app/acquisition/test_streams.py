@@ -26,7 +26,7 @@ from support.optics import FIELD, SmallBench
 from support.paths import DOCS
 from support.patience import HANG_S, wait_until
 
-from app.acquisition.streams.guard import CHANGES, CONNECTIONS
+from app.acquisition.streams.guard import BURST_BYTES, CONNECTIONS, TOPIC_BYTES
 from app.acquisition.streams.messages import TOPICS
 from app.acquisition.streams.publisher import Publisher, stream_sinks
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
@@ -467,33 +467,75 @@ def test_flood_of_subscriptions_closes_its_connection(
     with closing(Subscriber(port, "views")) as subscriber:
         _until_heard(publisher, subscriber, measurement)
         with closing(Subscriber(port)) as flooding:
-            for number in range(20 * CHANGES):
-                flooding._socket.subscribe(str(number))
-            wait_until(lambda: publisher._guard._open_from_s > 0)  # the flood was noticed
+            for number in range(20_000):
+                flooding._socket.subscribe(str(number).ljust(TOPIC_BYTES, "x"))
+            wait_until(lambda: publisher._guard._addresses["127.0.0.1"].open_from_s > 0)  # the flood was noticed
             wait_until(lambda: publisher._subscriptions == {b"views"})  # and its connection closed
             _until_heard(publisher, subscriber, measurement)  # the other one stays connected
+
+
+def test_subscriber_hears_all_while_another_floods_and_reconnects(
+    publisher: Publisher, port: int, measurement: Measurement
+) -> None:
+    """Each of its connections stays below what one may send."""
+    topics = [f"{number}".ljust(TOPIC_BYTES, "x") for number in range(300)]
+    assert sum(map(len, topics)) < BURST_BYTES
+    with closing(Subscriber(port, "views")) as subscriber:
+        last = _until_heard(publisher, subscriber, measurement)
+        kept = set[int]()
+        for _ in range(40):
+            with closing(Subscriber(port, *topics)), closing(Subscriber(port, *topics)):
+                publisher.take(measurement)
+                assert subscriber.hears()[1]["sequence"] == last + 1
+                last += 1
+                kept.add(len(publisher._subscriptions))
+        assert max(kept) < BURST_BYTES / TOPIC_BYTES + 100
+        wait_until(lambda: publisher._subscriptions == {b"views"})
 
 
 def test_no_connection_is_accepted_for_5_s_after_a_flood(
     publisher: Publisher, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise a program that connects again at once floods on."""
-    guard, now_s = publisher._guard, 1000.0
-    closed: list[int] = []
-    clock = SimpleNamespace(monotonic=lambda: now_s)
+    """Only from the address that flooded; otherwise it floods on with new connections."""
+    guard, clock = publisher._guard, SimpleNamespace(monotonic=lambda: 1e6)
     monkeypatch.setattr("app.acquisition.streams.guard.time", clock)
-    monkeypatch.setattr(guard, "_close", closed.append)
-    for _ in range(CHANGES):
-        guard.count_change(SimpleNamespace(get=lambda _: -1))  # type: ignore[arg-type] # a message
-    assert closed == [-1]
-    clock.monotonic = lambda: now_s + 4.99
-    with socket.create_connection(("127.0.0.1", port)):
-        wait_until(lambda: len(closed) == 2 or guard._connected)
-        assert not guard._connected
-    clock.monotonic = lambda: now_s + 5.01
-    with socket.create_connection(("127.0.0.1", port)):
-        wait_until(lambda: guard._connected)
-    assert len(closed) == 2
+
+    def is_kept(address: str = "127.0.0.1") -> bool:
+        wait_until(lambda: not guard._received)
+        with socket.create_connection(("127.0.0.1", port), source_address=(address, 0)) as connection:
+            connection.setblocking(False)
+
+            def has_ended() -> bool:
+                try:
+                    return not connection.recv(1000)
+                except BlockingIOError:
+                    return False
+                except ConnectionResetError:
+                    return True
+
+            wait_until(lambda: guard._received or has_ended())
+            return bool(guard._received)
+
+    assert is_kept()
+    assert not guard._addresses["127.0.0.1"].spend(BURST_BYTES)
+    assert not is_kept()
+    assert is_kept("127.0.0.9")
+    clock.monotonic = lambda: 1e6 + 4.99
+    assert not is_kept()
+    clock.monotonic = lambda: 1e6 + 5.01
+    assert is_kept()
+
+
+def test_addresses_share_an_allowance(publisher: Publisher, port: int) -> None:
+    """A computer has 16 million addresses of its own."""
+    guard = publisher._guard
+    for number in range(1, 250):
+        with socket.create_connection(("127.0.0.1", port), source_address=(f"127.0.1.{number}", 0)):
+            wait_until(lambda number=number: len(guard._addresses) == number)  # type: ignore[misc] # called now
+        if guard._together.open_from_s:
+            break
+    assert 100 < number < 249
+    assert all(each.open_from_s == 0 for each in guard._addresses.values())
 
 
 @pytest.mark.parametrize(("address", "is_warned"), [("127.0.0.1", False), ("127.8.9.1", False), ("0.0.0.0", True)])  # noqa: S104 - it is warned of

@@ -105,6 +105,16 @@ def test_no_input_is_overwritten(
     assert contents(folder) == before
 
 
+@pytest.mark.parametrize("image", ["", "."])
+def test_empty_name_or_folder_is_no_image(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, image: str
+) -> None:
+    assert folder.is_dir()
+    for command in (("reconstruct", image, "--reference", "frame.tif"), ("calibrate", image)):
+        assert run(monkeypatch, *command, "--bench", "small_demo", "--out", "o.nc") == 2
+        assert "svwfs: .: not a file" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", OF_ANOTHER_RECORDING)
 def test_no_part_of_another_recording_is_overwritten(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], folder: Path, command: str

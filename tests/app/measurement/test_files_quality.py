@@ -103,6 +103,32 @@ def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
     assert Fault.MISFIT in quality.faults
 
 
+def test_exchanged_frame_and_reference_are_flagged() -> None:
+    reconstructor = BenchReconstructor(load_bench("small_demo"), exposed(light()[1], 1), dark=dark())
+    frame = exposed(light()[0], 2)
+    quality = reconstructor.quality(frame, reconstructor(frame))
+    assert Fault.SAMPLE in quality.faults
+    assert "or is it the frame?" in quality.sentence
+
+
+@pytest.mark.parametrize("images", ["frame", "reference", "both"])
+def test_compressed_counts_are_flagged(images: str) -> None:
+    """As of a saturating register."""
+    full_well = float(light()[0].max())
+
+    def compressed(counts: NDArray[np.uint16], image: str) -> NDArray[np.uint16]:
+        if images not in {image, "both"}:
+            return counts
+        above = counts - OFFSET
+        return np.rint(OFFSET + full_well * (1 - np.exp(-above / full_well))).astype(np.uint16)
+
+    reference, frame = compressed(exposed(light()[0], 1), "reference"), compressed(exposed(light()[1], 2), "frame")
+    reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)
+    quality = reconstructor.quality(frame, reconstructor(frame))
+    assert Fault.LINEARITY in quality.faults
+    assert "too small" in quality.reasons[Fault.LINEARITY]
+
+
 @pytest.mark.parametrize(("seed", "rms_rad"), [(1, 0.5), (4, 4.0)])
 def test_moved_images_of_pinholes_are_no_change_of_light(seed: int, rms_rad: float) -> None:
     """A pinhole's image is a few pixels wide and moves by several."""

@@ -47,6 +47,42 @@ def test_recovery_removes_a_half_line_and_can_be_repeated(tmp_path: Path, calibr
     assert "recovered" in Recording(tmp_path / "r").ended_early
 
 
+def test_what_a_killed_program_left_half_written_is_removed_and_named(
+    tmp_path: Path, calibration: Calibration, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "r", make_chain(calibration, 2), finish=False)
+    before = _everything(tmp_path / "r")
+    folder, file = tmp_path / "r/calibrations/.1.partial", tmp_path / "r/.0123456789abcdef.partial.json"
+    folder.mkdir()
+    (folder / "bench.toml").write_text("half")
+    file.write_text("half")
+    print_recovered(recover(tmp_path / "r"), Path("r"))
+    half_written = "r: half written, and removed: .0123456789abcdef.partial.json, calibrations/.1.partial"
+    assert capsys.readouterr().out.splitlines()[1] == half_written
+    assert _everything(tmp_path / "r").keys() == before.keys()
+
+
+def test_recording_without_frames_is_said_to_hold_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path / "r", [make_record(0)], finish=False)
+    (tmp_path / "r/frames.jsonl").write_bytes(b"")
+    print_recovered(recover(tmp_path / "r"), Path("r"))
+    assert "r: is complete now: it holds no frame" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "change", [{"exposure_s": -1.0}, {"em_gain": -5.0}, {"camera_time_s": 1e300}, {"bias_age_s": -1e300}]
+)
+def test_impossible_line_is_damage(tmp_path: Path, change: dict[str, float]) -> None:
+    write(tmp_path / "r", [make_record(index) for index in range(3)])
+    path = tmp_path / "r" / "frames.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    lines[1] = json.dumps({**json.loads(lines[1]), **change}) + "\n"
+    path.write_text("".join(lines))
+    assert recover(tmp_path / "r").damage == ("frame 1: there is no line that can be read",)
+    with pytest.raises(InputError, match="line"):
+        Recording(tmp_path / "r").line(1)
+
+
 @pytest.mark.parametrize(
     "name", ["frames.jsonl", "run.json", "frames.zarr", "frames.zarr/0/zarr.json", "frames.zarr/zarr.json"]
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.optics import SmallBench
 
-from reconstruction.frame.noise import image_noise
+from reconstruction.frame.noise import image_transfer
 
 BENCH = SmallBench(9, 9)
 LIGHT = BENCH.reference / BENCH.reference.max()
@@ -17,13 +17,15 @@ def test_noise_of_one_image_is_found(peak_e: float) -> None:
     rng = np.random.default_rng(0)
     per_electron, read_noise = 0.3, 2.0
     counts = per_electron * rng.poisson(LIGHT * peak_e) + rng.normal(0, read_noise, LIGHT.shape)
-    found = image_noise(counts.astype(np.float32), BENCH.sensor.blur_px)
+    curve = image_transfer(counts.astype(np.float32), BENCH.sensor.blur_px)
+    assert curve is not None
+    found = curve.noise
     assert found is not None
     bright = np.array([per_electron * peak_e])
     assert found.variance(bright) == pytest.approx(per_electron * bright + read_noise**2, rel=0.12)
 
 
 def test_noise_free_image_and_coarse_pixels_show_none() -> None:
-    assert image_noise(np.asarray(LIGHT * 1e4, np.float32), BENCH.sensor.blur_px) is None
+    assert image_transfer(np.asarray(LIGHT * 1e4, np.float32), BENCH.sensor.blur_px) is None
     noisy = np.random.default_rng(0).poisson(LIGHT * 1e4).astype(np.float32)
-    assert image_noise(noisy, 2.0) is None
+    assert image_transfer(noisy, 2.0) is None

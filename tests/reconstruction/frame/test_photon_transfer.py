@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -12,12 +13,15 @@ from support.optics import SmallBench
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench
-from reconstruction.frame.noise import CameraNoise, photon_transfer
+from reconstruction.arrays import Floats, Image
+from reconstruction.frame.noise import CameraNoise, image_transfer, photon_transfer
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
 from simulated_devices.detector.emccd import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings
 
 ROWS = COLUMNS = 256
+BENCH = SmallBench(9, 9)
+LIGHT = BENCH.reference / BENCH.reference.max()
 
 
 @pytest.mark.parametrize(("em_gain", "frames"), [(1.0, 20), (50.0, 20), (50.0, 5)])
@@ -35,12 +39,15 @@ def test_photon_transfer_recovers_noise_of_simulated_camera(em_gain: float, fram
 
     dark, light = stack(np.zeros_like(ramp), 0), stack(ramp, 100)
     detector.close()
-    noise = photon_transfer(
+    curve = photon_transfer(
         (light.mean(axis=0) - dark.mean(axis=0)).astype(np.float32),
         light.var(axis=0, ddof=1).astype(np.float32),
         frames=frames,
         dark_variance=dark.var(axis=0, ddof=1).astype(np.float32),
     )
+    assert curve is not None
+    assert curve.loss < 0.05
+    noise = curve.noise
     assert noise is not None
     # After a register of gain G the variance of n electrons is n (2 G^2 - G): excess noise 2 - 1 / G.
     expected = em_gain / settings.electrons_per_count * (2 - 1 / em_gain)
@@ -52,7 +59,43 @@ def test_photon_transfer_recovers_noise_of_simulated_camera(em_gain: float, fram
 def test_photon_transfer_without_light_or_frames_returns_none() -> None:
     flat = np.ones((8, 8), np.float32)
     assert photon_transfer(flat, flat, frames=3, dark_variance=flat) is None
-    assert photon_transfer(flat, flat * 0, frames=20, dark_variance=flat) is None
+    curve = photon_transfer(flat, flat * 0, frames=20, dark_variance=flat)
+    assert curve is not None
+    assert curve.noise is None
+    assert curve.loss == 0
+
+
+def response_curves() -> dict[str, Callable[[Floats], Floats]]:
+    """Counts over the brightest ones, against the light over the brightest."""
+    saturating = {f"well {k:g}": lambda s, k=k: k * (1 - np.exp(-s / k)) for k in (0.5, 1, 2, 20)}
+    return {"line": lambda s: s, **saturating, "gamma": lambda s: np.maximum(s, 0) ** 0.7}
+
+
+@pytest.mark.parametrize("peak_e", [300.0, 3e4])
+@pytest.mark.parametrize(
+    ("response", "least", "most"),
+    [("line", 0, 0.01), ("well 20", 0, 0.1), ("well 2", 0.4, 0.7), ("well 1", 0.7, 2), ("gamma", 0.3, 0.7)],
+)
+def test_loss_of_compressed_counts_is_measured(response: str, least: float, most: float, peak_e: float) -> None:
+    """From single frames and from several; light that flickers only adds noise."""
+    generator = np.random.default_rng(0)
+    curve, light = response_curves()[response], LIGHT * peak_e
+
+    def exposed(flicker: float) -> Image:
+        electrons = generator.poisson(light * (1 + flicker * generator.normal()))
+        counts = curve(electrons / peak_e) * peak_e + generator.normal(0, 3, light.shape)
+        return np.rint(counts).astype(np.float32)
+
+    flicker = 2e-3 if response == "line" else 0.0
+    frames = np.stack([exposed(flicker) for _ in range(8)])
+    dark_variance = np.full(light.shape, 9.0, np.float32)
+    found = photon_transfer(frames.mean(axis=0), frames.var(axis=0, ddof=1), frames=8, dark_variance=dark_variance)
+    assert found is not None
+    assert least <= found.loss <= most
+    single = image_transfer(frames[0], BENCH.sensor.blur_px)
+    if response != "gamma":  # a gamma makes images that no optics transmits
+        assert single is not None
+        assert 0.5 * least <= single.loss <= most
 
 
 @pytest.mark.parametrize(

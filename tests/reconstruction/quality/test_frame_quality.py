@@ -289,6 +289,15 @@ def test_faults_of_the_reference_are_those_of_each_frame() -> None:
     assert judge(frame, reconstructor.register(frame)).reasons == stale.reasons
 
 
+def test_frame_without_residuals_has_no_misfit() -> None:
+    """As a synthetic one; nothing is divided by zero."""
+    reconstructor, judge = measured_by("cubic", 1e4)
+    frame = exposed(aberrated(1.0), 1e4, 0)
+    found = reconstructor.register(frame)
+    none = replace(found, chi_square=np.zeros_like(found.chi_square), residual_rms=np.zeros_like(found.residual_rms))
+    assert judge(frame, none).faults == Fault(0)
+
+
 def test_large_lattice_is_judged_in_parts() -> None:
     """20 x 24 lenslets: a wavefront passes, a tear does not."""
     bench = SmallBench(20, 24, rotation_rad=0.0)
