@@ -190,6 +190,8 @@ def _in_words(found: FoundLayers) -> str:
     verdict = found.search.verdict
     share += f" (any wavefront: {number(100 * found.search.any_wavefront.misfit, 2)} %)"
     doubt = f"; but {found.search.doubt}" if found.search.doubt else ""
-    if verdict.startswith("not"):
+    if verdict.startswith("nothing"):
+        return f"{verdict.capitalize()}: no layer to be found{doubt}"
+    if verdict.startswith(("not", "farther")):
         return f"{verdict.capitalize()}: the best, {places}, leave{'s' * (len(found.ratios) == 1)} {share}{doubt}"
     return f"{verdict.capitalize()} {places}: {share}{doubt}"

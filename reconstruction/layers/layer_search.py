@@ -20,7 +20,15 @@ from reconstruction.layers.layer_fit import LayerFit
 from reconstruction.layers.layer_solver import SKETCH_DEGREE, FrameEquations
 from reconstruction.solve.evidence import FitQuality
 
-Verdict = Literal["one layer", "two layers", "not a single layer", "not one or two layers", "not the given layers"]
+Verdict = Literal[
+    "one layer",
+    "two layers",
+    "not a single layer",
+    "not one or two layers",
+    "not the given layers",
+    "nothing above the noise",
+    "farther than the search reaches",
+]
 
 # The search runs over t = ratio / (1 + |ratio|), even between layers at the lenslets (0) and at the source (-1).
 _GRID, _GRID_OF_TWO = np.linspace(-0.96, 0.96, 49), np.linspace(-0.95, 0.95, 39)
@@ -66,8 +74,12 @@ class LayerSearch:
     @property
     def verdict(self) -> Verdict:
         """Number of layers that explain the displacements, unless the given ones do not."""
+        if self.fit.quality.misfit >= _NOTHING and self.fit.quality.chi_square < _CHI_SQUARE:
+            return "nothing above the noise"
         if self.given is not None and not self._explains(self.given):
             return "not the given layers"
+        if self.given is None and not is_within(self.fit):
+            return "farther than the search reaches"
         if len(self.fit.layers) == 1 and self._explains(self.fit):
             return "one layer"
         if len(self.fit.layers) == 1:
@@ -87,8 +99,13 @@ class LayerSearch:
 
     def _explains(self, fit: LayerFit) -> bool:
         is_noise = fit.quality.chi_square < _CHI_SQUARE * max(self.any_wavefront.chi_square, 1.0)
-        is_small = _beyond(fit.quality, self.any_wavefront) < _UNEXPLAINED
+        is_small = fit.quality.misfit < _NOTHING and _beyond(fit.quality, self.any_wavefront) < _UNEXPLAINED
         return explains(fit.quality, self.any_wavefront) or (is_small and is_noise)
+
+
+def is_within(fit: LayerFit) -> bool:
+    """Whether found layers lie within the search, not at its end."""
+    return all(abs(layer.ratio) < FARTHEST_RATIO for layer in fit.layers)
 
 
 def explains(fit: FitQuality, any_wavefront: FitQuality, *, is_blind: bool = False) -> bool:

@@ -13,7 +13,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layer_fit import UNSEEN, LayerFit
 from reconstruction.layers.layer_modes import LayerModes
-from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, explains
+from reconstruction.layers.layer_search import LayerSearch, explains, is_within
 from reconstruction.layers.layer_solver import LayerSolver, prior_scale, require_lenslets
 from reconstruction.solve.evidence import prior_and_noise
 from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
@@ -43,15 +43,16 @@ def most_probable(search: LayerSearch, *, free: bool = True, is_blind: bool = Fa
 
     Evidence takes all errors for independent. So systematic ones, far below 1 % of the displacements, make it prefer a
     second layer at the end of the search, or a free wavefront, which is far off if the source hides displacements
-    (`is_blind`).
+    (`is_blind`). Layers at the end of the search are not found: their true place is beyond it.
     """
-    one = search.one
-    if explains(one.quality, search.any_wavefront, is_blind=is_blind):
+    one, any_wavefront = search.one, search.any_wavefront
+    if is_within(one) and explains(one.quality, any_wavefront, is_blind=is_blind):
         return _assumed(one)
-    is_found = search.two is not None and all(abs(layer.ratio) < FARTHEST_RATIO for layer in search.two.layers)
-    fits = [one, search.two] if search.two is not None and is_found else [one]
-    best = max(fits, key=lambda fit: fit.quality.log_evidence)
-    is_less_probable = best.quality.log_evidence < search.any_wavefront.log_evidence + _DECISIVE
+    found = [fit for fit in (one, search.two) if fit is not None and is_within(fit)]
+    if free and not found:
+        return FREE
+    best = max(found or [one], key=lambda fit: fit.quality.log_evidence)
+    is_less_probable = best.quality.log_evidence < any_wavefront.log_evidence + _DECISIVE
     return FREE if free and is_less_probable else _assumed(best)
 
 

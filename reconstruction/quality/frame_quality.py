@@ -22,6 +22,7 @@ from reconstruction.displacement import Displacement, Outcome
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.clipping import clipped_fraction
+from reconstruction.quality.propagation import propagation_faults
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.compilation import compiled
@@ -87,6 +88,7 @@ class FrameJudge:
         why = "the noise of the images is unknown" if has_limit else "it has no limit for this registration"
         self._unjudged = "" if self._knows_misfit else f"misfit is not judged: {why}"
         self._lit = reference.lit.reshape(reference.lenslets)
+        self._half_width_px, self._neglects = reference.half_width_px, field.neglect_propagation
         # The light of lenslets holds no period shorter than the blur: a finer grid sees all of it.
         step = min(max(int(reference.blur_px), 1), _STEP_PX)
         columns, window = reference.bad.shape[1], (-1, reference.width, reference.width)
@@ -114,7 +116,7 @@ class FrameJudge:
         native = frame.dtype.newbyteorder("=")
         pixels: Any = frame.ravel().astype(native if native.name in _COMPILED else np.float64, copy=False).view()
         pixels.setflags(write=False)  # as frames are: so that one kind is compiled
-        reasons |= self._of_pixels(pixels)
+        reasons |= self._of_pixels(pixels, displacement)
         return Quality(reasons, self._unjudged) | self.of_reference
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
@@ -153,8 +155,8 @@ class FrameJudge:
                 f"{dark} of {count} lenslets are dark, but lit in the reference: what blocks the light?",
             )
 
-    def _of_pixels(self, frame: Counts) -> Iterator[tuple[Fault, str]]:
-        """Faults seen in some pixels of a frame (pixel,), counts."""
+    def _of_pixels(self, frame: Counts, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
+        """Faults seen in some pixels of a frame (pixel,), counts, with these displacements."""
         level = self._dark
         if level is None:
             level = np.full(self._sampled.shape, np.percentile(frame[self._sampled], _BACKGROUND_PERCENT))
@@ -171,6 +173,10 @@ class FrameJudge:
         elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
+        else:
+            yield from propagation_faults(
+                displacement, self._lit, ratio, self._half_width_px, neglect_propagation=self._neglects
+            )
         scatter = read_noise = 0.0
         if self._noise is not None:
             scatter = math.sqrt(self._noise.variance(np.array(brightest)).item())

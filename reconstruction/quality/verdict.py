@@ -24,6 +24,7 @@ class Fault(IntFlag):
     CLOCK = 512  # not later than the frame before
     SAMPLE = 1024  # the reference was taken with a sample
     LINEARITY = 2048  # counts are not proportional to light
+    PROPAGATION = 4096  # the light of subimages says that the bench's way of light is wrong
 
 
 @dataclass(frozen=True, slots=True)

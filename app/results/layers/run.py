@@ -69,11 +69,12 @@ def summary(found: xr.Dataset) -> list[str]:
     origin = found.attrs["distances_from"]
     at = zip(found["distance_m"].values, found["distance_sigma_m"].values, strict=True)
     lines = ["layer " + distance_in_words(*each, origin).replace("\N{PLUS-MINUS SIGN}", "+-") for each in at]
+    if found.attrs["verdict"].startswith("nothing"):
+        lines = []
     for name, misfit, chi_square in zip(
         found["model"].values, found["model_misfit"].values, found["model_chi_square"].values, strict=True
     ):
-        lines.append(
-            f"{name}: {100 * misfit:.2g} % of the displacements unexplained, reduced chi-square {chi_square:.2f}"
-        )
+        share = float(f"{100 * misfit:.2g}")
+        lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {chi_square:.2f}")
     lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
     return lines

@@ -23,7 +23,7 @@ from support.polynomial_layers import (
 from reconstruction.arrays import Floats
 from reconstruction.displacement import SYSTEMATIC_PX
 from reconstruction.errors import ReconstructionError
-from reconstruction.layers.layer_search import find_layers
+from reconstruction.layers.layer_search import FARTHEST_RATIO, find_layers
 from reconstruction.layers.layer_solver import FrameEquations
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 
@@ -172,6 +172,18 @@ def test_one_field_position_has_no_distance() -> None:
 def test_no_displacement_has_no_layer() -> None:
     with pytest.raises(ReconstructionError, match="all zero"):
         equations(np.zeros_like(displacements_px(PHASE, 0.0)))
+
+
+def test_noise_alone_has_no_layer() -> None:
+    nothing = np.zeros_like(displacements_px(PHASE, 0.0))
+    for seed in range(3):
+        assert find_layers(equations(noisy(nothing, seed))).verdict == "nothing above the noise"
+
+
+def test_layer_beyond_the_search_is_told() -> None:
+    found = find_layers(equations(displacements_px(PHASE, -80.0)))
+    assert found.verdict == "farther than the search reaches"
+    assert found.one.layers[0].ratio < -FARTHEST_RATIO
 
 
 def test_second_layer_is_not_invented() -> None:
