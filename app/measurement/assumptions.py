@@ -12,20 +12,33 @@ _COUNTS = {1: "one layer", 2: "two layers"}
 
 def sample_sentence(sample: AssumedSample, field: Field) -> str:
     """Say what was assumed, as "one layer 195 +- 1 mm in front of the lenslets"."""
+    neglected = ", and no propagation of light (the paper's simulation)" if field.neglect_propagation else ""
     if not sample.ratios:
-        return "any wavefront"
+        return f"any wavefront{neglected}"
     places = [
         _place(-ratio * field.collimator_focal_length_m, sigma * field.collimator_focal_length_m)
         for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
     ]
-    return f"{_COUNTS[len(places)]} {' and '.join(places)}"
+    return f"{_COUNTS[len(places)]} {' and '.join(places)}{neglected}"
 
 
 def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = None) -> str:
     """Say which displacements mask or warp leave out, and what they follow from; empty if all are shown.
 
-    Without a `sample`, of frames in general.
+    Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general.
     """
+    return "; ".join(filter(None, [_left_out(reconstructor, sample), _bias(reconstructor)]))
+
+
+def _bias(reconstructor: Reconstructor) -> str:
+    registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
+    knows_response = reconstruction.response and registration.method == "gauss_newton" and not registration.rotation
+    if reconstruction.method == "modal" and knows_response:
+        return ""
+    return "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
+
+
+def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str:
     warp, hidden = reconstructor.registration.warp, reconstructor.hidden
     if warp == "affine":
         return "an affine warp does not show how wavefronts bend over the field; the error bars leave that out"

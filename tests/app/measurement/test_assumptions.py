@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.optics import FIELD, SmallBench
@@ -9,6 +11,8 @@ from support.optics import FIELD, SmallBench
 from app.measurement.assumptions import mask_sentence, sample_sentence
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+
+BIAS = "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
 
 
 @pytest.mark.parametrize(
@@ -47,7 +51,7 @@ def test_hidden_displacements_are_counted(
         (AssumedSample((-0.5,)), "follow from the layer"),
         (None, "follow from layers, or only from the prior"),
     ):
-        assert mask_sentence(blind, sample) == f"{shown} {others}"
+        assert mask_sentence(blind, sample) == f"{shown} {others}{'; ' + BIAS if rotation else ''}"
     if not rotation:
         assert mask_sentence(checker_bench.reconstructor(registration=registration), FREE) == ""
 
@@ -60,4 +64,14 @@ def test_error_bars_that_leave_something_out_are_told(small_bench: SmallBench) -
     zonal = small_bench.reconstructor(
         registration=RegistrationSettings(warp="quadratic"), reconstruction=ReconstructionSettings(method="zonal")
     )
-    assert mask_sentence(zonal, FREE).endswith("the others are left out, also of the error bars")
+    assert mask_sentence(zonal, FREE).endswith(f"the others are left out, also of the error bars; {BIAS}")
+    unknown = small_bench.reconstructor(
+        registration=RegistrationSettings(warp="translation"), reconstruction=ReconstructionSettings(response=False)
+    )
+    assert mask_sentence(unknown, FREE) == BIAS
+
+
+def test_neglected_propagation_is_said() -> None:
+    field = replace(FIELD, neglect_propagation=True)
+    sentence = "any wavefront, and no propagation of light (the paper's simulation)"
+    assert sample_sentence(AssumedSample(), field) == sentence
