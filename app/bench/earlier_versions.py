@@ -32,21 +32,22 @@ def set_recorded_defaults(tree: dict[str, Any]) -> None:
 
 
 def replace_conserve_flux(tree: dict[str, Any], text: str, name: str, *, is_recorded: bool) -> None:
-    """Replace `registration.conserve_flux` of a recorded bench by `field.neglect_propagation`.
+    """Replace `registration.conserve_flux` by `field.neglect_propagation`.
 
-    Raises `BenchError` for another bench: version 0.2 wrote it for all, of which few are the paper's simulation.
+    Raises `BenchError` if it is false in a bench that is not recorded.
     """
     registration, field = (tree.get(section) for section in ("registration", "field"))
     if not isinstance(registration, dict) or not isinstance(registration.get(_FLUX), bool):
         return
-    if not is_recorded:
+    if registration.pop(_FLUX):
+        if isinstance(field, dict):
+            field.setdefault("neglect_propagation", True)
+    elif not is_recorded:
         raise BenchError(
-            f"{name}: registration.{_FLUX} is of version 0.2: remove the line for real light, which conserves"
-            " brightness instead, or set field.neglect_propagation = true for the paper's simulation",
+            f"{name}: registration.{_FLUX} = false is no longer offered: leave it out for real light, whose brightness"
+            " is conserved, or set field.neglect_propagation = true for the paper's simulation",
             line_of_setting(text, f"registration.{_FLUX}", _FLUX),
         )
-    if registration.pop(_FLUX) and isinstance(field, dict):
-        field.setdefault("neglect_propagation", True)
 
 
 def neglected_propagation(text: str) -> str:

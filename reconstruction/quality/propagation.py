@@ -19,7 +19,7 @@ _CERTAIN = 5.0  # standard errors of the slope
 _ALIKE = 25.0  # neighbouring lenslets, over which absorption and uneven light are alike
 _LEAST_LENSLETS = 25
 _MOST_NOISE = 0.3  # of the variance of log area
-_REAL = "real light: remove field.neglect_propagation from the bench"
+_REAL = "real light: remove neglect_propagation from the bench, or conserve_flux of version 0.2"
 _NEGLECTED = "the paper's simulation: set field.neglect_propagation = true, or is the light uneven?"
 
 

@@ -107,24 +107,22 @@ def with_flux(value: str) -> str:
     return OF_VERSION_0_2.replace("conserve_flux = true", f"conserve_flux = {value}")
 
 
-@pytest.mark.parametrize("value", ["true", "false"])
-def test_recorded_conserve_flux_is_read_as_neglected_propagation(value: str) -> None:
-    bench = parse_bench(with_flux(value), "b", is_recorded=True)
+@pytest.mark.parametrize("is_recorded", [True, False])
+def test_conserved_flux_is_read_as_neglected_propagation(is_recorded: bool) -> None:
+    bench = parse_bench(with_flux("true"), "b", is_recorded=is_recorded)
     assert bench.field.neglect_propagation
-    assert bench.reconstruction.sample == "free"
+    assert bench.reconstruction.sample == ("free" if is_recorded else "automatic")
     assert "conserve_flux" not in write_bench(bench)
 
 
-@pytest.mark.parametrize("value", ["true", "false"])
-def test_conserve_flux_of_a_saved_bench_is_refused(value: str) -> None:
-    """Version 0.2 wrote it into every bench: read as the paper's simulation, real light would be off by 0.1 rad."""
-    with pytest.raises(
-        BenchError, match=r"b: registration\.conserve_flux is of version 0\.2: remove the line"
-    ) as fault:
-        parse_bench(with_flux(value), "b")
-    assert fault.value.line == with_flux(value).splitlines().index(f"conserve_flux = {value}") + 1
-    with pytest.raises(BenchError, match=r"conserve_flux is of version 0\.2"):
-        parse_bench(MINIMAL, "b", (f"registration.conserve_flux={value}",))
+def test_flux_not_conserved_is_dropped_from_a_recorded_bench_and_refused_in_a_new_one() -> None:
+    bench = parse_bench(with_flux("false"), "b", is_recorded=True)
+    assert bench == parse_bench(with_flux("true"), "b", is_recorded=True)
+    with pytest.raises(BenchError, match=r"b: registration\.conserve_flux = false is no longer offered") as fault:
+        parse_bench(with_flux("false"), "b")
+    assert fault.value.line == with_flux("false").splitlines().index("conserve_flux = false") + 1
+    with pytest.raises(BenchError, match=r"conserve_flux = false is no longer offered"):
+        parse_bench(MINIMAL, "b", ("registration.conserve_flux=false",))
     with pytest.raises(BenchError, match="unknown key conserve_flux"):
         parse_bench(with_flux("3"), "b")
 

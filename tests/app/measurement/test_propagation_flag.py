@@ -26,7 +26,7 @@ def test_wrong_world_is_flagged_and_the_right_one_is_not(world: str, mask: str) 
     assert Fault.PROPAGATION not in judged(world, world, through).faults
     found = judged(world, wrong, through)
     assert Fault.PROPAGATION in found.faults
-    assert "field.neglect_propagation" in found.reasons[Fault.PROPAGATION]
+    assert "neglect_propagation" in found.reasons[Fault.PROPAGATION]
 
 
 @pytest.mark.parametrize("setting", ["simulation.screen.transmission_rms=0.15", "simulation.screen.rms_rad=0.05"])
