@@ -25,13 +25,13 @@ EXTRAS = {  # by what they make possible; hcipy is not installed here
     "peers": "SimpleITK, pyrtc.slopes_process, skimage, reconstruction.registration.peers.simple_itk",
 }
 PACKAGES = {"app", "drivers", "reconstruction", "simulated_devices", "svwfs"}
-USER_CODE = '''
+USER_CODE = """
 import svwfs
 from reconstruction.geometry import Lattice
 
 count: str = svwfs.load_bench("small_demo").sensor.lenslet_rows
 lattice: int = Lattice
-'''
+"""
 EXAMPLES = """
 import doctest, svwfs
 assert "site-packages" in svwfs.__file__, svwfs.__file__
@@ -82,7 +82,13 @@ def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_wheel_has_what_it_needs_and_no_stand_ins(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    needed = {"svwfs/__init__.py", "app/docs/window.md", "app/docs/window.png", "app/gui/svwfs.svg", "app/cli/window.py"}
+    needed = {
+        "svwfs/__init__.py",
+        "app/docs/window.md",
+        "app/docs/window.png",
+        "app/gui/svwfs.svg",
+        "app/cli/window.py",
+    }
     needed |= {f"app/bench/presets/{path.name}" for path in (ROOT / "app" / "bench" / "presets").glob("*.toml")}
     needed |= {f"{package}/py.typed" for package in PACKAGES}
     assert needed <= set(names)
