@@ -629,12 +629,12 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
 
 
 def open_result(path: str | Path) -> xr.Dataset:
-    """Open results that `svwfs reconstruct`, `measure`, `replay` or `save_result` wrote.
+    """Open results that `svwfs reconstruct`, `measure`, `replay`, `batch` or `save_result` wrote.
 
     Parameters
     ----------
     path
-        NetCDF file.
+        NetCDF file, or the Zarr store of `svwfs batch` (docs/many_machines.md).
 
     Returns
     -------
@@ -644,7 +644,7 @@ def open_result(path: str | Path) -> xr.Dataset:
     Raises
     ------
     InputError
-        If the file is missing or holds no results.
+        If the file or folder is missing, damaged, or holds no results.
 
     Examples
     --------
@@ -657,9 +657,12 @@ def open_result(path: str | Path) -> xr.Dataset:
     ...     result["rms"].dims
     ('view_row', 'view_column')
     """
+    from pathlib import Path
+
+    from app.batch.store_folder import open_store
     from app.results.dataset import open_results
 
-    return open_results(path)
+    return open_store(Path(path)) if Path(path).is_dir() else open_results(path)
 
 
 def open_recording(path: str | Path) -> OpenedRecording:

@@ -123,11 +123,13 @@ def print_replay(made: Replay) -> None:
 
 
 def print_batch(batch: Batch, out: Path) -> None:
-    """Print why recordings failed, and the number of frames in the store."""
+    """Print why recordings and frames failed, and the number of frames in the store."""
     for reason in batch.failed.values():
         print_warning(reason)
     for copy, original in batch.copies.items():
         print_warning(f"{copy}: is a copy of {original}, whose results are in the store under one name")
+    for folder, reasons in batch.damaged.items():
+        print_warning(f"{folder}: {counted(len(reasons))} damaged and left out: {reasons[0]}")
     without = batch.frames - batch.wavefronts
     why = f" ({batch.problem})" if batch.problem else ""
     missing = f"; {without} have no wavefront{why}" if without else ""

@@ -28,7 +28,7 @@ from app.recording.folder import (
     read_run,
     recorded_frames,
 )
-from app.recording.frame_array import FrameArray, is_array
+from app.recording.frame_array import DamagedFrame, FrameArray, is_array
 from app.recording.frame_lines import FrameLine
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
@@ -129,7 +129,7 @@ class Recording:
         """Pixels of a frame (row, column), counts, read-only."""
         pixels = self._read(PIXELS, index)
         if pixels is None:
-            raise InputError(f"{self.folder}: the pixels of frame {index} are missing")
+            raise DamagedFrame(f"{self.folder}: the pixels of frame {index} are missing")
         pixels.flags.writeable = False
         return pixels
 
@@ -242,10 +242,10 @@ class Recording:
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
-            raise InputError(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
         if line.index != index:
             found = f"line {index + 1} is of frame {line.index} instead of {index}"
-            raise InputError(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
         return line
 
     def _result(self, name: str, index: int) -> Floats | None:

@@ -52,7 +52,8 @@ class Recovered:
             return "no frame is whole"
         longest = max(_ranges_of(self.whole), key=len)
         chosen = f"{longest.start}:{longest.stop}"
-        return f"whole: {frames_in_words(self.whole)}; replay, export and report take some with --frames, as {chosen}"
+        some = f"replay, batch, export and report take some with --frames, as {chosen}"
+        return f"whole: {frames_in_words(self.whole)}; {some}"
 
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
