@@ -602,7 +602,7 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     Parameters
     ----------
     path
-        The file; it appears under its name only when it is complete.
+        The file, *.nc; it appears under its name only when it is complete.
     wavefront
         A reconstructed wavefront.
     bench
@@ -610,6 +610,8 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
 
     Raises
     ------
+    InputError
+        If the name is that of another format.
     RunError
         If the file cannot be written.
 
@@ -623,8 +625,10 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     """
     from pathlib import Path
 
+    from app.files import check_suffix
     from app.results.dataset import result_dataset, write_results
 
+    check_suffix(Path(path), ".nc")
     write_results(Path(path), result_dataset(_wavefront(wavefront)), bench=_bench(bench), inputs={})
 
 
@@ -716,7 +720,8 @@ def live(bench: Bench, *, average: int = 20) -> LiveBench:
     -------
     LiveBench
         Iterating yields the newest `Measurement`: `.wavefront`, or None with the reason in `.problem`; `.frame`;
-        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `record(folder, frames)`.
+        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `set_exposure`, `set_em_gain`,
+        `set_light`, `set_light_current`, `record(folder, frames)`.
 
     Raises
     ------

@@ -12,7 +12,6 @@ from app.errors import InputError, RunError
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 _PARTIAL = ".partial"  # in the name of a file that is being written
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
-_SUFFIXES = {".csv", ".fits", ".json", ".nc", ".npy", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".toml"}
 
 
 def check_readable(path: Path) -> None:
@@ -105,8 +104,8 @@ def _is_recorded(path: Path) -> bool:
 
 
 def check_suffix(path: Path | None, *suffixes: str) -> None:
-    """Raise `InputError` if a name ends as those of another format than the one that will be written."""
-    if path is not None and path.suffix.lower() in _SUFFIXES - set(suffixes):
+    """Raise `InputError` if a name has another suffix than those of the format that will be written."""
+    if path is not None and path.suffix.lower() not in {"", *suffixes}:
         raise InputError(f"{path}: the file will not be what its name says: end it with {suffixes[0]}")
 
 

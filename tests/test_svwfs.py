@@ -128,7 +128,8 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
         folder = live.record(tmp_path / "run", frames=4)
         with pytest.raises(svwfs.InputError, match="holds a recording already"):
             live.record(folder, frames=1)
-    assert list(live) == []
+    with pytest.raises(svwfs.WrongState, match="its with block has ended"):
+        iter(live)
     recording = svwfs.open_recording(folder)
     assert len(recording) == 4
     frames = recording.frames
@@ -137,6 +138,40 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
     assert np.array_equal(frames[1:3, 5, ::-7].values, frames.values[1:3, 5, ::-7])
     assert frames[2:2].values.shape == (0, 240, 256)
     assert recording.results()["wavefront"].sizes["frame"] == 4
+
+
+def test_exposure_gain_and_light_are_set(bench: Bench) -> None:
+    with svwfs.live(bench, average=2) as live:
+        assert live.set_exposure(0.03) == live.bench.camera_model.exposure_s == pytest.approx(0.03, rel=1e-3)
+        measurement = next(iter(live))
+        assert measurement.frame.exposure_s == pytest.approx(0.03, rel=1e-3)
+        assert live.warning == "the dark was taken at 20.0 ms: take it again"
+        assert live.set_em_gain(3) == next(iter(live)).frame.em_gain == 3
+        assert live.set_light_current(0.5) == pytest.approx(0.5)
+        bright = next(iter(live)).frame.pixels.mean()
+        live.set_light(False)
+        dark = next(iter(live))
+        assert dark.light is not None
+        assert not dark.light.is_on
+        assert dark.frame.pixels.mean() < 0.9 * bright
+        live.set_light(True)
+        assert next(iter(live)).frame.pixels.mean() == pytest.approx(bright, rel=0.1)
+        for exposure_s in (0.02, 0.03) * 5:
+            live.set_exposure(exposure_s)
+            assert next(iter(live)).frame.exposure_s == pytest.approx(exposure_s, rel=1e-3)
+        for impossible in (-1.0, float("nan")):
+            with pytest.raises(svwfs.BadValue):
+                live.set_exposure(impossible)
+        with pytest.raises((TypeError, ValueError)):
+            live.set_light_current("much")  # type: ignore[arg-type] # no number
+        assert next(iter(live)).frame is not None  # the worker goes on
+
+
+def test_iteration_ends_with_the_block(bench: Bench) -> None:
+    with svwfs.live(bench, average=2) as live:
+        measurements = iter(live)
+        next(measurements)
+    assert list(measurements) == []
 
 
 def test_frame_passed_over_is_not_yielded(bench: Bench) -> None:
@@ -269,6 +304,8 @@ def test_command_gives_the_same_wavefront(
 def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     svwfs.save_result(tmp_path / "r.nc", reconstruct(images.frames[0]), reconstruct.bench)
+    with pytest.raises(svwfs.InputError, match=r"end it with \.nc"):
+        svwfs.save_result(tmp_path / "r.csv", reconstruct(images.frames[0]), reconstruct.bench)
     with svwfs.open_result(tmp_path / "r.nc") as result:
         (tmp_path / "b.toml").write_text(result.attrs["bench"])
     assert svwfs.load_bench(tmp_path / "b.toml").lattice == reconstruct.bench.lattice != bench.lattice

@@ -74,6 +74,8 @@ def print_measurement(measured: Measured, out: Path) -> None:
     )
     _print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
     _print_sentence(f"noise of one frame: {np.nanmean(measured.noise_rad):.3f} rad RMS; assumed: {measured.assumed}")
+    light = "" if measured.light_current_a is None else f", light current {measured.light_current_a:.4g} A"
+    _print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
     if measured.mask_note:
         _print_sentence(measured.mask_note)
     failed = measured.recorded - measured.reconstructed
