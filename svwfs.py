@@ -245,7 +245,7 @@ def reconstructor(
     -------
     BenchReconstructor
         Call it with a frame (row, column) to get its `Wavefront`: `.views` in rad (view_row, view_column, lenslet_row,
-        lenslet_column), `.at(x_m, y_m)`, `.sigma()`, `.coefficients`, `.displacement`.
+        lenslet_column), `.at(x_m, y_m)` for numbers or arrays, `.sigma()`, `.coefficients`, `.displacement`.
 
     Raises
     ------
@@ -681,7 +681,7 @@ def open_recording(path: str | Path) -> OpenedRecording:
     -------
     OpenedRecording
         `.frames` is a lazy array (frame, row, column) in counts with the coordinates `frame_index` and `time`;
-        `.results()` is the dataset of all frames; `.bench` is the bench.
+        `.results()` is the dataset of all frames; `.bench`, `.dark`, `.reference` and `.run` are what it was made with.
 
     Raises
     ------

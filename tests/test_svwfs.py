@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import doctest
 import os
+import re
 import subprocess
 import sys
 import time
@@ -12,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -117,6 +120,46 @@ def test_psf_is_the_strehl_ratio_at_angle_zero(bench: Bench, images: SimulatedFr
         svwfs.psf(wavefront, x_m=1e-3, y_m=0.0)
 
 
+def test_wavefront_is_evaluated_at_many_positions(bench: Bench, images: SimulatedFrames) -> None:
+    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    x_m, y_m = np.linspace(-0.5e-3, 0.5e-3, 3), np.array([[-0.5e-3], [0.4e-3]])
+    found = wavefront.at(x_m, y_m)
+    assert found.shape == (2, 3, 7, 7)
+    one_by_one = [[wavefront.at(x, y) for x in x_m] for y in y_m[:, 0]]
+    np.testing.assert_allclose(found, one_by_one, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(wavefront.at(bench.field.view_x_m, bench.field.view_y_m[:, None]), wavefront.views)
+    with pytest.raises(ValueError, match=r"\(0.0007, -0.0005\) m lies outside the field"):
+        wavefront.at([0.0, 0.7e-3], -0.5e-3)
+
+
+def picture(html: str) -> Floats:
+    (encoded,) = re.findall(r'<img src="data:image/png;base64,([^"]+)">', html)
+    found = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
+    assert found is not None
+    return np.asarray(found[..., ::-1], np.float64)
+
+
+def test_notebook_shows_wavefront(bench: Bench, images: SimulatedFrames) -> None:
+    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    views = wavefront.views.copy()
+    views[0, 0] = np.nan
+    views[2, 1] = np.where(np.arange(7) < 3, -99.0, 99.0)
+    shown = replace(wavefront, views=views)
+    assert repr(shown).startswith("<Wavefront: 3 x 3 views of 7 x 7 lenslets, 49 valid; mean RMS ")
+    html = shown._repr_html_()
+    assert "&lt;Wavefront: 3 x 3 views" in html
+    pixels = picture(html)
+    px = pixels.shape[0] // 23  # of a lenslet: three views of 7, and a line after two
+    assert pixels.shape == (23 * px, 23 * px, 3)
+    centers = pixels[px // 2 :: px, px // 2 :: px]
+    assert np.ptp(centers[:7, :7]) == 0  # unknown: grey
+    assert centers[16, 8].tolist() == [0, 0, 255]  # negative at the left of the lower view: blue
+    assert centers[16, 14].tolist() == [255, 0, 0]
+    nothing = replace(wavefront, views=np.full_like(views, np.nan))
+    assert "unknown" in repr(nothing)
+    assert nothing._repr_html_()
+
+
 def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Path) -> None:
     with svwfs.live(bench, average=3) as live:
         measurement = next(iter(live))
@@ -132,6 +175,17 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
         iter(live)
     recording = svwfs.open_recording(folder)
     assert len(recording) == 4
+    first = (folder / "frames.zarr/0/c/0/0/0").read_bytes()
+    assert repr(recording).startswith(f"<Recording {folder}: 4 frames of 240 x 256 pixels; began 20")
+    assert picture(recording._repr_html_()).shape == (240, 256, 3)
+    assert recording.dark is not None
+    assert recording.reference is not None
+    assert recording.dark.shape == recording.reference.shape == (240, 256)
+    assert recording.reference.mean() > recording.dark.mean() > 0
+    assert recording.run["command"] == "python"
+    (folder / "frames.zarr/0/c/0/0/0").write_bytes(b"")
+    assert "is damaged: 0 bytes" in svwfs.open_recording(folder)._repr_html_()
+    (folder / "frames.zarr/0/c/0/0/0").write_bytes(first)
     frames = recording.frames
     assert frames.sizes == {"frame": 4, "row": 240, "column": 256}
     assert frames["frame_index"].values.tolist() == sorted(frames["frame_index"].values.tolist())
