@@ -120,8 +120,9 @@ def print_replay(made: Replay) -> None:
     for sentence in filter(None, (made.notice, made.assumed and f"assumed: {made.assumed}")):
         _print_sentence(sentence)
     failed = made.frames - made.reconstructed
-    why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
-    _print_sentence(f"{counted(made.frames)}{why}")
+    if failed or made.verification is None:  # else the verification has counted them
+        why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
+        _print_sentence(f"{counted(made.frames)}{why}")
 
 
 def print_batch(batch: Batch, out: Path) -> None:
