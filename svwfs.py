@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from reconstruction.displacement import Displacement, Outcome
     from reconstruction.errors import ReconstructionError
     from reconstruction.geometry import Lattice
+    from reconstruction.own_methods import OwnBasis, OwnRegistration
     from reconstruction.wavefront import Wavefront
 
 _TYPES = {
@@ -221,6 +222,8 @@ def reconstructor(
     dark: Counts | None = None,
     full_scale: float | None = None,
     frame: Counts | None = None,
+    registration: OwnRegistration | None = None,
+    basis: OwnBasis | None = None,
 ) -> BenchReconstructor:
     """Prepare the reconstruction of frames against a reference.
 
@@ -240,6 +243,12 @@ def reconstructor(
         bits.
     frame
         Frame with the sample, (row, column), counts, that shows the camera's noise.
+    registration
+        Your registration method instead of the bench's: called with the subimages of a reference and the field, it
+        returns a `RegistrationMethod` (docs/own_methods.md).
+    basis
+        Your pupil modes instead of the bench's: called with the sensor and their number or None, it returns
+        `PupilModes` (docs/own_methods.md).
 
     Returns
     -------
@@ -265,8 +274,10 @@ def reconstructor(
     True
     """
     from app.measurement.bench_reconstructor import BenchReconstructor
+    from reconstruction.own_methods import OwnMethods
 
-    return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame)
+    own = OwnMethods(registration, basis)
+    return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame, own=own)
 
 
 def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.polynomial import legendre as series
 
 from reconstruction.arrays import Floats, Image, Mask
+from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Arrangement, Sensor, centered_steps
 from reconstruction.modes.legendre import (
     legendre,
@@ -41,45 +42,62 @@ class PupilModes:
 
 
 def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
-    """Legendre modes over the whole lattice, or Zernike modes over its inscribed circle.
+    """Modes of one of the `BASES`, piston first.
 
-    A lenslet is inside the circle if its centre is; its gradients are means over the whole lenslet. Without a `count`,
-    all modes of a degree below the number of lenslets a side, and at most 16.
+    Without a `count`, all modes of a degree below the number of lenslets a side, and at most 16. `ReconstructionError`
+    if there is no such basis.
     """
-    rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
+    if basis not in BASES:
+        raise ReconstructionError(f"there is no basis {basis}: it must be {' or '.join(BASES)}")
     if count is None:
-        highest = min(rows - 1, columns - 1, _HIGHEST_DEGREE)
+        highest = min(sensor.lenslet_rows - 1, sensor.lenslet_columns - 1, _HIGHEST_DEGREE)
         count = (highest + 1) * (highest + 2) // 2
+    return BASES[basis](sensor, count)
+
+
+def _legendre_modes(sensor: Sensor, count: int) -> PupilModes:
+    """Legendre modes over the whole lattice."""
+    rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
     half_m, centers_m = np.array(sensor.pupil_half_width_m), sensor.lenslet_centers_m
-    if basis == "legendre":
-        if sensor.arrangement == "square":
-            gradients = legendre_lenslet_gradients(count, rows, columns)
-        else:
-            gradients = _hexagon_means(partial(legendre_gradients, count), sensor, half_m)
-        return PupilModes(
-            values=legendre(count, *np.moveaxis(centers_m / half_m, -1, 0)),
-            gradients=gradients / half_m,
-            inside=np.ones((rows, columns), np.bool_),
-            degree=np.asarray(np.sum(legendre_orders(count), axis=1), np.float64),
-            products=legendre_products(count),
-        )
+    if sensor.arrangement == "square":
+        gradients = legendre_lenslet_gradients(count, rows, columns)
+    else:
+        gradients = aperture_means(partial(legendre_gradients, count), sensor, half_m)
+    return PupilModes(
+        values=legendre(count, *np.moveaxis(centers_m / half_m, -1, 0)),
+        gradients=gradients / half_m,
+        inside=np.ones((rows, columns), np.bool_),
+        degree=np.asarray(np.sum(legendre_orders(count), axis=1), np.float64),
+        products=legendre_products(count),
+    )
+
+
+def _zernike_modes(sensor: Sensor, count: int) -> PupilModes:
+    """Zernike modes over the circle inscribed in the lattice.
+
+    A lenslet is inside the circle if its centre is; its gradients are means over the whole lenslet.
+    """
+    half_m = np.array(sensor.pupil_half_width_m)
     radius_m = half_m.min()
-    x, y = np.moveaxis(centers_m / radius_m, -1, 0)
+    x, y = np.moveaxis(sensor.lenslet_centers_m / radius_m, -1, 0)
     if sensor.arrangement == "square":
         edges_x, edges_y = (
-            centered_steps(lenslets + 1) * sensor.lenslet_pitch_m / radius_m for lenslets in (columns, rows)
+            centered_steps(lenslets + 1) * sensor.lenslet_pitch_m / radius_m
+            for lenslets in (sensor.lenslet_columns, sensor.lenslet_rows)
         )
         gradients = zernike_lenslet_gradients(count, edges_x, edges_y)
     else:
-        gradients = _hexagon_means(partial(zernike_gradients, count), sensor, np.full(2, radius_m))
-    degree = np.array([n for n, _ in noll_orders(count)], np.float64)
+        gradients = aperture_means(partial(zernike_gradients, count), sensor, np.full(2, radius_m))
     return PupilModes(
         values=zernike(count, x, y),
         gradients=gradients / radius_m,
         inside=np.asarray(x**2 + y**2 <= 1),
-        degree=degree,
+        degree=np.array([n for n, _ in noll_orders(count)], np.float64),
         products=zernike_products(count, *(half_m / radius_m)),
     )
+
+
+BASES: dict[PupilBasis, Callable[[Sensor, int], PupilModes]] = {"legendre": _legendre_modes, "zernike": _zernike_modes}
 
 
 def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
@@ -99,8 +117,8 @@ def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
     return position, share / share.sum()
 
 
-def _hexagon_means(gradients: Callable[[Floats, Floats], Floats], sensor: Sensor, unit_m: Floats) -> Floats:
-    """Means over hexagonal lenslets of gradients (mode, *shape, xy) at positions in `unit_m` (xy,)."""
+def aperture_means(gradients: Callable[[Floats, Floats], Floats], sensor: Sensor, unit_m: Floats) -> Floats:
+    """Means over the lenslets of gradients (mode, *shape, xy) at positions in `unit_m` (xy,)."""
     centers_m, total = sensor.lenslet_centers_m, 0.0
     for position, share in zip(*aperture_rule(sensor.arrangement), strict=True):
         at = (centers_m + position * sensor.lenslet_pitch_m) / unit_m
