@@ -167,6 +167,12 @@ def _cut_pixels(mine: Recording) -> None:
     path.write_bytes(path.read_bytes()[:100])
 
 
+def _flip_bit(mine: Recording) -> None:
+    path = mine.folder / "frames.zarr/0/c/6/0/0"
+    held = path.read_bytes()
+    path.write_bytes(held[:100] + bytes([held[100] ^ 1]) + held[101:])
+
+
 def _lose_lines(mine: Recording) -> None:
     path = mine.folder / "frames.jsonl"
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:5]))
@@ -192,6 +198,7 @@ DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
 
 DAMAGED_FRAMES: dict[str, tuple[Callable[[Recording], object], str]] = {
     "half a frame": (_cut_pixels, "is damaged: 100 bytes"),
+    "a flipped bit": (_flip_bit, "the pixels of frame 6 are not those that were recorded"),
     "no pixels": (lambda mine: shutil.rmtree(mine.folder / "frames.zarr/0/c/6"), "pixels of frame 6 are missing"),
     "a damaged line": (lambda mine: edit_line(mine, 6, lost="many"), "line 7 is damaged"),
 }
