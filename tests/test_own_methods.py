@@ -21,8 +21,7 @@ from app.results.mode_coefficients import mode_names
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.legendre import legendre_products
-from reconstruction.modes.polynomial_modes import polynomial_modes
-from reconstruction.modes.pupil_modes import BASES, PupilModes, pupil_modes
+from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
 from reconstruction.modes.zernike import zernike_products
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.peers.correlation import Correlation
