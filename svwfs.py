@@ -613,7 +613,7 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     Parameters
     ----------
     path
-        The file, *.nc; it appears under its name only when it is complete.
+        The file, ending in .nc; it appears under its name only when it is complete.
     wavefront
         A reconstructed wavefront.
     bench
