@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from reconstruction.displacement import Displacement, Outcome
     from reconstruction.errors import ReconstructionError
     from reconstruction.geometry import Lattice
+    from reconstruction.own_methods import OwnBasis, OwnRegistration
     from reconstruction.wavefront import Wavefront
 
 _TYPES = {
@@ -221,6 +222,8 @@ def reconstructor(
     dark: Counts | None = None,
     full_scale: float | None = None,
     frame: Counts | None = None,
+    registration: OwnRegistration | None = None,
+    basis: OwnBasis | None = None,
 ) -> BenchReconstructor:
     """Prepare the reconstruction of frames against a reference.
 
@@ -240,12 +243,18 @@ def reconstructor(
         bits.
     frame
         Frame with the sample, (row, column), counts, that shows the camera's noise.
+    registration
+        Your registration method instead of the bench's: called with the subimages of a reference and the field, it
+        returns a `RegistrationMethod` (docs/own_methods.md).
+    basis
+        Your pupil modes instead of the bench's: called with the sensor and their number or None, it returns
+        `PupilModes` (docs/own_methods.md).
 
     Returns
     -------
     BenchReconstructor
         Call it with a frame (row, column) to get its `Wavefront`: `.views` in rad (view_row, view_column, lenslet_row,
-        lenslet_column), `.at(x_m, y_m)`, `.sigma()`, `.coefficients`, `.displacement`.
+        lenslet_column), `.at(x_m, y_m)` for numbers or arrays, `.sigma()`, `.coefficients`, `.displacement`.
 
     Raises
     ------
@@ -265,8 +274,10 @@ def reconstructor(
     True
     """
     from app.measurement.bench_reconstructor import BenchReconstructor
+    from reconstruction.own_methods import OwnMethods
 
-    return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame)
+    own = OwnMethods(registration, basis)
+    return BenchReconstructor(_bench(bench), reference, dark=dark, full_scale=full_scale, frame=frame, own=own)
 
 
 def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = 3) -> Wavefront:
@@ -602,7 +613,7 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     Parameters
     ----------
     path
-        The file; it appears under its name only when it is complete.
+        The file, ending in .nc; it appears under its name only when it is complete.
     wavefront
         A reconstructed wavefront.
     bench
@@ -610,6 +621,8 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
 
     Raises
     ------
+    InputError
+        If the name is that of another format.
     RunError
         If the file cannot be written.
 
@@ -623,18 +636,20 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     """
     from pathlib import Path
 
+    from app.files import check_suffix
     from app.results.dataset import result_dataset, write_results
 
+    check_suffix(Path(path), ".nc")
     write_results(Path(path), result_dataset(_wavefront(wavefront)), bench=_bench(bench), inputs={})
 
 
 def open_result(path: str | Path) -> xr.Dataset:
-    """Open results that `svwfs reconstruct`, `measure`, `replay` or `save_result` wrote.
+    """Open results that `svwfs reconstruct`, `measure`, `replay`, `batch` or `save_result` wrote.
 
     Parameters
     ----------
     path
-        NetCDF file.
+        NetCDF file, or the Zarr store of `svwfs batch` (docs/many_machines.md).
 
     Returns
     -------
@@ -644,7 +659,7 @@ def open_result(path: str | Path) -> xr.Dataset:
     Raises
     ------
     InputError
-        If the file is missing or holds no results.
+        If the file or folder is missing, damaged, or holds no results.
 
     Examples
     --------
@@ -657,9 +672,12 @@ def open_result(path: str | Path) -> xr.Dataset:
     ...     result["rms"].dims
     ('view_row', 'view_column')
     """
+    from pathlib import Path
+
+    from app.batch.store_folder import open_store
     from app.results.dataset import open_results
 
-    return open_results(path)
+    return open_store(Path(path)) if Path(path).is_dir() else open_results(path)
 
 
 def open_recording(path: str | Path) -> OpenedRecording:
@@ -674,7 +692,7 @@ def open_recording(path: str | Path) -> OpenedRecording:
     -------
     OpenedRecording
         `.frames` is a lazy array (frame, row, column) in counts with the coordinates `frame_index` and `time`;
-        `.results()` is the dataset of all frames; `.bench` is the bench.
+        `.results()` is the dataset of all frames; `.bench`, `.dark`, `.reference` and `.run` are what it was made with.
 
     Raises
     ------
@@ -713,7 +731,8 @@ def live(bench: Bench, *, average: int = 20) -> LiveBench:
     -------
     LiveBench
         Iterating yields the newest `Measurement`: `.wavefront`, or None with the reason in `.problem`; `.frame`;
-        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `record(folder, frames)`.
+        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `set_exposure`, `set_em_gain`,
+        `set_light`, `set_light_current`, `record(folder, frames)`.
 
     Raises
     ------

@@ -17,7 +17,6 @@ _PARTIAL = ".partial"  # in the name of a file that is being written
 _NAME = re.compile(r"\.[0-9a-f]{16}" + re.escape(_PARTIAL) + r"(\.\w+)?")
 _STALE_S = 86400.0  # nobody is still writing a file that has not changed for so long
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "start.npy", "biases", "calibrations")
-_SUFFIXES = {".csv", ".fits", ".json", ".nc", ".npy", ".npz", ".pdf", ".png", ".svg", ".tif", ".tiff", ".toml"}
 
 
 def check_readable(path: Path) -> None:
@@ -111,8 +110,8 @@ def _is_recorded(path: Path) -> bool:
 
 
 def check_suffix(path: Path | None, *suffixes: str) -> None:
-    """Raise `InputError` if a name ends as those of another format than the one that will be written."""
-    if path is not None and path.suffix.lower() in _SUFFIXES - set(suffixes):
+    """Raise `InputError` if a name has another suffix than those of the format that will be written."""
+    if path is not None and path.suffix.lower() not in {"", *suffixes}:
         raise InputError(f"{path}: the file will not be what its name says: end it with {suffixes[0]}")
 
 

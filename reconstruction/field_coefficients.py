@@ -4,7 +4,7 @@ All modes are polynomials, so that a change of their basis is exact; the covaria
 """
 
 from dataclasses import dataclass
-from typing import Self, get_args
+from typing import Self, assert_never
 
 import numpy as np
 from numpy.polynomial import legendre as series
@@ -15,7 +15,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
 from reconstruction.modes.legendre import legendre_orders
-from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.modes.pupil_modes import BASES, PupilModes
 from reconstruction.modes.zernike import zernike_projection
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal_solution import ModalSolution
@@ -121,8 +121,8 @@ def field_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = Non
     ReconstructionError
         If there is no such basis, the fit has no such degree, or no lenslet in the pupil is known.
     """
-    if basis not in get_args(PupilBasis):
-        raise ReconstructionError(f"the modes of the pupil are {' or '.join(get_args(PupilBasis))}, not {basis}")
+    if basis not in BASES:
+        raise ReconstructionError(f"the modes of the pupil are {' or '.join(BASES)}, not {basis}")
     highest = int(fit.modes.degree.max())
     order = highest if order is None else order
     if not 1 <= order <= highest:
@@ -152,6 +152,8 @@ def _pupil_projection(modes: PupilModes, sensor: Sensor, basis: PupilBasis, orde
     if basis == "legendre":
         along_x, along_y = np.transpose(legendre_orders(count))
         return np.array(modes.products[:, along_y, along_x].T)
+    if basis != "zernike":
+        assert_never(basis)
     scale_x, scale_y = min(sensor.pupil_half_width_m) / np.array(sensor.pupil_half_width_m)
 
     def values(x: Floats, y: Floats) -> Floats:

@@ -20,6 +20,7 @@ from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.own_methods import NO_OWN, OwnMethods
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.response import LensletModel, linear_response
@@ -53,6 +54,8 @@ class Reconstructor:
         Noise of a single frame. It weights pixels and lenslets and gives absolute error bars.
     reference_frames : float
         Number of frames averaged in the reference.
+    own : OwnMethods
+        Methods that replace those of the settings.
     lenslet_model : callable, optional
         Returns a model of one lenslet for the reference's subimages. With it, the modal reconstruction uses the
         response of the registration in place of mean gradients.
@@ -76,12 +79,14 @@ class Reconstructor:
         full_scale: float = np.inf,
         noise: CameraNoise | None = None,
         reference_frames: float = np.inf,
+        own: OwnMethods = NO_OWN,
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:
         self.frame_shape = reference.shape[0], reference.shape[-1]
         self._above_dark = AboveDark(self.frame_shape, dark, full_scale)
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
-        self.reconstruction = reconstruction
+        self._own = own
+        registration, self.reconstruction = own.named(registration, reconstruction)
         self._reference_frames = reference_frames
         light, _ = self._above_dark(reference, "reference")
         if not np.mean(light) > 0:
@@ -202,7 +207,7 @@ class Reconstructor:
 
     def registration_for(self, reference: Image) -> RegistrationMethod:
         """Prepare the same registration for another reference (row, column), counts above the dark."""
-        return prepare_registration(self._cut(reference), self.registration, self.field)
+        return self._registration(self._cut(reference), self.registration)
 
     @property
     def hidden(self) -> int:
@@ -232,6 +237,10 @@ class Reconstructor:
         parameters = _parameters(self._register, self._at_rest)
         return LayeredWavefronts(solver, LayerModes(solver.degree, self.sensor, self.field, modes), parameters)
 
+    def _registration(self, reference: ReferenceSubimages, settings: RegistrationSettings) -> RegistrationMethod:
+        own = self._own.registration
+        return own(reference, self.field) if own is not None else prepare_registration(reference, settings, self.field)
+
     def _prepare(
         self, light: Image, registration: RegistrationSettings
     ) -> tuple[RegistrationSettings, RegistrationMethod, Displacement]:
@@ -240,7 +249,7 @@ class Reconstructor:
         @cache
         def prepare(warp: Warp) -> tuple[RegistrationSettings, RegistrationMethod, Displacement]:
             settings = replace(registration, warp=warp)
-            method = prepare_registration(self.subimages, settings, self.field)
+            method = self._registration(self.subimages, settings)
             return settings, method, method(light, saturated=np.zeros(light.shape, np.bool_))
 
         if registration.warp is not None or registration.method != "gauss_newton":
@@ -286,7 +295,9 @@ class Reconstructor:
             raise ReconstructionError(
                 f"{lenslets} valid lenslets cannot tell {count} pupil modes apart: lower pupil_modes, or leave it out"
             )
-        modes, parameters = pupil_modes(self.sensor, basis, count), _parameters(self._register, at_rest)
+        own = self._own.basis if basis == self.reconstruction.basis else None
+        modes = own(self.sensor, count) if own is not None else pupil_modes(self.sensor, basis, count)
+        parameters = _parameters(self._register, at_rest)
         has_prior = count is None or self.hidden > 0  # else nothing determines what the mask hides
         # Conserved flux shows all displacements, so that their systematic errors are not spread as noise would be.
         is_unknown = self.noise is None and self.field.neglect_propagation

@@ -8,7 +8,6 @@ be coarse. A round is kept if it brings the modelled displacements closer to the
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -19,8 +18,9 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, ZernikeModes
-from reconstruction.modes.pupil_modes import PupilGrid
+from reconstruction.modes.pupil_modes import PupilGrid, PupilModes
 from reconstruction.pipeline import Reconstructor
+from reconstruction.runtime.deferred import Remembered
 from reconstruction.solve.modal_solution import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
 
@@ -75,8 +75,7 @@ class Refinement:
         reference = model.image(None)
         self._register = reconstructor.registration_for(reference)
         self._unsaturated = np.zeros(reference.shape, np.bool_)
-        sample_m = model.sample_x_m, model.sample_y_m
-        self._grid = lru_cache(maxsize=2)(lambda modes: PupilGrid(modes, reconstructor.sensor, *sample_m))
+        self._grid = Remembered(self._prepared_grid, 2)
 
     def bias(self, wavefront: Wavefront) -> Bias:
         """Find the bias at a wavefront: one rendered image and its registration."""
@@ -105,6 +104,9 @@ class Refinement:
             if change_rad < _SETTLED_RAD:
                 return
             bias = following
+
+    def _prepared_grid(self, modes: PupilModes) -> PupilGrid:
+        return PupilGrid(modes, self._reconstructor.sensor, self._model.sample_x_m, self._model.sample_y_m)
 
     def _smooth(self, wavefront: Wavefront) -> ModalSolution:
         """The wavefront in smooth modes."""

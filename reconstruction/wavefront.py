@@ -6,12 +6,14 @@ from functools import lru_cache
 from typing import Protocol, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats, Mask
 from reconstruction.displacement import Displacement
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
+from reconstruction.picture import html, picture_of_views
 from reconstruction.solve.modal_solution import ModalSolution
 
 
@@ -57,23 +59,38 @@ class Wavefront:
         """Standard deviation of `views`, rad, the same shape; takes some milliseconds."""
         return _at_views(self.field, self.displacement, self.solution.sigma)
 
-    def at(self, x_m: float, y_m: float) -> Floats:
-        """Wavefront at one field position, rad, (lenslet_row, lenslet_column), without piston; NaN where unknown.
+    def at(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
+        """Wavefront at field positions, rad, (..., lenslet_row, lenslet_column), without piston; NaN where unknown.
 
         Parameters
         ----------
-        x_m, y_m : float
-            Field position.
+        x_m, y_m : (...)
+            Field positions, broadcast against each other; numbers for a single one.
 
         Raises
         ------
         ValueError
-            If it lies outside the field.
+            If one lies outside the field.
         """
-        x, y = x_m / self.field.half_width_m, y_m / self.field.half_width_m
-        if not self.field.contains(x, y):
-            raise ValueError(f"({x_m:g}, {y_m:g}) m lies outside the field of +-{self.field.half_width_m:g} m")
-        return self.solution.wavefront(self.displacement.modes.values(x, y))
+        x_m, y_m = np.broadcast_arrays(np.asarray(x_m, np.float64), np.asarray(y_m, np.float64))
+        half_width_m = self.field.half_width_m
+        x, y = x_m / half_width_m, y_m / half_width_m
+        outside = ~self.field.contains(x, y)
+        if outside.any():
+            place = f"({x_m[outside][0]:g}, {y_m[outside][0]:g}) m"
+            raise ValueError(f"{place} lies outside the field of +-{half_width_m:g} m")
+        return self.solution.wavefront(np.moveaxis(self.displacement.modes.values(x, y), 0, -1))
+
+    def __repr__(self) -> str:
+        valid, (rows, columns, *lenslets) = self.displacement.valid, self.views.shape
+        known_rad = rms(self.views)[np.isfinite(rms(self.views))]
+        size = f"{rows} x {columns} views of {lenslets[0]} x {lenslets[1]} lenslets"
+        mean = f"mean RMS {known_rad.mean():.3f} rad" if known_rad.size else "unknown"
+        layers = f"{len(self.sample.ratios)} assumed" if self.sample.ratios else "any wavefront"
+        return f"<Wavefront: {size}, {np.count_nonzero(valid)} valid; {mean}; layers: {layers}>"
+
+    def _repr_html_(self) -> str:
+        return html(repr(self), picture_of_views(self.views))
 
 
 def without_piston(phase: Floats) -> Floats:

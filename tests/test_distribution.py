@@ -24,6 +24,14 @@ EXTRAS = {  # by what they make possible; hcipy is not installed here
     "micro-manager": "pymmcore, drivers.micro_manager.core",
     "peers": "SimpleITK, pyrtc.slopes_process, skimage, reconstruction.registration.peers.simple_itk",
 }
+PACKAGES = {"app", "drivers", "reconstruction", "simulated_devices", "svwfs"}
+USER_CODE = """
+import svwfs
+from reconstruction.geometry import Lattice
+
+count: str = svwfs.load_bench("small_demo").sensor.lenslet_rows
+lattice: int = Lattice
+"""
 EXAMPLES = """
 import doctest, svwfs
 assert "site-packages" in svwfs.__file__, svwfs.__file__
@@ -74,9 +82,17 @@ def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_wheel_has_what_it_needs_and_no_stand_ins(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    needed = {"svwfs.py", "app/docs/window.md", "app/docs/window.png", "app/gui/svwfs.svg", "app/cli/window.py"}
+    needed = {
+        "svwfs/__init__.py",
+        "app/docs/window.md",
+        "app/docs/window.png",
+        "app/gui/svwfs.svg",
+        "app/cli/window.py",
+    }
     needed |= {f"app/bench/presets/{path.name}" for path in (ROOT / "app" / "bench" / "presets").glob("*.toml")}
+    needed |= {f"{package}/py.typed" for package in PACKAGES}
     assert needed <= set(names)
+    assert {name.split("/")[0] for name in names if name.endswith(".py")} == PACKAGES
     assert not [name for name in names if name.startswith(("tests/", "simulated_devices/wires/"))]
 
 
@@ -90,6 +106,18 @@ def test_installed_programs_work(programs: Path, tmp_path: Path) -> None:
     assert (programs / "svwfs-window").exists()
     run(programs / "svwfs", "selftest", cwd=tmp_path)
     run(programs / "python", "-c", EXAMPLES, cwd=tmp_path)
+
+
+def test_type_checker_sees_types_from_outside(programs: Path, tmp_path: Path) -> None:
+    (tmp_path / "user.py").write_text(USER_CODE)
+    checker = ("-m", "mypy", "--strict", "--python-executable", programs / "python", "user.py")
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    told = subprocess.run(  # noqa: S603 - our own
+        [sys.executable, *checker], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    ).stdout
+    assert 'variable has type "str")' in told, told
+    assert 'variable has type "int")' in told, told
+    assert "Found 2 errors in 1 file" in told, told
 
 
 def test_every_extra_can_be_imported(programs: Path, tmp_path: Path) -> None:

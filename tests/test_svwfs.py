@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import doctest
 import os
+import re
 import subprocess
 import sys
 import time
@@ -12,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -117,6 +120,46 @@ def test_psf_is_the_strehl_ratio_at_angle_zero(bench: Bench, images: SimulatedFr
         svwfs.psf(wavefront, x_m=1e-3, y_m=0.0)
 
 
+def test_wavefront_is_evaluated_at_many_positions(bench: Bench, images: SimulatedFrames) -> None:
+    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    x_m, y_m = np.linspace(-0.5e-3, 0.5e-3, 3), np.array([[-0.5e-3], [0.4e-3]])
+    found = wavefront.at(x_m, y_m)
+    assert found.shape == (2, 3, 7, 7)
+    one_by_one = [[wavefront.at(x, y) for x in x_m] for y in y_m[:, 0]]
+    np.testing.assert_allclose(found, one_by_one, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(wavefront.at(bench.field.view_x_m, bench.field.view_y_m[:, None]), wavefront.views)
+    with pytest.raises(ValueError, match=r"\(0.0007, -0.0005\) m lies outside the field"):
+        wavefront.at([0.0, 0.7e-3], -0.5e-3)
+
+
+def picture(html: str) -> Floats:
+    (encoded,) = re.findall(r'<img src="data:image/png;base64,([^"]+)">', html)
+    found = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
+    assert found is not None
+    return np.asarray(found[..., ::-1], np.float64)
+
+
+def test_notebook_shows_wavefront(bench: Bench, images: SimulatedFrames) -> None:
+    wavefront = svwfs.reconstructor(bench, images.reference, dark=images.dark)(images.frames[0])
+    views = wavefront.views.copy()
+    views[0, 0] = np.nan
+    views[2, 1] = np.where(np.arange(7) < 3, -99.0, 99.0)
+    shown = replace(wavefront, views=views)
+    assert repr(shown).startswith("<Wavefront: 3 x 3 views of 7 x 7 lenslets, 49 valid; mean RMS ")
+    html = shown._repr_html_()
+    assert "&lt;Wavefront: 3 x 3 views" in html
+    pixels = picture(html)
+    px = pixels.shape[0] // 23  # of a lenslet: three views of 7, and a line after two
+    assert pixels.shape == (23 * px, 23 * px, 3)
+    centers = pixels[px // 2 :: px, px // 2 :: px]
+    assert np.ptp(centers[:7, :7]) == 0  # unknown: grey
+    assert centers[16, 8].tolist() == [0, 0, 255]  # negative at the left of the lower view: blue
+    assert centers[16, 14].tolist() == [255, 0, 0]
+    nothing = replace(wavefront, views=np.full_like(views, np.nan))
+    assert "unknown" in repr(nothing)
+    assert nothing._repr_html_()
+
+
 def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Path) -> None:
     with svwfs.live(bench, average=3) as live:
         measurement = next(iter(live))
@@ -128,15 +171,61 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
         folder = live.record(tmp_path / "run", frames=4)
         with pytest.raises(svwfs.InputError, match="holds a recording already"):
             live.record(folder, frames=1)
-    assert list(live) == []
+    with pytest.raises(svwfs.WrongState, match="its with block has ended"):
+        iter(live)
     recording = svwfs.open_recording(folder)
     assert len(recording) == 4
+    first = (folder / "frames.zarr/0/c/0/0/0").read_bytes()
+    assert repr(recording).startswith(f"<Recording {folder}: 4 frames of 240 x 256 pixels; began 20")
+    assert picture(recording._repr_html_()).shape == (240, 256, 3)
+    assert recording.dark is not None
+    assert recording.reference is not None
+    assert recording.dark.shape == recording.reference.shape == (240, 256)
+    assert recording.reference.mean() > recording.dark.mean() > 0
+    assert recording.run["command"] == "python"
+    (folder / "frames.zarr/0/c/0/0/0").write_bytes(b"")
+    assert "is damaged: 0 bytes" in svwfs.open_recording(folder)._repr_html_()
+    (folder / "frames.zarr/0/c/0/0/0").write_bytes(first)
     frames = recording.frames
     assert frames.sizes == {"frame": 4, "row": 240, "column": 256}
     assert frames["frame_index"].values.tolist() == sorted(frames["frame_index"].values.tolist())
     assert np.array_equal(frames[1:3, 5, ::-7].values, frames.values[1:3, 5, ::-7])
     assert frames[2:2].values.shape == (0, 240, 256)
     assert recording.results()["wavefront"].sizes["frame"] == 4
+
+
+def test_exposure_gain_and_light_are_set(bench: Bench) -> None:
+    with svwfs.live(bench, average=2) as live:
+        assert live.set_exposure(0.03) == live.bench.camera_model.exposure_s == pytest.approx(0.03, rel=1e-3)
+        measurement = next(iter(live))
+        assert measurement.frame.exposure_s == pytest.approx(0.03, rel=1e-3)
+        assert live.warning == "the dark was taken at 20.0 ms: take it again"
+        assert live.set_em_gain(3) == next(iter(live)).frame.em_gain == 3
+        assert live.set_light_current(0.5) == pytest.approx(0.5)
+        bright = next(iter(live)).frame.pixels.mean()
+        live.set_light(False)
+        dark = next(iter(live))
+        assert dark.light is not None
+        assert not dark.light.is_on
+        assert dark.frame.pixels.mean() < 0.9 * bright
+        live.set_light(True)
+        assert next(iter(live)).frame.pixels.mean() == pytest.approx(bright, rel=0.1)
+        for exposure_s in (0.02, 0.03) * 5:
+            live.set_exposure(exposure_s)
+            assert next(iter(live)).frame.exposure_s == pytest.approx(exposure_s, rel=1e-3)
+        for impossible in (-1.0, float("nan")):
+            with pytest.raises(svwfs.BadValue):
+                live.set_exposure(impossible)
+        with pytest.raises((TypeError, ValueError)):
+            live.set_light_current("much")  # type: ignore[arg-type] # no number
+        assert next(iter(live)).frame is not None  # the worker goes on
+
+
+def test_iteration_ends_with_the_block(bench: Bench) -> None:
+    with svwfs.live(bench, average=2) as live:
+        measurements = iter(live)
+        next(measurements)
+    assert list(measurements) == []
 
 
 def test_frame_passed_over_is_not_yielded(bench: Bench) -> None:
@@ -269,6 +358,8 @@ def test_command_gives_the_same_wavefront(
 def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     svwfs.save_result(tmp_path / "r.nc", reconstruct(images.frames[0]), reconstruct.bench)
+    with pytest.raises(svwfs.InputError, match=r"end it with \.nc"):
+        svwfs.save_result(tmp_path / "r.csv", reconstruct(images.frames[0]), reconstruct.bench)
     with svwfs.open_result(tmp_path / "r.nc") as result:
         (tmp_path / "b.toml").write_text(result.attrs["bench"])
     assert svwfs.load_bench(tmp_path / "b.toml").lattice == reconstruct.bench.lattice != bench.lattice

@@ -1,14 +1,15 @@
 """A live bench for scripts and notebooks: an acquisition that is started, iterated over, and closed."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self, TypeVar
 
 from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import FRAMES, knows_sample, start_up
 from app.acquisition.streams.publisher import stream_sinks
 from app.acquisition.worker import Acquisition
@@ -17,7 +18,9 @@ from app.errors import RunError
 from app.measurement.bench_reconstructor import whole_number
 from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.recorder import Limit
-from drivers.interface import WrongState
+from drivers.interface import Devices, WrongState
+
+T = TypeVar("T")
 
 _WAIT_S = 0.1  # between two checks whether the acquisition still runs
 
@@ -70,9 +73,16 @@ class LiveBench:
     def __iter__(self) -> Iterator[Measurement]:
         """Yield the newest measurement whenever there is one; frames that come in between are skipped.
 
-        `measurement.counts` counts them; `record` keeps every frame. Raises the error that ended the acquisition.
+        `measurement.counts` counts them; `record` keeps every frame. It ends with the block, and raises the error that
+        ended the acquisition. After the block there is nothing to iterate over: `WrongState`.
         """
         acquisition = self._acquisition
+        if not acquisition.is_alive:
+            self._raise_failure()
+            raise WrongState("this live bench is closed: its with block has ended")
+        return self._measurements(acquisition)
+
+    def _measurements(self, acquisition: Acquisition) -> Iterator[Measurement]:
         while True:
             with self._arrived:
                 while self._newest is None and acquisition.is_alive:
@@ -105,15 +115,35 @@ class LiveBench:
 
     def note_sample_in(self) -> None:
         """Note in recordings that the sample is in the beam; only needed on a bench without motors."""
-        self._result(self._acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)))
+        self._set(lambda devices: devices.stage.note_sample(True))
+
+    def set_exposure(self, exposure_s: float) -> float:
+        """Change the exposure time, s; return the one in force. Dark and reference are stale until taken again."""
+        wanted_s = float(exposure_s)
+        return self._set(lambda devices: devices.camera.set_exposure(wanted_s))
+
+    def set_em_gain(self, em_gain: float) -> float:
+        """Change the electron multiplication; return the one in force. Dark and reference are stale until retaken."""
+        wanted = float(em_gain)
+        return self._set(lambda devices: devices.camera.set_em_gain(wanted))
+
+    def set_light_current(self, current_a: float) -> float:
+        """Change the current of the light, A; return the one in force. The reference is stale until taken again."""
+        wanted_a = float(current_a)
+        return self._set(lambda devices: devices.light.set_current(wanted_a))
+
+    def set_light(self, on: bool) -> None:
+        """Switch the light, or note that you switched it by hand. Off works at once, and ends a routine."""
+        if not on and not self._bench.has_manual_light:
+            self._result(self._acquisition.switch_light_off())
+        self._set(lambda devices: devices.light.note_light(bool(on)))
 
     def auto_expose(self) -> float:
         """Set exposure and light current so that the brightest lenslets fill 70 % of full scale; return the exposure.
 
         The dark and the reference are stale afterwards: take them again.
         """
-        self._result(self._acquisition.auto_expose())
-        return float(self._acquisition.submit(lambda instrument: instrument.devices.camera.exposure_s).result())
+        return self._result(self._acquisition.auto_expose()).exposure_s
 
     def record(self, folder: Path | str, frames: int) -> Path:
         """Record the next `frames` frames into a new folder, wait for the last one, and return the folder.
@@ -166,15 +196,25 @@ class LiveBench:
             self._newest = measurement
             self._arrived.notify_all()
 
-    def _result(self, step: Future[Any]) -> None:
-        """Wait for a command; the error that ended the acquisition goes before the command's own."""
+    def _set(self, change: Callable[[Devices], T]) -> T:
+        """Change the devices, the camera paused: all later measurements are of frames exposed after the change."""
+
+        def command(instrument: Instrument) -> T:
+            with instrument.devices.camera.paused():
+                return change(instrument.devices)
+
+        return self._result(self._acquisition.submit(command))
+
+    def _result(self, step: Future[T]) -> T:
+        """Wait for a command and return its result; an error that ended the acquisition goes before the command's."""
         try:
-            step.result()
+            found = step.result()
         except Exception:
             self._raise_failure()
             raise
         with self._arrived:
             self._newest = None  # measured before the command
+        return found
 
     def _raise_failure(self) -> None:
         if self._acquisition.error is not None:

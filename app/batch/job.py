@@ -20,6 +20,7 @@ class Job:
     bench: str = ""  # TOML text of another bench; empty: each recording's own
     settings: tuple[str, ...] = ()  # changes of the recorded benches
     rounds: int = 0  # of refinement, at most
+    frames: str = ""  # of each recording, FIRST:END; empty: all
     software: str = ""
 
     def __post_init__(self) -> None:

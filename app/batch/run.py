@@ -11,7 +11,8 @@ from typing import Any
 
 from app.batch.job import Job
 from app.batch.sources import Source, find_sources
-from app.batch.store import ResultStore, check_free, is_store, only_writer
+from app.batch.store import ResultStore
+from app.batch.store_folder import check_free, is_store, only_writer
 from app.batch.work import Block, DoneBlock, first_result, reconstruct_block
 from app.errors import InputError, Interrupted, RunError
 from app.files import in_words, remove_partial
@@ -28,6 +29,7 @@ class Batch:
     wavefronts: int = 0
     computed: int = 0  # frames of this run; the others were there
     problem: str = ""  # of the first frame without a wavefront in this run
+    damaged: dict[Path, list[str]] = field(default_factory=dict)  # recordings with a sentence for each lost frame
     failed: dict[Path, str] = field(default_factory=dict)  # recordings with the reason
     copies: dict[Path, Path] = field(default_factory=dict)  # identical recordings with the one that was reconstructed
 
@@ -68,10 +70,10 @@ def run_batch(folders: Sequence[Path], out: Path, job: Job, evaluate: Evaluate, 
         On Ctrl-C; the text says how many frames are in the store.
     """
     check_store(folders, out, job)
-    sources, failed, copies = find_sources(folders)
+    sources, failed, copies = find_sources(folders, job.frames)
     batch = Batch(len(sources) + len(failed), failed=failed, copies=copies)
     if not sources:
-        raise InputError("; ".join(failed.values()))
+        raise InputError("; ".join(dict.fromkeys(failed.values())))
     with only_writer(out):
         store = _opened(out, job, sources, evaluate, progress)
         numbered, changed = store.register(sources)
@@ -122,7 +124,7 @@ class _Filling:
         self._store, self._numbered, self._batch = store, numbered, batch
         self._missing: dict[int, int] = {}  # blocks
         self._facts: dict[int, dict[str, Any]] = {}
-        self.frames = self.done = sum(source.frames for _, source in numbered)
+        self.frames = self.done = sum(len(source.chosen) for _, source in numbered)
         for number, source in numbered:
             missing = store.missing(number, source)
             self._missing[number] = len(missing)
@@ -143,6 +145,8 @@ class _Filling:
             self.done += len(block.frames)
             self._batch.computed += len(block.frames)
             self._batch.problem = self._batch.problem or result.problem
+            if result.damaged:
+                self._batch.damaged.setdefault(source.folder, []).extend(result.damaged)
             self._missing[number] -= 1
             self._facts[number] = result.facts
         else:
@@ -156,7 +160,7 @@ class _Filling:
         """Count frames and wavefronts of the recordings that are done."""
         for number, source in self._numbered:
             if source.folder not in self._batch.failed:
-                self._batch.frames += source.frames
+                self._batch.frames += len(source.chosen)
                 self._batch.wavefronts += self._store.count(number, source)
 
 

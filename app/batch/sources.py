@@ -7,6 +7,7 @@ from pathlib import Path
 
 from app.errors import InputError
 from app.recording.folder import RUN, read_run, recorded_frames
+from app.recording.reader import selected
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,16 +17,20 @@ class Source:
     folder: Path  # absolute
     fingerprint: str  # of run.json, which holds the time, the counts and the bench: the same for a copy
     frames: int
+    chosen: range  # of the frames
 
 
-def find_sources(folders: Iterable[Path]) -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
-    """Check recordings; return the complete ones, each once, the reason for each other folder, and copies of which."""
+def find_sources(folders: Iterable[Path], frames: str = "") -> tuple[list[Source], dict[Path, str], dict[Path, Path]]:
+    """Check recordings; return the complete ones, each once, the reason for each other folder, and copies of which.
+
+    `frames` as FIRST:END chooses some of each; empty: all.
+    """
     found: dict[str, Source] = {}
     problems: dict[Path, str] = {}
     copies: dict[Path, Path] = {}
     for folder in folders:
         try:
-            source = _source(folder)
+            source = _source(folder, frames)
             first = found.setdefault(source.fingerprint, source)
             if first.folder != source.folder:
                 copies[folder] = first.folder
@@ -34,7 +39,7 @@ def find_sources(folders: Iterable[Path]) -> tuple[list[Source], dict[Path, str]
     return list(found.values()), problems, copies
 
 
-def _source(folder: Path) -> Source:
+def _source(folder: Path, chosen: str) -> Source:
     run = read_run(folder)
     if not run["complete"]:
         raise InputError(f"{folder}: is not complete: it still grows, or svwfs recover finishes it")
@@ -44,7 +49,7 @@ def _source(folder: Path) -> Source:
     if not frames:
         raise InputError(f"{folder}: holds no frame")
     fingerprint = hashlib.sha256((folder / RUN).read_bytes()).hexdigest()[:16]
-    return Source(folder.absolute(), fingerprint, frames)
+    return Source(folder.absolute(), fingerprint, frames, selected(chosen or None, frames, folder))
 
 
 def unique_names(folders: Iterable[Path], taken: Iterable[str]) -> list[str]:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,16 +24,14 @@ from zarr.storage import LocalStore
 
 from app.batch.job import Job
 from app.batch.sources import Source, unique_names
+from app.batch.store_folder import FORMAT
 from app.errors import InputError
-from app.files import atomic_write, check_writable, in_words, make_folder
-from app.recording.folder import lock
-from app.recording.frame_array import METADATA
+from app.files import atomic_write, in_words
 from app.recording.reprocess import BLOCK_FRAMES
 from app.results.view_quality import about
 
-FORMAT = "svwfs batch 1"
 STATE = "state"
-WAVEFRONT, NO_WAVEFRONT = 1, 2  # values of `state`; 0: not done
+WAVEFRONT, NO_WAVEFRONT, DAMAGED = 1, 2, 3  # values of `state`; 0: not done
 
 _RECORDING, _FRAME = "recording", "frame"
 _PROVENANCE, _FRAMES = "provenance", "frames"
@@ -54,45 +51,6 @@ class _DurableStore(LocalStore):
 def _write(path: Path, contents: bytes) -> None:
     with atomic_write(path) as temporary:
         temporary.write_bytes(contents)
-
-
-@contextmanager
-def only_writer(folder: Path) -> Iterator[None]:
-    """Check the folder of a store, and keep other runs out; `InputError` if one writes into it already."""
-    check_free(folder)
-    make_folder(folder.parent)
-    with folder.with_name(f".{folder.name}.lock").open("ab") as file:
-        try:
-            lock(file)
-        except InputError as error:
-            raise InputError(f"{folder}: another svwfs batch is writing into it") from error
-        yield
-
-
-def is_store(folder: Path) -> bool:
-    """True if a folder holds a whole store; a run may have been killed while it made one."""
-    return "job" in _attributes(folder)
-
-
-def _attributes(folder: Path) -> dict[str, Any]:
-    """Attributes of a store; empty if the folder holds none."""
-    try:
-        attributes = json.loads((folder / METADATA).read_text("utf-8"))["attributes"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}
-    return attributes if isinstance(attributes, dict) and attributes.get("format") == FORMAT else {}
-
-
-def check_free(folder: Path) -> None:
-    """Raise `InputError` if a folder cannot hold a store."""
-    try:
-        if folder.exists() and not folder.is_dir():
-            raise InputError(f"{folder}: is a file; the results need a folder")
-        if folder.is_dir() and not _attributes(folder) and any(folder.iterdir()):
-            raise InputError(f"{folder}: exists already and holds no results of svwfs batch")
-        check_writable(folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be used: {in_words(error)}") from error
 
 
 class ResultStore:
@@ -134,7 +92,8 @@ class ResultStore:
                     attributes=attributes,
                     overwrite=True,
                 )
-        meanings = {"flag_values": [0, WAVEFRONT, NO_WAVEFRONT], "flag_meanings": "not_done wavefront no_wavefront"}
+        words = "not_done wavefront no_wavefront damaged"
+        meanings = {"flag_values": [0, WAVEFRONT, NO_WAVEFRONT, DAMAGED], "flag_meanings": words}
         _make(group, STATE, np.dtype(np.uint8), (), (), about("1", "whether the frame has a wavefront") | meanings)
         text: Any = np.dtypes.StringDType()
         for name, dtype, along, chunk, long_name in (
@@ -206,21 +165,25 @@ class ResultStore:
         self._arrays[_PROVENANCE][number] = json.dumps(record)
 
     def missing(self, number: int, source: Source) -> list[range]:
-        """Frames of each block of a recording that is not done."""
+        """Chosen frames of each block of a recording that is not done, or has damaged frames, which may be repaired."""
         folder, block = self._folder / STATE / "c" / str(number), self._arrays[STATE].chunks[1]
         done = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+        state, chosen = np.asarray(self._arrays[STATE][number]), source.chosen
         return [
-            range(first, min(first + block, source.frames))
-            for first in range(0, source.frames, block)
-            if str(first // block) not in done
+            range(max(first, chosen.start), min(first + block, chosen.stop))
+            for first in range(chosen.start // block * block, chosen.stop, block)
+            if str(first // block) not in done or DAMAGED in state[first : first + block]
         ]
 
     def count(self, number: int, source: Source) -> int:
         """Number of frames of a recording that have a wavefront."""
         return int(np.count_nonzero(np.asarray(self._arrays[STATE][number, : source.frames]) == WAVEFRONT))
 
-    def write(self, number: int, frames: range, pieces: Iterable[xr.Dataset]) -> int:
-        """Write the results of one block, as `results_in_pieces` yields them; return the number of wavefronts."""
+    def write(self, number: int, frames: range, pieces: Iterable[xr.Dataset], damaged: Iterable[int]) -> int:
+        """Write the results of one block, as `results_in_pieces` yields them; return the number of wavefronts.
+
+        `damaged` has the indices of the frames that turn out to be damaged; it is filled by `pieces`.
+        """
         values: dict[str, NDArray[Any]] = {
             name: np.full((len(frames), *array.shape[2:]), array.fill_value, array.dtype)
             for name, array in self._of_frames.items()
@@ -232,6 +195,7 @@ class ResultStore:
             state[at] = WAVEFRONT
             for name, block in values.items():
                 block[at] = piece[name].values
+        state[[index - frames.start for index in damaged]] = DAMAGED
         for name, block in values.items():
             self._of_frames[name][number, frames.start : frames.stop] = block
         self._arrays[STATE][number, frames.start : frames.stop] = state

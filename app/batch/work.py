@@ -35,6 +35,7 @@ class DoneBlock:
     """Facts about a block whose results are in the store."""
 
     problem: str  # of the first frame without a wavefront
+    damaged: tuple[str, ...]  # a sentence for each frame that cannot be read
     facts: dict[str, Any]  # bench in force, software and computer
 
 
@@ -42,25 +43,27 @@ def reconstruct_block(store: Path, job: Job, block: Block) -> DoneBlock:
     """Reconstruct a block and write its results into the store."""
     _check_software(job)
     problem, bench = "", ""
+    damaged: dict[int, str] = {}
 
     def noted() -> Iterator[tuple[Reprocessed, dict[str, Any]]]:
         nonlocal problem, bench
-        for made in _prepared(block.source, job)(block.frames):
+        for made in _prepared(block.source, job)(block.frames, damaged.__setitem__):
             problem = problem or made.problem
             if made.calibration is not None and not bench:
                 bench = write_bench(made.calibration.bench)
             yield made, {}
 
-    ResultStore(store).write(block.number, block.frames, results_in_pieces(noted()))
-    return DoneBlock(problem, {"bench": bench, **software_facts()})
+    ResultStore(store).write(block.number, block.frames, results_in_pieces(noted()), damaged)
+    reasons = tuple(damaged.values())
+    return DoneBlock(problem or "".join(reasons[:1]), reasons, {"bench": bench, **software_facts()})
 
 
 def first_result(job: Job, source: Source) -> xr.Dataset | None:
     """Return the first result of a recording as a piece of one frame; None if its first block has no wavefront."""
     _check_software(job)
-    frames = range(min(BLOCK_FRAMES, source.frames))
-    made = next((each for each in _prepared(source, job)(frames) if each.wavefront is not None), None)
-    return None if made is None else next(results_in_pieces([(made, {})]))
+    made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
+    first = next((each for each in made if each.wavefront is not None), None)
+    return None if first is None else next(results_in_pieces([(first, {})]))
 
 
 def _check_software(job: Job) -> None:
@@ -71,7 +74,7 @@ def _check_software(job: Job) -> None:
 @lru_cache(maxsize=1)  # blocks come in the order of the recordings; a reconstructor takes tens of megabytes
 def _prepared(source: Source, job: Job) -> Reprocessing:
     recording = Recording(source.folder)
-    if len(recording) < source.frames:
+    if len(recording) < source.chosen.stop:
         raise InputError(
             f"{source.folder}: {source.frames - len(recording)} of {source.frames} frames have no line; svwfs recover"
             " lists them"

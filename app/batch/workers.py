@@ -112,7 +112,7 @@ def workers(count: int | None, scheduler: str | None, *, dashboard: bool = False
 
         security = Security.temporary() if scheduler is None else None
     except ImportError as error:
-        raise InputError('workers need Dask: pip install "svwfs[batch]"') from error
+        raise InputError("workers need Dask: install the extra svwfs[batch]") from error
     with ExitStack() as stack:
         if scheduler is None:
             stack.enter_context(dask.config.set(_CONFIGURATION if dashboard else _CONFIGURATION | _NO_PAGES))

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from reconstruction.frame.noise import CameraNoise
+    from reconstruction.own_methods import OwnMethods
     from reconstruction.pipeline import Reconstructor
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
@@ -114,9 +115,11 @@ class Bench:
         full_scale: float = math.inf,
         noise: CameraNoise | None = None,
         reference_frames: float = math.inf,
+        own: OwnMethods | None = None,
     ) -> Reconstructor:
         """Prepare the reconstruction of frames against a reference; see `Reconstructor` for the arguments."""
         from app.bench.imaging_model import lenslet_model  # noqa: PLC0415 - reading a bench must not load Numba
+        from reconstruction.own_methods import NO_OWN  # noqa: PLC0415 - the same
         from reconstruction.pipeline import Reconstructor  # noqa: PLC0415 - reading a bench must not load Numba
 
         return Reconstructor(
@@ -130,6 +133,7 @@ class Bench:
             full_scale=full_scale,
             noise=noise,
             reference_frames=reference_frames,
+            own=own or NO_OWN,
             lenslet_model=partial(lenslet_model, self),
         )
 

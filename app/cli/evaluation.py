@@ -22,7 +22,7 @@ from app.cli.options import (
     load,
 )
 from app.errors import InputError, RunError
-from app.files import check_outputs
+from app.files import check_outputs, check_suffix
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
@@ -160,6 +160,7 @@ def benchmark(
     Example: svwfs benchmark --live 60 --check
     """
     check_outputs([json], overwrite=overwrite)
+    check_suffix(json, ".json")
     if live is not None:
         settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
         loaded = load(bench or _LIVE_BENCH, list(settings))

@@ -83,6 +83,7 @@ def batch(
         str | None, typer.Option("--bench", "-b", metavar="TOML", help="Another bench than the recorded ones.")
     ] = None,
     setting: SetOption = None,
+    frames: FramesOption = None,
     refine: Annotated[
         int, typer.Option(min=0, max=100, help="Maximum rounds of refinement of each frame, instead of the recorded.")
     ] = 0,
@@ -94,7 +95,7 @@ def batch(
 
     The wavefronts are those of svwfs replay --out, bit by bit, whatever the number of workers; by default there is one
     for each core. The same command again does only what is missing: after Ctrl-C, a power failure, or with more
-    recordings. A recording that cannot be used is named at the end. xarray.open_zarr opens the store, see
+    recordings. A recording or a frame that cannot be used is named at the end. xarray.open_zarr opens the store, see
     docs/many_machines.md, also for clusters.
 
     Example: svwfs batch run1 run2 run3 --out results.zarr
@@ -109,7 +110,7 @@ def batch(
 
     settings = tuple(setting or ())
     other = "" if bench is None else write_bench(load_bench(bench, settings))
-    job = Job(bench=other, settings=() if other else settings, rounds=refine)
+    job = Job(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
     check_store(recordings, out, job)
     with start(workers, scheduler, dashboard=dashboard) as evaluate, progress_bar() as progress:
         if evaluate.dashboard:

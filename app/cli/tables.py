@@ -74,6 +74,8 @@ def print_measurement(measured: Measured, out: Path) -> None:
     )
     _print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
     _print_sentence(f"noise of one frame: {np.nanmean(measured.noise_rad):.3f} rad RMS; assumed: {measured.assumed}")
+    light = "" if measured.light_current_a is None else f", light current {measured.light_current_a:.4g} A"
+    _print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
     if measured.mask_note:
         _print_sentence(measured.mask_note)
     failed = measured.recorded - measured.reconstructed
@@ -118,16 +120,19 @@ def print_replay(made: Replay) -> None:
     for sentence in filter(None, (made.notice, made.assumed and f"assumed: {made.assumed}")):
         _print_sentence(sentence)
     failed = made.frames - made.reconstructed
-    why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
-    _print_sentence(f"{counted(made.frames)}{why}")
+    if failed or made.verification is None:  # else the verification has counted them
+        why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
+        _print_sentence(f"{counted(made.frames)}{why}")
 
 
 def print_batch(batch: Batch, out: Path) -> None:
-    """Print why recordings failed, and the number of frames in the store."""
+    """Print why recordings and frames failed, and the number of frames in the store."""
     for reason in batch.failed.values():
         print_warning(reason)
     for copy, original in batch.copies.items():
         print_warning(f"{copy}: is a copy of {original}, whose results are in the store under one name")
+    for folder, reasons in batch.damaged.items():
+        print_warning(f"{folder}: {counted(len(reasons))} damaged and left out: {reasons[0]}")
     without = batch.frames - batch.wavefronts
     why = f" ({batch.problem})" if batch.problem else ""
     missing = f"; {without} have no wavefront{why}" if without else ""

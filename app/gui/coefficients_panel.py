@@ -17,7 +17,7 @@ from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_nam
 from app.results.shown_wavefront import Unit
 from reconstruction.settings import PupilBasis
 
-_BASES: tuple[tuple[str, PupilBasis], ...] = (("Zernike (Noll)", "zernike"), ("Legendre", "legendre"))
+_BASES: dict[PupilBasis, str] = {"zernike": "Zernike (Noll)", "legendre": "Legendre"}
 _TIP = "Click a bar to record its history and to map it over the field; click it again to stop"
 
 
@@ -33,7 +33,7 @@ class CoefficientsPanel(QWidget):
         self._unit, self._per_rad = Unit.RAD, 1.0
         self._scale, self._map_scale = AdaptiveScale(RANGES), AdaptiveScale(RANGES)
         self.basis = Choice()
-        for text, basis in _BASES:
+        for basis, text in _BASES.items():
             self.basis.addItem(text, basis)
         self.basis.setToolTip("Modes of the bars; over the lattice (Legendre) or its inscribed circle (Zernike)")
         self.basis.currentIndexChanged.connect(lambda: self.pin(None))

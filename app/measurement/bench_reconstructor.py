@@ -22,6 +22,7 @@ from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from reconstruction.frame.noise import CameraNoise, TransferCurve, image_transfer
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
+from reconstruction.own_methods import NO_OWN, OwnMethods
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.reference_quality import linearity_quality
@@ -48,6 +49,8 @@ class BenchReconstructor:
         Count at which a pixel saturates, infinite if none does; by default see `full_scale_of`.
     frame
         Frame with the sample, (row, column), counts, which with the reference shows the camera's noise.
+    own
+        Methods that replace those of the bench.
 
     Raises
     ------
@@ -65,6 +68,7 @@ class BenchReconstructor:
         dark: Counts | None = None,
         full_scale: float | None = None,
         frame: Counts | None = None,
+        own: OwnMethods = NO_OWN,
     ) -> None:
         reference, dark = as_image(reference, "reference"), None if dark is None else as_image(dark, "dark")
         most = full_scale_of(reference, bench.camera_model.bits) if full_scale is None else full_scale
@@ -73,7 +77,9 @@ class BenchReconstructor:
         lattice = bench.lattice or survey(reference, bench.sensor, dark=dark, full_scale=most).lattice
         self._reference, self._dark, self._full_scale = reference, dark, most
         self._is_lattice_given, self._is_scale_given = bench.lattice is not None, full_scale is not None
-        self.bench, self._lattice = replace(bench, lattice=lattice), lattice
+        registration, reconstruction = own.named(bench.registration, bench.reconstruction)
+        self.bench = replace(bench, lattice=lattice, registration=registration, reconstruction=reconstruction)
+        self._own, self._lattice = own, lattice
         self._prepared: Reconstructor | None = None
         if frame is not None:
             self._reconstructor(as_image(frame, "frame"))
@@ -122,6 +128,7 @@ class BenchReconstructor:
                 full_scale=self._full_scale,
                 noise=noise,
                 reference_frames=frames,
+                own=self._own,
             )
         return self._prepared
 

@@ -33,6 +33,10 @@ def is_array(path: Path) -> bool:
     return (path / METADATA).is_file()
 
 
+class DamagedFrame(InputError):
+    """A frame of a recording is missing or damaged; the others can be read."""
+
+
 class FrameArray:
     """An array of values (frame, ...)."""
 
@@ -107,17 +111,17 @@ class FrameArray:
         return self._bytes
 
     def read(self, index: int) -> NDArray[Any] | None:
-        """The values of one frame, None if they are missing; `InputError` if they are damaged."""
+        """The values of one frame, None if they are missing; `DamagedFrame` if they are damaged."""
         chunk = self._chunk(index)
         try:
             size = chunk.stat().st_size
             if size != self._bytes:  # also a pipe, which would have to be waited for
-                raise InputError(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}")
+                raise DamagedFrame(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}")
             values = np.fromfile(chunk, self._type)
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise InputError(f"{chunk}: cannot be read: {in_words(error)}") from error
+            raise DamagedFrame(f"{chunk}: cannot be read: {in_words(error)}") from error
         return values.reshape(self.shape).astype(self._type.newbyteorder("="), copy=False)
 
     def is_whole(self, index: int) -> bool:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cattrs
+import numpy as np
+from numpy.typing import NDArray
 
 _DIGITS = 18  # of whole numbers, so that they fit into 64 bits
 _LATEST_S = 1e11  # camera clocks count 64 bits of ns at most
@@ -43,6 +46,7 @@ class FrameLine:
     rms_rad: float | None  # RMS of the wavefront, mean over the views
     valid: int | None  # lenslets that yield a slope
     sample: SampleLine | None = None  # None: any wavefront, because no sample was found yet
+    crc32: str | None = None  # `checksum` of the pixels; None before version 0.3
 
     def to_json(self) -> str:
         """Return the line without its newline."""
@@ -60,6 +64,11 @@ class FrameLine:
         if found.exposure_s < 0 or found.em_gain < 0 or max(map(abs, (*times_s, found.exposure_s))) > _LATEST_S:
             raise ValueError("exposure, gain or times are impossible")
         return found
+
+
+def checksum(pixels: NDArray[np.uint16]) -> str:
+    """CRC-32 of pixels as they are stored, in eight hexadecimal digits."""
+    return f"{zlib.crc32(np.ascontiguousarray(pixels, '<u2').data):08x}"
 
 
 _CONVERTER = cattrs.Converter()

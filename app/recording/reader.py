@@ -28,8 +28,8 @@ from app.recording.folder import (
     read_run,
     recorded_frames,
 )
-from app.recording.frame_array import FrameArray, is_array
-from app.recording.frame_lines import FrameLine
+from app.recording.frame_array import DamagedFrame, FrameArray, is_array
+from app.recording.frame_lines import FrameLine, checksum
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 
@@ -126,10 +126,15 @@ class Recording:
         return self._followed(lambda: self._line(index))
 
     def pixels(self, index: int) -> NDArray[np.uint16]:
-        """Pixels of a frame (row, column), counts, read-only."""
+        """Pixels of a frame (row, column), counts, read-only; verified if its line can be read."""
         pixels = self._read(PIXELS, index)
         if pixels is None:
-            raise InputError(f"{self.folder}: the pixels of frame {index} are missing")
+            raise DamagedFrame(f"{self.folder}: the pixels of frame {index} are missing")
+        expected = None
+        with suppress(InputError):
+            expected = self.line(index).crc32
+        if expected not in {None, checksum(pixels)}:
+            raise DamagedFrame(f"{self.folder}: the pixels of frame {index} are not those that were recorded; {_HINT}")
         pixels.flags.writeable = False
         return pixels
 
@@ -151,6 +156,14 @@ class Recording:
         """True if all pixels of a frame exist; after a power failure some may not."""
         pixels = self._array(PIXELS)
         return pixels is not None and pixels.is_whole(index)
+
+    def is_intact(self, line: FrameLine) -> bool:
+        """True if all pixels of a frame exist and are those of its line."""
+        try:
+            pixels = self._read(PIXELS, line.index)
+        except InputError:
+            return False
+        return pixels is not None and line.crc32 in {None, checksum(pixels)}
 
     def has_results(self, line: FrameLine) -> bool:
         """True if the live results of a frame exist, or there were none."""
@@ -242,10 +255,10 @@ class Recording:
         try:
             line = FrameLine.from_json(text)
         except ValueError as error:
-            raise InputError(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {_HINT}") from error
         if line.index != index:
             found = f"line {index + 1} is of frame {line.index} instead of {index}"
-            raise InputError(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: {found}; {_HINT}")
         return line
 
     def _result(self, name: str, index: int) -> Floats | None:

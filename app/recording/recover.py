@@ -54,7 +54,8 @@ class Recovered:
             return "no frame is whole"
         longest = max(_ranges_of(self.whole), key=len)
         chosen = f"{longest.start}:{longest.stop}"
-        return f"whole: {frames_in_words(self.whole)}; replay, export and report take some with --frames, as {chosen}"
+        some = f"replay, batch, export and report take some with --frames, as {chosen}"
+        return f"whole: {frames_in_words(self.whole)}; {some}"
 
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
@@ -111,7 +112,7 @@ def _length(recording: Recording, lines: FoundLines) -> int:
 
 def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress: Callable[[float], None]) -> None:
     """Check line, pixels and results of each frame, and the calibrations and biases that the lines name."""
-    without_line, without_pixels, without_results = [], [], []
+    without_line, without_pixels, changed, without_results = [], [], [], []
     calibrations: set[int | None] = set()
     biases: set[int | None] = set()
     for index in range(found.frames):
@@ -127,12 +128,15 @@ def _examine(recording: Recording, lines: FoundLines, found: Recovered, progress
                 without_results.append(index)
         if not has_pixels:
             without_pixels.append(index)
+        elif line is not None and not recording.is_intact(line):
+            changed.append(index)
         elif line is not None:
             found.whole.append(index)
         progress((index + 1) / found.frames)
     of_frames = (
         (without_line, "there is no line that can be read"),
         (without_pixels, "the pixels are missing, or some of them"),
+        (changed, "the pixels are not those that were recorded"),
         (without_results, "what was found live is missing; svwfs replay finds it again"),
     )
     damaged = [f"{frames_in_words(which)}: {what}" for which, what in of_frames if which]

@@ -18,6 +18,7 @@ from app.errors import InputError
 from app.measurement.assumptions import mask_sentence
 from app.measurement.calibration import Calibration
 from app.recording.assumed_samples import assumed_sample
+from app.recording.frame_array import DamagedFrame
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from reconstruction.arrays import Counts, Floats
@@ -78,8 +79,13 @@ class Reprocessing:
         self._recording, self._change, self._rounds = recording, change, rounds
         self._in_force: _InForce | None = None
 
-    def __call__(self, frames: Sequence[int] | None = None) -> Iterator[Reprocessed]:
-        """Yield the results of frames in increasing order; see `reprocess`."""
+    def __call__(
+        self, frames: Sequence[int] | None = None, on_damage: Callable[[int, str], None] | None = None
+    ) -> Iterator[Reprocessed]:
+        """Yield the results of frames in increasing order; see `reprocess`.
+
+        With `on_damage`, a damaged frame is left out, and `on_damage` gets its index and the reason.
+        """
         recording = self._recording
         chosen = range(len(recording)) if frames is None else frames
         before: Displacement | None = None
@@ -88,18 +94,23 @@ class Reprocessing:
         sample: AssumedSample | None = None
         with one_blas_thread():
             for index in chosen:
-                line = recording.line(index)
                 if index // BLOCK_FRAMES != block:
                     block, before, sample = index // BLOCK_FRAMES, None, None
-                if line.calibration is None:
-                    yield Reprocessed(line, None, line.problem, None, None)
+                try:
+                    line, pixels = recording.line(index), recording.pixels(index)
+                    if line.calibration is None:
+                        yield Reprocessed(line, None, line.problem, None, None)
+                        continue
+                    if self._in_force is None or line.calibration != self._in_force.number:
+                        self._in_force = _InForce.of(recording, line.calibration, self._change, self._rounds)
+                        before = sample = None
+                    in_force = self._in_force
+                    start = _as_start(recording.start(index)) if in_force.registers_as_recorded else before
+                except DamagedFrame as error:
+                    if on_damage is None:
+                        raise
+                    on_damage(index, str(error))
                     continue
-                if self._in_force is None or line.calibration != self._in_force.number:
-                    self._in_force = _InForce.of(recording, line.calibration, self._change, self._rounds)
-                    before = sample = None
-                in_force = self._in_force
-                start = _as_start(recording.start(index)) if in_force.registers_as_recorded else before
-                pixels = recording.pixels(index)
                 made = in_force.reconstruct(recording, line, pixels, start, previous, sample)
                 before, previous = made.registered or before, (line, pixels)
                 sample = sample or (None if made.wavefront is None else made.wavefront.sample)

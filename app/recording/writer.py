@@ -35,7 +35,7 @@ from app.recording.folder import (
     lock,
 )
 from app.recording.frame_array import FrameArray
-from app.recording.frame_lines import FrameLine
+from app.recording.frame_lines import FrameLine, checksum
 from app.run_facts import now, software_facts, write_record
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
@@ -268,6 +268,7 @@ def _line(record: Record, index: int, calibration: int | None, bias: int | None,
         rms_rad=record.rms_rad,
         valid=record.valid,
         sample=None if record.sample is None else sample_line(record.sample),
+        crc32=checksum(frame.pixels),
     )
 
 

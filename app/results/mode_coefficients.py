@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import assert_never
 
 import numpy as np
 
@@ -87,6 +88,8 @@ def mode_names(basis: PupilBasis, count: int) -> tuple[str, ...]:
     if basis == "zernike":
         orders = enumerate(noll_orders(count), 1)
         return tuple(f"Z{j} {_NAMES.get((n, m), f'n = {n}, m = {m}')}" for j, (n, m) in orders)
+    if basis != "legendre":
+        assert_never(basis)
     return tuple(
         f"L{k} {' '.join(f'P{order}({axis})' for order, axis in ((m, 'x'), (n, 'y')) if order) or 'piston'}"
         for k, (m, n) in enumerate(legendre_orders(count))

@@ -1,6 +1,7 @@
 """A recording for scripts and notebooks: its frames as a lazy array, and its results."""
 
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,13 @@ from xarray.core import indexing
 
 from app.bench.config import Bench, parse_bench
 from app.errors import InputError
+from app.measurement.calibration import Calibration
+from app.progress import counted
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
 from app.results.dataset import reading_results, results_in_pieces
+from reconstruction.arrays import Image
+from reconstruction.picture import html, picture_of_frame
 
 
 class OpenedRecording:
@@ -41,6 +46,43 @@ class OpenedRecording:
     def bench(self) -> Bench:
         """The bench at the beginning of the recording."""
         return self._recording.bench
+
+    @property
+    def run(self) -> dict[str, Any]:
+        """Facts of the run as in `run.json`: times, devices, counts, note, software (docs/recording.md)."""
+        return self._recording.run
+
+    @property
+    def dark(self) -> Image | None:
+        """Mean dark of the first calibrated frame, counts, (row, column); None if there is none."""
+        calibration = self._calibration
+        return None if calibration is None or calibration.dark is None else calibration.dark.mean
+
+    @property
+    def reference(self) -> Image | None:
+        """Mean reference of the first calibrated frame, counts, (row, column); None if there is none."""
+        return None if self._calibration is None else self._calibration.reference.mean
+
+    def __repr__(self) -> str:
+        rows, columns = self._recording.frame_shape if len(self) else (0, 0)
+        facts = [f"{counted(len(self))} of {rows} x {columns} pixels", f"began {self.run.get('began', 'some time')}"]
+        facts += [
+            self._recording.ended_early if self._recording.is_complete else "unfinished",
+            self.run.get("note", ""),
+        ]
+        return f"<Recording {self._recording.folder}: {'; '.join(filter(None, facts))}>"
+
+    def _repr_html_(self) -> str:
+        try:
+            return html(repr(self), picture_of_frame(self._recording.pixels(0)))
+        except InputError as error:  # no frame, or damaged
+            return escape(f"{self!r} {error}")
+
+    @cached_property
+    def _calibration(self) -> Calibration | None:
+        numbers = (self._recording.line(index).calibration for index in range(len(self)))
+        first = next((number for number in numbers if number is not None), None)
+        return None if first is None else self._recording.calibration(first)
 
     @cached_property
     def frames(self) -> xr.DataArray:

@@ -111,6 +111,7 @@ def draw_structure(axis: Axes, found: Isoplanatism) -> None:
         axis.fill_between(separation_mm, least_rad, most_rad, color=line.get_color(), alpha=0.15, linewidth=0)
     axis.axhline(1.0, linestyle="--", linewidth=0.8, color="0.4")
     title = f"a single correction would leave {found.error_rad:.2f} rad RMS"
+    title += f"\n{found.error_without_tilt_rad:.2f} rad without tilt"
     axis.set(title=title, xlabel="separation in the field (mm)", ylabel="wavefront change (rad RMS)", xlim=(0, None))
     axis.set_ylim(0, None)
     axis.legend(fontsize=8)

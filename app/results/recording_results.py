@@ -40,6 +40,8 @@ class Measured:
     recorded: int = 0
     reconstructed: int = 0
     lost: int = 0  # by the camera
+    exposure_s: float = np.nan  # of the last frame
+    light_current_a: float | None = None  # of the last frame; None if unknown
     rotation: Circulation | None = None  # of the subimages of the last frame; None if the registration excludes it
     rotating: int = 0  # frames whose subimages rotate
     problem: str = ""  # of the first frame that could not be reconstructed
@@ -65,6 +67,7 @@ class Measured:
     def take(self, made: Reprocessed) -> None:
         """Add one frame."""
         self.recorded, self.lost = self.recorded + 1, self.lost + made.line.lost
+        self.exposure_s, self.light_current_a = made.line.exposure_s, made.line.light_current_a
         if made.wavefront is None:
             self.problem = self.problem or made.problem
             return

@@ -71,8 +71,7 @@ class DcamCamera(Camera):
             return pixel_warnings(self._values, has_em_gain=has_em_gain(self._values))
 
     def _set_up(self, settings: DcamSettings) -> None:
-        if self._values.get_or(Id.IMAGE_PIXELTYPE, ids.PIXELTYPE_MONO16) != ids.PIXELTYPE_MONO16:
-            raise Unsupported("only cameras that give one 16-bit number per pixel can be used")
+        self._take_16_bits()
         if settings.amplifier is not None:
             self.set_amplifier(settings.amplifier)
         with self._access():
@@ -95,12 +94,21 @@ class DcamCamera(Camera):
                 if value is not None:
                     self._values.set(identifier, value)
 
+    def _take_16_bits(self) -> None:
+        """Set the pixel type, if another program left a smaller one."""
+        if self._values.get_or(Id.IMAGE_PIXELTYPE, ids.PIXELTYPE_MONO16) != ids.PIXELTYPE_MONO16:
+            try:
+                self._values.set(Id.IMAGE_PIXELTYPE, ids.PIXELTYPE_MONO16)
+            except REFUSALS as error:
+                raise Unsupported("only cameras that give one 16-bit number per pixel can be used") from error
+
     def _reset_trigger(self) -> None:
-        """Reset what another program left: waiting for a first pulse, several pulses per frame."""
+        """Reset what another program left: waiting for a first pulse, several pulses per frame, global reset."""
+        usual = {Id.TRIGGER_MODE: 1, Id.TRIGGERTIMES: 1, Id.TRIGGER_GLOBALEXPOSURE: ids.GLOBALEXPOSURE_DELAYED}
         with self._access():
-            for identifier in (Id.TRIGGER_MODE, Id.TRIGGERTIMES):
-                if self._values.get_or(identifier, 1) != 1:
-                    self._values.set(identifier, 1)
+            for identifier, value in usual.items():
+                if self._values.get_or(identifier, value) > value:
+                    self._values.set(identifier, value)
 
     def _close(self) -> None:
         capture = self._capture  # a reader in another thread may end it meanwhile

@@ -16,6 +16,7 @@ FILTERS = {
     Id.CAPTUREMODE: (1, "the camera takes calibration frames, no images"),
     Id.EMCCD_CALIBRATIONMODE: (ids.OFF, "the camera calibrates its EM gain: its frames are no images"),
     Id.SENSORMODE: (1, "the camera's sensor mode is not AREA: it may count photons, or expose line by line"),
+    Id.OUTPUTDATA_ORIENTATION: (1, "the camera mirrors or flips the image: signs of wavefronts are wrong"),
     Id.OUTPUT_INTENSITY: (1, "the camera sends a test pattern"),
     Id.HIGHDYNAMICRANGE_MODE: (ids.OFF, "the camera's high dynamic range mode changes the counts"),
     Id.REALTIMEGAINCORRECT_MODE: (ids.OFF, "the camera's real-time gain correction scales the pixels"),

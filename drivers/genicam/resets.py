@@ -5,42 +5,41 @@ from typing import Final
 from drivers.genicam.connection import GenicamConnection
 
 # In this order: the exposure mode, for example, may lock the automatic exposure. The first value that fits is set.
-_OFF: Final = ("false", "Off")
+_OFF: Final = ("false", "Off", "Disabled", "ContrastMode_Off")
 _ONE: Final = ("1", "X1", "Off")
 FRAME_RATE: Final[dict[str, tuple[str, ...]]] = {  # a leftover rate caps the exposure
     "AcquisitionFrameRateEnable": _OFF,
     "AcquisitionFrameRateEnabled": _OFF,
 }
+# Switches, some of them selections, that change counts, mix frames or cycle exposures: all names that the public
+# descriptions of 88 cameras have for them.
+_SWITCHES: Final = (
+    *("GammaEnable", "GammaEnabled", "SequencerMode", "SequencerEnable"),
+    *("TestPattern", "TestPatternEnable", "TestImageSelector", "BlackLevelAuto", "pgrExposureCompensationAuto"),
+    *("DefectCorrectStaticEnable", "DefectCorrectionEnable", "DefectCorrectionMode", "DefectPixelCorrectionEnable"),
+    *("DefectMaskEnable", "DefectMaskColumnEnable", "DefectMaskPixelEnable", "VendorDefectPixelCorr", "CorrectionMode"),
+    *("pgrDefectPixelCorrectionEnable", "BslDefectPixelCorrectionMode", "BslStaticDefectPixelCorrectionMode"),
+    *("SharpnessEnabled", "SharpnessAuto", "SharpeningAuto", "SharpeningEnable", "EdgeFilter", "MedianFilter"),
+    *("NoiseReductionEnable", "DenoisingEnable", "ContrastEnable", "ContrastAuto", "ContrastMode"),
+    *("HDREnable", "HDRMode", "HDR_Mode", "pgrHDRModeEnabled", "VignettingCorrectionMode", "LensShadingCorrectionMode"),
+)
 RESETS: Final[dict[str, tuple[str, ...]]] = {
     "AcquisitionMode": ("Continuous",),
     "ExposureMode": ("Timed",),
-    "ExposureAuto": ("Off",),
-    "GainAuto": ("Off",),
+    "ExposureAuto": _OFF,
+    "GainAuto": _OFF,
     **FRAME_RATE,
     "Gamma": ("1",),  # before it is disabled, which may lock it
-    "GammaEnable": _OFF,
-    "GammaEnabled": _OFF,
-    "SequencerMode": _OFF,  # cycles exposure and gain
-    "SequencerEnable": _OFF,
-    "TestPattern": _OFF,
-    "TestPatternEnable": _OFF,
-    "TestImageSelector": _OFF,
-    "BlackLevelAuto": _OFF,
-    "DefectCorrectStaticEnable": _OFF,
-    "DefectCorrectionEnable": _OFF,
-    "DefectCorrectionMode": _OFF,
-    "BslDefectPixelCorrectionMode": _OFF,
-    "SharpnessEnabled": _OFF,
-    "SharpeningEnable": _OFF,
+    **dict.fromkeys(_SWITCHES, _OFF),
     "SharpnessEnhancement": ("1",),  # 1 changes nothing
+    "SharpnessEnhancementAbs": ("1",),
     "BslSharpnessEnhancement": ("1",),
     "Sharpness": ("0",),
-    "SharpnessAuto": _OFF,
     "NoiseReduction": ("0", "Off"),
-    "NoiseReductionEnable": _OFF,
+    "NoiseReductionAbs": ("0",),
     "BslNoiseReduction": ("0",),
-    "HDREnable": _OFF,
-    "HDRMode": _OFF,
+    "BslContrastMode": ("Linear",),
+    "BslContrast": ("0",),
     "DigitalShift": ("0",),
     "ImageCompressionMode": _OFF,  # its frames would be too short
     "IspEnable": _OFF,  # after what it contains

@@ -22,7 +22,7 @@ def load_pymmcore() -> Any:
     try:
         return import_module("pymmcore")
     except ImportError as error:
-        raise Unsupported("Micro-Manager's cameras need pymmcore: pip install 'svwfs[micro-manager]'") from error
+        raise Unsupported("Micro-Manager's cameras need pymmcore: install the extra svwfs[micro-manager]") from error
 
 
 def discover() -> tuple[DiscoveredDevice, ...]:

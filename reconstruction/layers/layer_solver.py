@@ -3,8 +3,6 @@
 The displacements of all lenslets are linear in the layers' phases, as they are in the wavefront (`solve.modal`).
 """
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +13,7 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.layer_design import LayerDesign, layer_orders
 from reconstruction.layers.layer_fit import LayerFit, Moments, Spectrum
 from reconstruction.modes.field_modes import FieldModes
+from reconstruction.runtime.deferred import Remembered
 from reconstruction.solve.evidence import FitQuality
 from reconstruction.solve.modal import ModalSolver
 
@@ -68,9 +67,9 @@ class LayerSolver:
         self._design = LayerDesign(sensor, field, field_modes, free.errors)
         self.footprint_m = self._design.footprint_m
         size = free.errors.colour.shape[0] * free.errors.colour.shape[1] * 4
-        self._exact = lru_cache(maxsize=4)(self._design.rows)
+        self._exact = Remembered(self._design.rows, 4)
         sketched = size * len(layer_orders(SKETCH_DEGREE))
-        self._sketched = lru_cache(maxsize=max(2, int(_REMEMBERED_BYTES / sketched)))(self._design.rows)
+        self._sketched = Remembered(self._design.rows, max(2, int(_REMEMBERED_BYTES / sketched)))
 
     def __call__(self, displacement: Displacement, weights: Floats | None = None) -> "FrameEquations":
         """Prepare the fits of a frame's displacements.

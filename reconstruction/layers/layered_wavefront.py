@@ -5,7 +5,6 @@ wavefront even where the source is blind (docs/layers.md).
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from reconstruction.layers.layer_fit import UNSEEN, LayerFit
 from reconstruction.layers.layer_modes import LayerModes
 from reconstruction.layers.layer_search import LayerSearch, explains, is_within
 from reconstruction.layers.layer_solver import LayerSolver, prior_scale, require_lenslets
+from reconstruction.runtime.deferred import Deferred, Remembered
 from reconstruction.solve.evidence import prior_and_noise
 from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
 
@@ -109,9 +109,9 @@ class LayeredWavefronts:
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
         self.solver, self._modes, self._parameters = solver, modes, parameters
-        self._design = lru_cache(maxsize=6)(self._prepared)  # two layers need five for their error bars
-        self._equations = lru_cache(maxsize=20)(self._down_dated)
-        self._known = lru_cache(maxsize=4)(self._known_at)
+        self._design = Remembered(self._prepared, 6)  # two layers need five for their error bars
+        self._equations = Remembered(self._down_dated, 20)
+        self._known = Remembered(self._known_at, 4)
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
         """Fit layers at the ratios of the sample.
@@ -137,9 +137,8 @@ class LayeredWavefronts:
             whitened = (fit.equations.design.rows @ fit.polynomials).reshape(data.shape)
             return np.asarray(np.matvec(errors.colour, whitened))
 
-        return ModalSolution(
-            coefficients, fit.equations.known, root_covariance, fit.freedom, displacement, self._parameters, fitted
-        )
+        known, root = fit.equations.known, Deferred(root_covariance)
+        return ModalSolution(coefficients, known, root, fit.freedom, displacement, self._parameters, Deferred(fitted))
 
     def in_these_modes(self, free: ModalSolution) -> ModalSolution:
         """A wavefront that was found without layers, in as many pupil modes as with them."""

@@ -3,30 +3,19 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.polynomial import legendre as series
 
 from reconstruction.arrays import Floats, Image, Mask
-from reconstruction.geometry import Arrangement, Sensor, centered_steps
-from reconstruction.modes.legendre import (
-    legendre,
-    legendre_gradients,
-    legendre_lenslet_gradients,
-    legendre_orders,
-    legendre_products,
-)
-from reconstruction.modes.zernike import (
-    noll_orders,
-    zernike,
-    zernike_gradients,
-    zernike_lenslet_gradients,
-    zernike_products,
-)
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Arrangement, Sensor
+from reconstruction.modes.legendre import legendre, legendre_lenslet_gradients, legendre_orders, legendre_products
+from reconstruction.modes.zernike import zernike_products
 from reconstruction.settings import PupilBasis
 
 _HIGHEST_DEGREE = 16  # highest for which the mean gradients of both bases are exact
+_NONE = 1e-12  # coefficient of a polynomial, of its largest, that is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,45 +30,42 @@ class PupilModes:
 
 
 def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
-    """Legendre modes over the whole lattice, or Zernike modes over its inscribed circle.
+    """Modes of one of the `BASES`, piston first.
 
-    A lenslet is inside the circle if its centre is; its gradients are means over the whole lenslet. Without a `count`,
-    all modes of a degree below the number of lenslets a side, and at most 16.
+    Without a `count`, all modes of a degree below the number of lenslets a side, and at most 16. `ReconstructionError`
+    if there is no such basis.
     """
-    rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
+    if basis not in BASES:
+        raise ReconstructionError(f"there is no basis {basis}: it must be {' or '.join(BASES)}")
     if count is None:
-        highest = min(rows - 1, columns - 1, _HIGHEST_DEGREE)
+        highest = min(sensor.lenslet_rows - 1, sensor.lenslet_columns - 1, _HIGHEST_DEGREE)
         count = (highest + 1) * (highest + 2) // 2
-    half_m, centers_m = np.array(sensor.pupil_half_width_m), sensor.lenslet_centers_m
-    if basis == "legendre":
-        if sensor.arrangement == "square":
-            gradients = legendre_lenslet_gradients(count, rows, columns)
-        else:
-            gradients = _hexagon_means(partial(legendre_gradients, count), sensor, half_m)
-        return PupilModes(
-            values=legendre(count, *np.moveaxis(centers_m / half_m, -1, 0)),
-            gradients=gradients / half_m,
-            inside=np.ones((rows, columns), np.bool_),
-            degree=np.asarray(np.sum(legendre_orders(count), axis=1), np.float64),
-            products=legendre_products(count),
-        )
-    radius_m = half_m.min()
-    x, y = np.moveaxis(centers_m / radius_m, -1, 0)
-    if sensor.arrangement == "square":
-        edges_x, edges_y = (
-            centered_steps(lenslets + 1) * sensor.lenslet_pitch_m / radius_m for lenslets in (columns, rows)
-        )
-        gradients = zernike_lenslet_gradients(count, edges_x, edges_y)
-    else:
-        gradients = _hexagon_means(partial(zernike_gradients, count), sensor, np.full(2, radius_m))
-    degree = np.array([n for n, _ in noll_orders(count)], np.float64)
+    return BASES[basis](sensor, count)
+
+
+def _legendre_modes(sensor: Sensor, count: int) -> PupilModes:
+    """Legendre modes over the whole lattice."""
+    if sensor.arrangement == "hexagonal":
+        return polynomial_modes(sensor, legendre_products(count))
+    rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
+    half_m = np.array(sensor.pupil_half_width_m)
     return PupilModes(
-        values=zernike(count, x, y),
-        gradients=gradients / radius_m,
-        inside=np.asarray(x**2 + y**2 <= 1),
-        degree=degree,
-        products=zernike_products(count, *(half_m / radius_m)),
+        values=legendre(count, *np.moveaxis(sensor.lenslet_centers_m / half_m, -1, 0)),
+        gradients=legendre_lenslet_gradients(count, rows, columns) / half_m,  # exact, and at once
+        inside=np.ones((rows, columns), np.bool_),
+        degree=np.asarray(np.sum(legendre_orders(count), axis=1), np.float64),
+        products=legendre_products(count),
     )
+
+
+def _zernike_modes(sensor: Sensor, count: int) -> PupilModes:
+    """Zernike modes over the circle inscribed in the lattice; a lenslet is inside if its centre is."""
+    half_m = np.array(sensor.pupil_half_width_m)
+    inside = np.hypot(*np.moveaxis(sensor.lenslet_centers_m, -1, 0)) <= half_m.min()
+    return polynomial_modes(sensor, zernike_products(count, *(half_m / half_m.min())), inside)
+
+
+BASES: dict[PupilBasis, Callable[[Sensor, int], PupilModes]] = {"legendre": _legendre_modes, "zernike": _zernike_modes}
 
 
 def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
@@ -99,13 +85,53 @@ def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
     return position, share / share.sum()
 
 
-def _hexagon_means(gradients: Callable[[Floats, Floats], Floats], sensor: Sensor, unit_m: Floats) -> Floats:
-    """Means over hexagonal lenslets of gradients (mode, *shape, xy) at positions in `unit_m` (xy,)."""
-    centers_m, total = sensor.lenslet_centers_m, 0.0
+def polynomial_modes(sensor: Sensor, products: Floats, inside: Mask | None = None) -> PupilModes:
+    """Make pupil modes of any polynomials; their gradients are means over the lenslets.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        Its lattice is the pupil.
+    products : (pupil_mode, n, m)
+        The modes as sums of products P_n(eta) P_m(xi) of Legendre polynomials, xi (along x) and eta (along y) from -1
+        to 1 over the whole lattice; the first is the piston.
+    inside : bool (lenslet_row, lenslet_column), optional
+        Lenslets inside the pupil; all by default.
+
+    Raises
+    ------
+    ValueError
+        If the first mode is not the piston.
+    """
+    is_part = np.abs(products) > _NONE * np.abs(products).max(axis=(1, 2), keepdims=True)
+    if np.flatnonzero(is_part[0]).tolist() != [0]:
+        raise ValueError("the first pupil mode must be the piston, a constant")
+    highest, half_m = products.shape[1] - 1, np.array(sensor.pupil_half_width_m)
+    derive = series.legder(np.eye(highest + 1)) if highest else np.zeros((1, 1))
+
+    def products_at(position: Floats) -> tuple[Floats, Floats, Floats]:
+        """P_n P_m and their derivatives along x and y, away from the centres by a position in pitches."""
+        at = (sensor.lenslet_centers_m + position * sensor.lenslet_pitch_m) / half_m
+        values = series.legvander(at, highest)
+        (of_x, of_y), (slope_x, slope_y) = (
+            np.moveaxis(each, 2, 0)
+            for each in (values, series.legvander(at, len(derive) - 1) @ derive / half_m[:, None])
+        )
+        pairs = ((of_y, of_x), (of_y, slope_x), (slope_y, of_x))
+        center, along_x, along_y = (one[..., :, None] * other[..., None, :] for one, other in pairs)
+        return center, along_x, along_y
+
+    means = np.zeros((2, *sensor.lenslet_centers_m.shape[:2], highest + 1, highest + 1))
     for position, share in zip(*aperture_rule(sensor.arrangement), strict=True):
-        at = (centers_m + position * sensor.lenslet_pitch_m) / unit_m
-        total = total + share * gradients(at[..., 0], at[..., 1])
-    return np.asarray(total)
+        means += share * np.stack(products_at(position)[1:])
+    n, m = np.indices(products.shape[1:])
+    return PupilModes(
+        values=np.tensordot(products, products_at(np.zeros(2))[0], axes=((1, 2), (2, 3))),
+        gradients=np.moveaxis(np.tensordot(products, means, axes=((1, 2), (3, 4))), 1, -1),
+        inside=np.ones(means.shape[1:3], np.bool_) if inside is None else inside,
+        degree=np.max((n + m) * is_part, axis=(1, 2)).astype(np.float64),
+        products=products,
+    )
 
 
 class PupilGrid:

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Floats
 
-_NODES = 8  # of the Gauss-Legendre rule across a lenslet: exact up to degree 15
-
 
 def noll_orders(count: int) -> tuple[tuple[int, int], ...]:
     """Radial and azimuthal order (n, m) of the first `count` modes; m < 0 is the sine."""
@@ -73,25 +71,6 @@ def zernike_projection(polynomials: Callable[[Floats, Floats], Floats], degree: 
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     weights = weights[:, None] / (2 * angle.size)
     return np.asarray(np.tensordot(zernike(count, x, y) * weights, polynomials(x, y), axes=((1, 2), (1, 2))))
-
-
-def zernike_lenslet_gradients(count: int, edges_x: Floats, edges_y: Floats) -> Floats:
-    """Mean gradient of each mode over each lenslet, per radius: (count, lenslet_row, lenslet_column, xy).
-
-    `edges_x` (lenslet_column + 1,) and `edges_y` (lenslet_row + 1,) are the lenslet edges in radii. The Gauss-Legendre
-    rule is exact up to radial order 16.
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    x = _within(edges_x, nodes)[None, None, :, :]
-    y = _within(edges_y, nodes)[:, :, None, None]
-    gradients = zernike_gradients(count, x, y)  # (count, lenslet_row, node, lenslet_column, node, xy)
-    return np.asarray(np.einsum("kricjv,i,j->krcv", gradients, weights, weights) / 4)
-
-
-def _within(edges: Floats, nodes: Floats) -> Floats:
-    """Positions of the rule's nodes in every lenslet: (lenslet, node)."""
-    middle, half = (edges[1:] + edges[:-1]) / 2, (edges[1:] - edges[:-1]) / 2
-    return middle[:, None] + half[:, None] * nodes
 
 
 def _factors(count: int) -> list[tuple[Polynomial, int]]:

@@ -1,13 +1,16 @@
 """Choice of the registration method."""
 
+from typing import get_args
+
 from reconstruction.displacement import RegistrationMethod
+from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field, centered_steps
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes, ZernikeModes
 from reconstruction.registration.gauss_newton.estimator import GaussNewton
 from reconstruction.registration.peers.centroids import Centroids
 from reconstruction.registration.peers.correlation import Correlation
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.settings import FIELD_MODES, RegistrationSettings
+from reconstruction.settings import FIELD_MODES, Method, RegistrationSettings
 
 
 def prepare_registration(
@@ -40,6 +43,9 @@ def prepare_registration(
         from reconstruction.registration.peers.block_flow import BlockFlow
 
         return BlockFlow(reference, flow_modes)
-    from reconstruction.registration.peers.simple_itk import Demons, FreeForm
+    if settings.method in {"demons", "ffd"}:
+        from reconstruction.registration.peers.simple_itk import Demons, FreeForm
 
-    return (Demons if settings.method == "demons" else FreeForm)(reference, flow_modes)
+        return (Demons if settings.method == "demons" else FreeForm)(reference, flow_modes)
+    known = ", ".join(get_args(Method))
+    raise ReconstructionError(f"there is no registration method {settings.method}: it must be one of {known}")

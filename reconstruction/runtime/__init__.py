@@ -1,1 +1,1 @@
-"""Compilation, threads, and process-wide settings."""
+"""Compilation, threads, process-wide settings, and deferred values."""

@@ -17,7 +17,6 @@ prepared equations by down-dating.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.runtime.deferred import Deferred, Remembered
 from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence, prior_and_noise
 from reconstruction.solve.expected_errors import ExpectedErrors
 from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
@@ -99,7 +99,7 @@ class ModalSolver:
         to_left = vectors / self._singular
         across = np.concatenate([(some @ to_left).astype(np.float32) for some in rows])
         self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
-        self._equations = lru_cache(maxsize=16)(self._down_dated)
+        self._equations = Remembered(self._down_dated, 16)
         if not self._is_smooth:
             self._equations(self.errors.is_usable.astype(np.float64).tobytes())  # fails early
 
@@ -134,8 +134,9 @@ class ModalSolver:
             return root.reshape(len(coefficients) - 1, coefficients.shape[1], -1)
 
         freedom = count - float(np.sum(variance * square))
+        root = Deferred(root_covariance)
         return ModalSolution(
-            coefficients, equations.known, root_covariance, freedom, displacement, self._parameters, fitted
+            coefficients, equations.known, root, freedom, displacement, self._parameters, Deferred(fitted)
         )
 
     def quality(self, displacement: Displacement, *, weights: Floats | None = None) -> FitQuality:

@@ -1,6 +1,5 @@
 """Wavefront and error bars of the modal reconstruction, evaluated on request."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -11,6 +10,7 @@ from scipy import ndimage
 from reconstruction.arrays import Floats, Image, Mask
 from reconstruction.displacement import Displacement
 from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.runtime.deferred import Deferred
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,11 +37,11 @@ class ModalSolution:
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
     _known: KnownModes
-    _root_covariance: Callable[[], Image]
+    _root_covariance: Deferred[Image]
     _freedom: float  # number of data minus that of the components which they determine
     _displacement: Displacement
     _parameters: Floats  # (K, 2Q)
-    _fitted: Callable[[], Floats]  # parameters of the fit, px, (lenslet, K)
+    _fitted: Deferred[Floats]  # parameters of the fit, px, (lenslet, K)
 
     def extended(self, known: KnownModes) -> Self:
         """The same wavefront in more pupil modes, known at the same lenslets; the coefficients of the others are 0."""
@@ -50,7 +50,7 @@ class ModalSolution:
             self,
             coefficients=np.pad(self.coefficients, ((0, more), (0, 0))),
             _known=known,
-            _root_covariance=lambda: np.pad(self.root_covariance, ((0, more), (0, 0), (0, 0))),
+            _root_covariance=Deferred(lambda: np.pad(self.root_covariance, ((0, more), (0, 0), (0, 0)))),
         )
 
     @property
@@ -127,7 +127,7 @@ class ModalSolution:
         with np.errstate(invalid="ignore", divide="ignore"):
             return float(np.sum(misfit**2 / variance) / self._freedom)
 
-    @cached_property
+    @property
     def root_covariance(self) -> Image:
         """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
         return self._root_covariance()

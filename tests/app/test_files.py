@@ -67,10 +67,10 @@ def test_parts_of_any_recording_are_never_replaced(tmp_path: Path) -> None:
 
 
 def test_name_of_another_format_is_refused() -> None:
-    for name in ("frame.tif", "run/plot.PNG", "bench.toml"):
+    for name in ("frame.tif", "run/plot.PNG", "bench.toml", "result.txt", "result.v2"):
         with pytest.raises(InputError, match=f"{name}: the file will not be what its name says: end it with .nc"):
             check_suffix(Path(name), ".nc")
-    for path in (Path("result"), Path("result.v2"), Path("result.NC"), None):
+    for path in (Path("result"), Path("result.NC"), None):
         check_suffix(path, ".nc")
 
 

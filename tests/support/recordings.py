@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Collection
 from contextlib import closing
@@ -19,6 +20,7 @@ from app.bench.config import Bench, load_bench, write_bench
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import PIXELS, STORE
 from app.recording.frame_array import FrameArray
+from app.recording.frame_lines import checksum
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from reconstruction.runtime.threads import one_blas_thread
@@ -84,10 +86,14 @@ def edit_line(recording: Recording, index: int, **changes: Any) -> None:
 
 
 def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16]) -> None:
-    """Change the pixels of a frame."""
+    """Change the pixels of a frame, as if these had been recorded."""
     frames = zarr.open_group(recording.folder / STORE, mode="r+")[PIXELS]
     assert isinstance(frames, zarr.Array)
     frames[index] = pixels
+    path = recording.folder / "frames.jsonl"
+    lines = path.read_text().splitlines(keepends=True)
+    lines[index] = re.sub('"crc32": "[0-9a-f]{8}"', f'"crc32": "{checksum(pixels)}"', lines[index])
+    path.write_text("".join(lines))
 
 
 def remove_coefficients(recording: Recording, index: int) -> None:

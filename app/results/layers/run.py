@@ -75,6 +75,7 @@ def summary(found: xr.Dataset) -> list[str]:
         found["model"].values, found["model_misfit"].values, found["model_chi_square"].values, strict=True
     ):
         share = float(f"{100 * misfit:.2g}")
-        lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {chi_square:.2f}")
+        reduced = "below 0.01" if chi_square < 0.005 else f"{chi_square:.2f}"
+        lines.append(f"{name}: {share:g} % of the displacements unexplained, reduced chi-square {reduced}")
     lines.append("; but ".join(filter(None, (f"verdict: {found.attrs['verdict']}", found.attrs["doubt"]))))
     return lines

@@ -73,7 +73,7 @@ def _headline(summary: Summary) -> str:
     off_rad = isoplanatism(stats.wavefront).error_rad
     return (
         f"RMS {np.nanmin(of_views):.3f} ... {np.nanmax(of_views):.3f} rad over the views;"
-        f" a single correction for the whole field would leave {off_rad:.2f} rad RMS"
+        f" a single correction for the whole field would leave {off_rad:.2f} rad RMS, with its tilt"
     )
 
 

@@ -13,6 +13,7 @@ import xarray as xr
 from support.batches import QUICK, Counting, assert_equals_replay, batch, files_of, small_blocks
 from support.recordings import edit_line, record, replace_pixels
 
+import svwfs
 from app import files
 from app.batch.job import Job
 from app.batch.sources import unique_names
@@ -83,7 +84,7 @@ def test_frames_are_refined_by_the_model(recordings: list[Recording], tmp_path: 
 
 def test_store_opens_as_one_dataset_with_its_origin(recordings: list[Recording], tmp_path: Path) -> None:
     batch(tmp_path / "r.zarr", *recordings)
-    with xr.open_zarr(tmp_path / "r.zarr") as stored:
+    with svwfs.open_result(tmp_path / "r.zarr") as stored:
         assert stored["wavefront"].dims[:2] == ("recording", "frame")
         assert stored.sizes["frame"] == 9
         assert stored["recording"].to_numpy().tolist() == ["long", "short"]
@@ -97,6 +98,15 @@ def test_store_opens_as_one_dataset_with_its_origin(recordings: list[Recording],
     assert "[sensor]" in origin["bench"]
     assert {"svwfs", "numpy", "numba"} <= set(origin["versions"])
     assert origin["machine"]["cores"] >= 1
+
+
+def test_folder_without_results_cannot_be_opened(recordings: list[Recording], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no results of svwfs batch; svwfs.open_recording opens a recording"):
+        svwfs.open_result(recordings[0].folder)
+    batch(tmp_path / "r.zarr", recordings[1])
+    (tmp_path / "r.zarr" / "zarr.json").write_text('{"attributes": {"format": "svwfs batch 1", "job": {}}}')
+    with pytest.raises(InputError, match="cannot be read as results of svwfs batch"):
+        svwfs.open_result(tmp_path / "r.zarr")
 
 
 def test_second_run_does_only_what_is_missing(recordings: list[Recording], tmp_path: Path) -> None:
@@ -157,6 +167,12 @@ def _cut_pixels(mine: Recording) -> None:
     path.write_bytes(path.read_bytes()[:100])
 
 
+def _flip_bit(mine: Recording) -> None:
+    path = mine.folder / "frames.zarr/0/c/6/0/0"
+    held = path.read_bytes()
+    path.write_bytes(held[:100] + bytes([held[100] ^ 1]) + held[101:])
+
+
 def _lose_lines(mine: Recording) -> None:
     path = mine.folder / "frames.jsonl"
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:5]))
@@ -171,15 +187,55 @@ def _edit_run(**changes: object) -> Callable[[Recording], None]:
 
 
 DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
-    "half a frame": (_cut_pixels, "is damaged: 100 bytes"),
     "lost lines": (_lose_lines, "4 of 9 frames have no line; svwfs recover"),
-    "a damaged line": (lambda mine: edit_line(mine, 5, lost="many"), "line 6 is damaged"),
     "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
     "cut short": (_edit_run(complete=False), "is not complete"),
     "no number of frames": (_edit_run(frames=None), "does not tell the number of frames"),
     "no frame": (_edit_run(frames={"recorded": 0}), "holds no frame"),
     "no recording": (lambda mine: shutil.rmtree(mine.folder), "no such folder"),
 }
+
+
+DAMAGED_FRAMES: dict[str, tuple[Callable[[Recording], object], str]] = {
+    "half a frame": (_cut_pixels, "is damaged: 100 bytes"),
+    "a flipped bit": (_flip_bit, "the pixels of frame 6 are not those that were recorded"),
+    "no pixels": (lambda mine: shutil.rmtree(mine.folder / "frames.zarr/0/c/6"), "pixels of frame 6 are missing"),
+    "a damaged line": (lambda mine: edit_line(mine, 6, lost="many"), "line 7 is damaged"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED_FRAMES)
+def test_damaged_frame_costs_itself_alone(
+    recordings: list[Recording], mine: Recording, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage, sentence = DAMAGED_FRAMES[name]
+    damage(mine)
+    out = tmp_path / "r.zarr"
+    made = batch(out, mine, recordings[1])
+    assert (made.failed, made.frames, made.wavefronts) == ({}, 12, 11)
+    assert sentence in made.damaged[mine.folder][0]
+    print_batch(made, out)
+    assert "mine: 1 frame damaged and left out" in " ".join(capsys.readouterr().out.split())
+    with xr.open_zarr(out) as stored:
+        assert stored["state"].sel(recording="mine").to_numpy().tolist() == [1] * 6 + [3] + [1] * 2
+        assert np.flatnonzero(stored["rms"].sel(recording="mine").isnull().any(("view_row", "view_column"))) == [6]
+
+
+def test_some_frames_of_each_recording(recordings: list[Recording], tmp_path: Path) -> None:
+    """From the middle of a block to the middle of another; the values are those of all frames."""
+    out, whole = tmp_path / "r.zarr", tmp_path / "whole.zarr"
+    made = batch(out, *recordings, job=Job(frames="3:7"))
+    assert "selects no frame" in made.failed[recordings[1].folder]
+    assert (made.frames, made.wavefronts, made.computed) == (4, 4, 4)
+    batch(whole, recordings[0])
+    with xr.open_zarr(out) as some, xr.open_zarr(whole) as stored:
+        assert some["state"].to_numpy().tolist() == [[0] * 3 + [1] * 4 + [0] * 2]
+        np.testing.assert_array_equal(some["wavefront"][0, 3:7], stored["wavefront"][0, 3:7])
+        assert bool(np.isnan(some["wavefront"][0, :3]).all())
+    with pytest.raises(InputError, match="differ from these in frames"):
+        batch(out, recordings[0])
+    with pytest.raises(InputError, match="write FIRST:END"):
+        batch(tmp_path / "none.zarr", *recordings, job=Job(frames="4-7"))
 
 
 @pytest.mark.parametrize("name", DAMAGES)
@@ -201,13 +257,14 @@ def test_damaged_recording_is_named_while_the_others_complete(
 def test_repaired_recording_is_completed(recordings: list[Recording], mine: Recording, tmp_path: Path) -> None:
     out, kept = tmp_path / "r.zarr", mine.pixels(6)
     _cut_pixels(mine)
-    assert batch(out, recordings[1], mine).failed
+    assert batch(out, recordings[1], mine).damaged
+    assert batch(out, recordings[1], mine).damaged  # said again
     replace_pixels(mine, 6, kept)
     made = batch(out, recordings[1], mine)
-    assert (made.failed, made.frames) == ({}, 12)
+    assert (made.failed, made.damaged, made.frames, made.wavefronts) == ({}, {}, 12, 12)
     assert made.computed < 9  # the blocks before the damage were there
     with xr.open_zarr(out) as stored:
-        assert "failed" not in json.loads(stored["provenance"].sel(recording="mine").to_numpy().item())
+        assert stored["state"].sel(recording="mine").to_numpy().tolist() == [1] * 9
 
 
 def test_frames_without_a_wavefront_are_told_and_done(mine: Recording, tmp_path: Path) -> None:

@@ -266,9 +266,9 @@ from app.cli import main
 store.BLOCK_FRAMES = 4
 write = store.ResultStore.write
 
-def write_late(self, number, frames, pieces):
+def write_late(self, number, frames, *results):
     time.sleep(3.0 if frames.start > 4 else 0.0)
-    return write(self, number, frames, pieces)
+    return write(self, number, frames, *results)
 
 store.ResultStore.write = write_late
 if __name__ == "__main__":
@@ -351,7 +351,7 @@ def test_wrong_address_is_refused_before_a_client_is_made(monkeypatch: pytest.Mo
 
 def test_without_dask_a_sentence_tells_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r'workers need Dask: pip install "svwfs\[batch\]"'), workers(1, None):
+    with pytest.raises(InputError, match=r"workers need Dask: install the extra svwfs\[batch\]"), workers(1, None):
         pass
 
 

@@ -110,13 +110,19 @@ def test_noise_free_images_are_float_photons(monkeypatch: pytest.MonkeyPatch, tm
 def test_measure_writes_results(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, small_toml: Path
 ) -> None:
-    assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m") == 0
+    assert (
+        run(monkeypatch, "measure", "--bench", small_toml, "--frames", "5", "--out", tmp_path / "m", "--auto-expose")
+        == 0
+    )
     with xr.open_dataset(tmp_path / "m" / "results.nc") as results:
         assert results["wavefront"].shape == (5, 3, 3, 5, 7)
         rms_rad = results["rms"].mean(["view_row", "view_column"]).to_numpy()
         assert rms_rad == pytest.approx(1.5, rel=0.1)  # RMS of the bench's screen
         assert results["frame_index"].to_numpy().tolist() == list(range(5))
-    assert "5 frames, 0 lost by the camera" in capsys.readouterr().out
+    line = json.loads((tmp_path / "m" / "frames.jsonl").read_text().splitlines()[-1])
+    said = capsys.readouterr().out
+    assert "5 frames, 0 lost by the camera" in said
+    assert f"exposure {line['exposure_s'] * 1e3:.4g} ms, light current {line['light_current_a']:.4g} A" in said
     assert tifffile.imread(tmp_path / "m" / "reference.tif").shape == (172, 240)
     record = json.loads((tmp_path / "m" / "run.json").read_text())
     assert record["frames"] == {"acquired": 5, "recorded": 5, "reconstructed": 5, "lost": 0}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import binascii
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,8 +12,10 @@ import pytest
 from support.optics import SmallBench
 from support.records import RANDOM, make_record, noisy_calibration, write
 
+import svwfs
 from app.errors import InputError
 from app.measurement.calibration import Calibration
+from app.recording.frame_array import DamagedFrame
 from app.recording.reader import Recording
 from app.recording.recover import recover
 
@@ -80,3 +85,49 @@ def test_misplaced_line_is_detected(tmp_path: Path) -> None:
     path.write_text("".join(reversed(path.read_text().splitlines(keepends=True))))
     with pytest.raises(InputError, match="line 1 is of frame 1"):
         Recording(tmp_path / "r").line(0)
+
+
+def flip(folder: Path, index: int) -> None:
+    """Change one bit of a frame's pixels."""
+    chunk = folder / f"frames.zarr/0/c/{index}/0/0"
+    held = bytearray(chunk.read_bytes())
+    held[len(held) // 2] ^= 4
+    chunk.write_bytes(held)
+
+
+def test_flipped_bit_is_named_by_every_reader(tmp_path: Path, calibration: Calibration) -> None:
+    write(tmp_path / "r", [make_record(index, calibration) for index in range(3)])
+    recording = Recording(tmp_path / "r")
+    flip(tmp_path / "r", 1)
+    said = r"r: the pixels of frame 1 are not those that were recorded; svwfs recover lists the readable frames$"
+    opened = svwfs.open_recording(tmp_path / "r")
+    readers: tuple[Callable[[int], object], ...] = (
+        recording.pixels,
+        recording.frame,
+        lambda index: opened.frames[index].values,
+    )
+    for read in readers:
+        with pytest.raises(DamagedFrame, match=said):
+            read(1)
+        read(2)
+    found = recover(tmp_path / "r")
+    assert found.damage == ("frame 1: the pixels are not those that were recorded",)
+    assert found.whole == [0, 2]
+    flip(tmp_path / "r", 1)
+    assert recover(tmp_path / "r").damage == ()
+
+
+def test_checksum_is_that_of_the_chunk(tmp_path: Path, calibration: Calibration) -> None:
+    write(tmp_path / "r", [make_record(0, calibration)])
+    line = json.loads((tmp_path / "r" / "frames.jsonl").read_text())
+    assert int(line["crc32"], 16) == binascii.crc32((tmp_path / "r/frames.zarr/0/c/0/0/0").read_bytes())
+
+
+def test_recording_without_checksums_opens(tmp_path: Path, calibration: Calibration) -> None:
+    write(tmp_path / "r", [make_record(0, calibration)])
+    path = tmp_path / "r" / "frames.jsonl"
+    path.write_text(re.sub(r', "crc32": "\w+"', "", path.read_text()))
+    flip(tmp_path / "r", 0)
+    assert Recording(tmp_path / "r").line(0).crc32 is None
+    assert Recording(tmp_path / "r").pixels(0).size
+    assert recover(tmp_path / "r").damage == ()

@@ -349,7 +349,7 @@ def test_recover_suggests_a_usable_selection(tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().out.splitlines() == [
         "r: was complete, but damaged: 9 frames, 0 of them reconstructed live; no gaps",
         f"r: frames 1 to 2 and 8: {NO_PIXELS}",
-        "r: whole: frames 0 and 3 to 7; replay, export and report take some with --frames, as 3:8",
+        "r: whole: frames 0 and 3 to 7; replay, batch, export and report take some with --frames, as 3:8",
     ]
     recording = Recording(tmp_path / "r")
     for index in recording.select("3:8"):

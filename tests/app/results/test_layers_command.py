@@ -47,6 +47,8 @@ def test_layer_is_found(recording: Path, tmp_path: Path, monkeypatch: pytest.Mon
         assert 1e-4 < found["distance_sigma_m"].item() < 0.01
         assert (found.attrs["verdict"], found.attrs["doubt"]) == ("one layer", "")
         assert summary(found)[-1] == "verdict: one layer"
+        tiny = summary(found.assign(model_chi_square=0 * found["model_chi_square"] + 0.001))
+        assert tiny[-2].endswith("reduced chi-square below 0.01")
         assert summary(found.assign_attrs(doubt="nothing fits"))[-1] == "verdict: one layer; but nothing fits"
         best_m = found["distance"][int(found["misfit"].argmin("distance"))]
         assert abs(best_m - DISTANCE_M) < 0.02

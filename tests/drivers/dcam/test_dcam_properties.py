@@ -147,6 +147,7 @@ def test_camera_filters_warn(camera: DcamCamera, identifier: Id, value: float, w
     [
         (Id.SENSORMODE, 1, 18, "sensor mode"),
         (Id.OUTPUT_INTENSITY, 1, 2, "test pattern"),
+        (Id.OUTPUTDATA_ORIENTATION, 1, 2, "mirrors"),
         (Id.HIGHDYNAMICRANGE_MODE, 1, 2, "dynamic range"),
         (Id.REALTIMEGAINCORRECT_MODE, 1, 2, "gain correction"),
         (Id.DEFECTCORRECT_MODE, 1, 2, "defect correction"),

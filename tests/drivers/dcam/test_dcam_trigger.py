@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from support.dcam_tools import open_camera
 
 from drivers.dcam.camera import DcamCamera
-from drivers.interface import DeviceTimeout, Disconnected, FrameLost, Region
+from drivers.dcam.property_ids import Id
+from drivers.interface import DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
 from simulated_devices.wires.dcam.stand_in import StandIn, pattern
 
 SENSOR = Region(0, 0, 512, 512)
@@ -44,6 +48,46 @@ def test_leftover_trigger_settings_are_reset(camera: DcamCamera) -> None:
     camera._set_up(camera._settings)
     properties = camera.properties()
     assert (properties["TRIGGER MODE"], properties["TRIGGER TIMES"]) == ("NORMAL", 1)
+
+
+@pytest.mark.parametrize(("left", "reset"), [(1, 1), (2, 2), (3, 3), (4, 3), (5, 3)])
+def test_leftover_global_reset_is_undone(
+    camera: DcamCamera, left: int, reset: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = with_property(camera, Id.TRIGGER_GLOBALEXPOSURE, left, monkeypatch)
+    camera._set_up(camera._settings)
+    assert held() == reset
+
+
+@pytest.mark.parametrize("can_change", [True, False])
+def test_camera_left_in_mono8_is_set_to_mono16(
+    camera: DcamCamera, can_change: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = with_property(camera, Id.IMAGE_PIXELTYPE, 1, monkeypatch, can_change=can_change)
+    with nullcontext() if can_change else pytest.raises(Unsupported, match="only cameras that give one 16-bit number"):
+        camera._set_up(camera._settings)
+    assert held() == (2 if can_change else 1)
+
+
+def with_property(
+    camera: DcamCamera, identifier: Id, value: float, monkeypatch: pytest.MonkeyPatch, *, can_change: bool = True
+) -> Callable[[], float]:
+    """Give the camera a property of an ORCA, which the stand-in lacks; return what reads it."""
+    values, held = camera._values, value
+    get_or, set_value = values.get_or, values.set
+
+    def change(each: int, wanted: float) -> float:
+        nonlocal held
+        if each != identifier:
+            return set_value(each, wanted)
+        if not can_change:
+            raise Unsupported("it is read-only")
+        held = wanted
+        return held
+
+    monkeypatch.setattr(values, "get_or", lambda each, default: held if each == identifier else get_or(each, default))
+    monkeypatch.setattr(values, "set", change)
+    return lambda: held
 
 
 def test_exposure_by_trigger_pulse_warns(stand_in: StandIn) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.optics import sensor_of
 
-from reconstruction.modes.zernike import noll_orders, zernike, zernike_gradients, zernike_lenslet_gradients
+from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.modes.zernike import noll_orders, zernike, zernike_gradients
 
 X, Y = np.random.default_rng(0).uniform(-0.7, 0.7, (2, 40))
 R, THETA = np.hypot(X, Y), np.arctan2(Y, X)
@@ -63,11 +65,13 @@ def test_gradients_are_finite_at_centre() -> None:
 
 @pytest.mark.parametrize("k", [3, 7, 20])
 def test_lenslet_means_match_numerical_integrals(k: int) -> None:
-    edges_x, edges_y = np.linspace(-1.2, 1.2, 5), np.linspace(-0.9, 0.9, 4)
-    means = zernike_lenslet_gradients(k + 1, edges_x, edges_y)[k]
+    sensor = sensor_of(3, 4)
+    radius_m = min(sensor.pupil_half_width_m)
+    means = pupil_modes(sensor, "zernike", k + 1).gradients[k]
     node, weight = np.polynomial.legendre.leggauss(16)  # exact for these polynomials
     for row, column in ((0, 0), (1, 3), (2, 1)):
-        x, y = (edges[at] + 0.3 * (1 + node) for edges, at in ((edges_x, column), (edges_y, row)))
-        gradients = zernike_gradients(k + 1, x, y[:, None])[k]
+        center_m, half_m = sensor.lenslet_centers_m[row, column], sensor.lenslet_pitch_m / 2
+        x, y = ((middle_m + half_m * node) / radius_m for middle_m in center_m)
+        gradients = zernike_gradients(k + 1, x, y[:, None])[k] / radius_m
         expected = np.einsum("yxa,x,y->a", gradients, weight, weight) / 4
-        assert means[row, column] == pytest.approx(expected, abs=1e-8)
+        assert means[row, column] == pytest.approx(expected, rel=1e-9, abs=1e-6)

@@ -1,0 +1,118 @@
+"""Registration methods and bases from outside the source tree, and one list of ours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import pytest
+import xarray
+from numpy.polynomial.legendre import poly2leg
+from support.command_line import run
+from support.optics import sensor_of
+
+import svwfs
+from app.cli import answers
+from app.evaluation.simulated_frames import SimulatedFrames
+from app.gui import coefficients_panel
+from app.results.mode_coefficients import mode_names
+from reconstruction.errors import ReconstructionError
+from reconstruction.geometry import Field, Sensor
+from reconstruction.modes.legendre import legendre_products
+from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
+from reconstruction.modes.zernike import zernike_products
+from reconstruction.registration.methods import prepare_registration
+from reconstruction.registration.peers.correlation import Correlation
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import PupilBasis, RegistrationSettings
+
+FIXED = svwfs.load_bench("small_demo", "reconstruction.pupil_modes=10", "registration.warp=affine")  # no prior
+
+
+@pytest.fixture(scope="module")
+def images() -> SimulatedFrames:
+    return svwfs.simulate(FIXED)
+
+
+def monomials(sensor: Sensor, count: int | None) -> PupilModes:
+    powers = [(degree - n, n) for degree in range(7) for n in range(degree + 1)][:count]
+    products = np.zeros((len(powers), 7, 7))
+    for mode, (m, n) in enumerate(powers):
+        products[mode, : n + 1, : m + 1] = np.outer(poly2leg([0] * n + [1]), poly2leg([0] * m + [1]))
+    return polynomial_modes(sensor, products)
+
+
+def own_correlation(reference: ReferenceSubimages, field: Field) -> Correlation:
+    assert field == FIXED.field
+    return Correlation(reference)
+
+
+def test_own_basis_of_the_same_polynomials_gives_the_same_wavefront(images: SimulatedFrames) -> None:
+    frame = images.frames[0]
+    usual = svwfs.reconstructor(FIXED, images.reference, dark=images.dark)(frame)
+    own = svwfs.reconstructor(FIXED, images.reference, dark=images.dark, basis=monomials)(frame)
+    np.testing.assert_allclose(own.views, usual.views, atol=1e-3 * np.abs(usual.views).max())
+    np.testing.assert_allclose(own.sigma(), usual.sigma(), rtol=1e-2)
+    assert own.coefficients is not None
+    assert usual.coefficients is not None
+    assert np.abs(own.coefficients - usual.coefficients).max() > 0.1
+    of_own, of_usual = (svwfs.field_coefficients(each, order=3)["coefficient"] for each in (own, usual))
+    np.testing.assert_allclose(of_own, of_usual, atol=1e-3 * float(abs(of_usual).max()))
+
+
+def test_own_registration_is_used_for_frame_and_refinement(images: SimulatedFrames) -> None:
+    bench = svwfs.load_bench("small_demo", "registration.method=correlation", "reconstruction.pupil_modes=10")
+    usual = svwfs.reconstructor(bench, images.reference, dark=images.dark)
+    own = svwfs.reconstructor(FIXED, images.reference, dark=images.dark, registration=own_correlation)
+    np.testing.assert_array_equal(own(images.frames[0]).views, usual(images.frames[0]).views)
+    of_own, of_usual = (svwfs.refine(each, images.frames[0], 1).views for each in (own, usual))
+    np.testing.assert_array_equal(of_own, of_usual)
+
+
+def test_results_name_own_methods_and_are_refused_by_those_who_lack_them(
+    images: SimulatedFrames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = svwfs.reconstructor(FIXED, images.reference, dark=images.dark, basis=monomials)
+    svwfs.save_result(tmp_path / "r.nc", own(images.frames[0]), own.bench)
+    with svwfs.open_result(tmp_path / "r.nc") as result:
+        assert 'basis = "own monomials"' in result.attrs["bench"]
+    assert run(monkeypatch, "field", tmp_path / "r.nc", "--out", tmp_path / "f.nc") == 2
+    said = capsys.readouterr().err
+    assert 'reconstruction.basis: must be one of "legendre", "zernike"' in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("arrangement", ["square", "hexagonal"])
+@pytest.mark.parametrize("basis", ["legendre", "zernike"])
+def test_modes_of_polynomials_are_those_of_our_bases(basis: PupilBasis, arrangement: Any) -> None:
+    sensor = replace(sensor_of(6, 9), arrangement=arrangement)
+    half_m = np.array(sensor.pupil_half_width_m)
+    products = legendre_products(28) if basis == "legendre" else zernike_products(28, *(half_m / half_m.min()))
+    ours = pupil_modes(sensor, basis, 28)
+    made = polynomial_modes(sensor, products, ours.inside)
+    np.testing.assert_allclose(made.values, ours.values, atol=1e-9)
+    np.testing.assert_allclose(made.gradients, ours.gradients, atol=1e-9 * np.abs(ours.gradients).max())
+    np.testing.assert_array_equal(made.degree, ours.degree)
+    with pytest.raises(ValueError, match="piston"):
+        polynomial_modes(sensor, products[1:])
+
+
+def test_unknown_names_are_refused(images: SimulatedFrames) -> None:
+    unknown: Any = "monomial"
+    with pytest.raises(ReconstructionError, match="there is no basis monomial: it must be legendre or zernike"):
+        pupil_modes(FIXED.sensor, unknown, 10)
+    with pytest.raises(AssertionError):
+        mode_names(unknown, 10)
+    reconstruct = svwfs.reconstructor(FIXED, images.reference, dark=images.dark)
+    with pytest.raises(ReconstructionError, match="there is no registration method monomial: it must be one of"):
+        prepare_registration(reconstruct._reconstructor().subimages, RegistrationSettings(method=unknown), FIXED.field)
+
+
+def test_every_list_of_bases_is_the_same() -> None:
+    given = get_type_hints(answers.field, include_extras=True)["basis"].__args__[0]
+    names_there = {**vars(svwfs), "Wavefront": object, "xr": xarray}
+    of_python = get_type_hints(svwfs.field_coefficients, names_there)["basis"]
+    for names in (get_args(PupilBasis), get_args(given), get_args(of_python), coefficients_panel._BASES):
+        assert set(names) == set(BASES)
