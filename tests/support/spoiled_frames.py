@@ -54,7 +54,7 @@ class Spoiled:
         reference: NDArray[Any] = counts(changed.reference, self.reference)
         if averaged > 1:
             others = [counts(changed.reference, self.reference) for _ in range(averaged - 1)]
-            reference = np.mean([reference, *others], axis=0, dtype=np.float32)
+            reference = np.asarray(np.mean([reference, *others], axis=0), np.float32)
         return dark, reference, counts(changed.frame, self.frame)
 
 
