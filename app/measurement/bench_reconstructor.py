@@ -138,8 +138,15 @@ class BenchReconstructor:
         if self._is_lattice_given:
             with suppress(ReconstructionError):  # a few lit lenslets show no lattice
                 shown = survey(self._reference, sensor, dark=self._dark, full_scale=self._full_scale).lattice
-        curve = self._transfer(self._reference)
-        return frame_judge(self._reconstructor(), self._reference, shown=shown, dark=self._dark, curve=curve)
+        reconstructor = self._reconstructor()
+        return frame_judge(
+            reconstructor,
+            self._reference,
+            shown=shown,
+            dark=self._dark,
+            frames=reconstructor.subimages.reference_frames,
+            curve=self._transfer(self._reference),
+        )
 
     def _transfer(self, image: Counts) -> TransferCurve | None:
         """Variance of an image's pixels against their light; None if it does not show them."""

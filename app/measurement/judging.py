@@ -30,7 +30,9 @@ def frame_judge(
         sensor=sensor,
         field=reconstructor.field,
         dark=dark,
-        of_reference=reference_quality(
+        of_reference=sample_quality(reconstructor.subimages)
+        | linearity_quality(curve, "reference")
+        | reference_quality(
             reference,
             sensor=sensor,
             lattice=reconstructor.lattice,
@@ -40,7 +42,5 @@ def frame_judge(
             noise=reconstructor.noise,
             frames=frames,
         )
-        | response_quality(reconstructor.response_problem)
-        | sample_quality(reconstructor.subimages)
-        | linearity_quality(curve, "reference"),
+        | response_quality(reconstructor.response_problem),  # named first
     )

@@ -47,7 +47,8 @@ _OPENING = 0.35  # RMS gradient over contrast, 1/px: squares and circles have le
 _POINTS = 0.25  # by which the first limit rises with what is beyond: no warp describes how points blur
 _LEAST_MISFIT = 0.015  # residual over contrast; uneven pixels of 1 % cause as much
 _LEAST_SLOPES_PX = 0.01
-_NOISE_PIXELS, _NOISE_SLOPES = 1.3, 2.0  # of the expected variances, not counted as misfit
+_NOISE_PIXELS = 1.3  # of the expected variance, not counted as misfit
+_NOISE_SLOPES = 5.0  # the same; a quartic warp scatters up to 4 times as expected at 200 electrons
 _UNLIKE = 0.25  # share of lenslets without a match
 _LEFT = 0.1  # share of lenslets that left their cells
 _SATURATED = 0.1  # share of lenslets with pixels at full scale
@@ -101,6 +102,7 @@ class FrameJudge:
         self._grid = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)
         self._grid = self._grid[field.contains(*self._grid.T)]
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
+        self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
         self._tiles = list(_tiles(reference.lenslets))
         self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
         # Compile now instead of at the first frame.
@@ -214,7 +216,7 @@ class FrameJudge:
             if basis.shape[0] > basis.shape[1]:
                 misfit = data - basis @ (basis.T @ data)
                 free = basis.shape[0] - basis.shape[1]
-                square += float(misfit @ misfit) - _NOISE_SLOPES * free * float(np.mean(variance[tile][valid]))
+                square += float(misfit @ misfit) - self._noise_slopes * free * float(np.mean(variance[tile][valid]))
                 freedom += free
         return math.sqrt(max(square / freedom, 0.0)) if freedom else 0.0
 

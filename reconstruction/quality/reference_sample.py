@@ -20,7 +20,7 @@ from reconstruction.registration.subimages import ReferenceSubimages
 _DEFORMED_PX = 0.02
 _CHANCE = 2.0  # standard errors of the median that are not counted
 _STANDARD_ERROR = 1.86  # of a median, times the square root of the number, over the median absolute deviation
-_PASSES = 3  # that measure shifts and take them away
+_PASSES = 2  # that measure shifts and take them away
 
 
 def sample_quality(reference: ReferenceSubimages) -> Quality:

@@ -25,6 +25,7 @@ from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.wavefront import Wavefront, rms
 from support.spoiled_frames import Light, Spoiled, kinds
 
+REFERENCE_FRAMES = 10  # averaged for good frames
 WRONG_SIGMA, WRONG_SHARE = 3.0, 0.2  # an error above both, the second of the truth, is wrong
 
 
@@ -56,8 +57,8 @@ def rendered(case: Case, seed: int = 1, rms_rad: float = 2.0) -> tuple[Light, Fl
     return Light(*(np.asarray(image * scale, np.float64) for image in images)), found.truth
 
 
-def measured(case: Case, spoiled: Spoiled, light: Light, seed: int) -> tuple[Wavefront, Quality]:
-    dark, reference, frame = spoiled.exposed(light, seed)
+def measured(case: Case, spoiled: Spoiled, light: Light, seed: int, averaged: int = 1) -> tuple[Wavefront, Quality]:
+    dark, reference, frame = spoiled.exposed(light, seed, averaged)
     bench = load_bench("small_demo", (*case.settings, *spoiled.settings))
     reconstructor = BenchReconstructor(bench, reference, dark=dark, frame=frame)
     wavefront = reconstructor(frame)
@@ -97,7 +98,7 @@ def alarms(count: int) -> Iterator[tuple[str, Fault, str]]:
         name, case = list(CASES.items())[number % len(CASES)]
         bright = Case(case.mask, (200.0, 1e3, 1e4, 3e4)[number // 3 % 4], case.settings, case.other)
         light, _ = rendered(bright, 1 + number // 60, (0.5, 1.0, 2.0, 3.0)[number // 12 % 4])
-        _, quality = measured(bright, Spoiled(), light, number)
+        _, quality = measured(bright, Spoiled(), light, number, REFERENCE_FRAMES)
         if quality.faults:
             yield f"{name} {number}", quality.faults, quality.sentence
 
@@ -115,7 +116,10 @@ def main() -> None:
             total[verdict] += 1
             say(f"{bench:13}{name:34}{verdict:16}{share:8.2f}  {sentence[:150]}")
     say(str(dict(total)))
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    _say_alarms(int(sys.argv[1]) if len(sys.argv) > 1 else 60)
+
+
+def _say_alarms(count: int) -> None:
     found = 0
     for name, faults, sentence in alarms(count):
         found += 1

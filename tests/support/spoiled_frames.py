@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,10 @@ class Spoiled:
     dark: Spoil = _same  # counts
     settings: tuple[str, ...] = ()
 
-    def exposed(self, light: Light, seed: int) -> tuple[NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint16]]:
-        """Dark, reference and frame, counts."""
+    def exposed(
+        self, light: Light, seed: int, averaged: int = 1
+    ) -> tuple[NDArray[np.uint16], NDArray[Any], NDArray[np.uint16]]:
+        """Dark, reference, the mean of so many frames, and frame, counts."""
         generator, changed = np.random.default_rng(seed), self.light(light)
 
         def counts(image: Floats, spoil: Spoil) -> NDArray[np.uint16]:
@@ -48,7 +51,11 @@ class Spoiled:
             return np.rint(spoil(electrons) + OFFSET).clip(0, 65535).astype(np.uint16)
 
         dark = np.rint(self.dark(np.full(light.frame.shape, OFFSET))).astype(np.uint16)
-        return dark, counts(changed.reference, self.reference), counts(changed.frame, self.frame)
+        reference: NDArray[Any] = counts(changed.reference, self.reference)
+        if averaged > 1:
+            others = [counts(changed.reference, self.reference) for _ in range(averaged - 1)]
+            reference = np.asarray(np.mean([reference, *others], axis=0), np.float32)
+        return dark, reference, counts(changed.frame, self.frame)
 
 
 def _frame(spoil: Spoil) -> Spoiled:

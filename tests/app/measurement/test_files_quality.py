@@ -73,6 +73,16 @@ def test_averaged_reference_rounded_to_a_frame_is_flagged() -> None:
     assert reconstructor.quality(frame, reconstructor(frame)).faults == Fault.FROZEN
 
 
+def test_averaged_reference_of_little_light_is_not_clipped() -> None:
+    """Its plateau scatters less than that of one frame."""
+    reference, frame = (image * np.float32(200 / ELECTRONS) for image in light())
+    averaged = np.asarray(np.mean([exposed(reference, seed) for seed in range(16)], axis=0), np.float32)
+    image = exposed(frame, 99)
+    reconstructor = BenchReconstructor(load_bench("small_demo"), averaged, dark=dark(), frame=image)
+    quality = reconstructor.quality(image, reconstructor(image))
+    assert quality.faults == Fault(0), quality.sentence
+
+
 def test_images_without_noise_leave_misfit_unjudged() -> None:
     """Their noise cannot be estimated, and blur or gamma would not be seen."""
     bench = load_bench("small_demo")
@@ -120,7 +130,7 @@ def test_compressed_counts_are_flagged(images: str) -> None:
         if images not in {image, "both"}:
             return counts
         above = counts - OFFSET
-        return np.rint(OFFSET + full_well * (1 - np.exp(-above / full_well))).astype(np.uint16)
+        return np.asarray(np.rint(OFFSET + full_well * (1 - np.exp(-above / full_well))), np.uint16)
 
     reference, frame = compressed(exposed(light()[0], 1), "reference"), compressed(exposed(light()[1], 2), "frame")
     reconstructor = BenchReconstructor(load_bench("small_demo"), reference, dark=dark(), frame=frame)

@@ -84,7 +84,7 @@ def test_loss_of_compressed_counts_is_measured(response: str, least: float, most
     def exposed(flicker: float) -> Image:
         electrons = generator.poisson(light * (1 + flicker * generator.normal()))
         counts = curve(electrons / peak_e) * peak_e + generator.normal(0, 3, light.shape)
-        return np.rint(counts).astype(np.float32)
+        return np.asarray(np.rint(counts), np.float32)
 
     flicker = 2e-3 if response == "line" else 0.0
     frames = np.stack([exposed(flicker) for _ in range(8)])
