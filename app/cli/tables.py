@@ -1,7 +1,7 @@
 """Result tables and progress bar on the terminal."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from rich.table import Table
 
 from app.batch.run import Batch
 from app.cli import printable
+from app.errors import InputError
 from app.evaluation.selftest import Check
 from app.measurement.assumptions import sample_sentence
 from app.progress import counted
@@ -22,6 +23,7 @@ from app.results.recording_results import Measured
 from app.results.replay.run import Replay
 from app.results.report.residual import Residual
 from app.results.rotation import ROTATES, rotation_of, rotation_sentence
+from app.results.source_bench import version_notice
 from app.results.uncertainty import rms_noise, rms_text
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -115,11 +117,19 @@ def print_replay(made: Replay) -> None:
     if made.verification is not None:
         (print_warning if made.verification.different else _print_sentence)(made.verification.sentence)
     print_quality(made.quality)
-    for sentence in filter(None, (made.notice, made.assumed and f"assumed: {made.assumed}")):
-        _print_sentence(sentence)
+    if made.assumed:
+        _print_sentence(f"assumed: {made.assumed}")
     failed = made.frames - made.reconstructed
     why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
     _print_sentence(f"{counted(made.frames)}{why}")
+
+
+def print_version_notice(*sources: Path, settings: tuple[str, ...] = ()) -> None:
+    """Print of recordings or results whose version neglected the propagation of light that this is done again."""
+    for source in sources:
+        with suppress(InputError):  # of a source that the command has refused
+            if notice := version_notice(source, settings):
+                _print_sentence(f"{source}: {notice}")
 
 
 def print_batch(batch: Batch, out: Path) -> None:
