@@ -102,8 +102,7 @@ class Reconstructor:
     ) -> None:
         """Prepare registration and solve."""
         reconstruction = self.reconstruction
-        obstacle = obstacle_to_layers(reconstruction, registration)
-        if reconstruction.sample == "layers" and obstacle:
+        if reconstruction.sample == "layers" and (obstacle := obstacle_to_layers(reconstruction, registration)):
             raise ReconstructionError(f'reconstruction.sample = "layers" is impossible with {obstacle}: change either')
         self.registration, self._register, at_rest = self._prepare(light, registration)
         # The reference registered against itself shows the certainty of each lenslet and field mode.
@@ -164,8 +163,7 @@ class Reconstructor:
             search = find_layers(self.layers(displacement), None, check=check)
         except ReconstructionError as error:  # too few lenslets, or nothing moves
             if self.reconstruction.sample == "layers":
-                demanded = 'reconstruction.sample = "layers" demands'
-                raise ReconstructionError(f"{error}, as {demanded}", image="frame") from error
+                raise ReconstructionError(f'{error} (reconstruction.sample = "layers")', image="frame") from error
             return FREE
         is_free = self.reconstruction.sample == "automatic"
         return most_probable(search, free=is_free, is_blind=self.hidden > 0)

@@ -58,7 +58,7 @@ def layers(
     )
     with progress_bar() as progress:
         found = find(plan, progress)
-    typer.echo("\n".join(summary(found)))
+    typer.echo(f"frame {frame}: " + "\n".join(summary(found)))
     print_version_notice(source)
 
 
