@@ -26,7 +26,7 @@ from reconstruction.registration.methods import prepare_registration
 from reconstruction.registration.response import LensletModel, linear_response
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp
+from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp, obstacle_to_layers
 from reconstruction.solve.modal import ModalSolver
 from reconstruction.solve.sensitivity import MeanGradients, Response, Sensitivity
 from reconstruction.solve.weights import relative_weights
@@ -107,6 +107,8 @@ class Reconstructor:
     ) -> None:
         """Prepare registration and solve."""
         reconstruction = self.reconstruction
+        if reconstruction.sample == "layers" and (obstacle := obstacle_to_layers(reconstruction, registration)):
+            raise ReconstructionError(f'reconstruction.sample = "layers" is impossible with {obstacle}: change either')
         self.registration, self._register, at_rest = self._prepare(light, registration)
         # The reference registered against itself shows the certainty of each lenslet and field mode.
         self._at_rest = at_rest
@@ -123,8 +125,9 @@ class Reconstructor:
     def __call__(self, frame: Counts, *, bias: Floats | None = None) -> Wavefront:
         """Measure the wavefront of a frame: `register`, find the `sample`, then `solve`."""
         displacement = self.register(frame)
+        sample = self.find_sample(displacement)
         try:
-            return self.solve(displacement, bias=bias, sample=self.find_sample(displacement))
+            return self.solve(displacement, bias=bias, sample=sample)
         except ReconstructionError as error:
             raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
@@ -157,13 +160,15 @@ class Reconstructor:
         """Find the layers of the sample, if they may be assumed and explain the displacements.
 
         It takes some tenths of a second, or some seconds if one layer does not suffice. `check` is called often; its
-        exception ends the search.
+        exception ends the search. Raises `ReconstructionError` if the settings demand layers and none can be found.
         """
         if not self.may_be_layered:
             return FREE
         try:
             search = find_layers(self.layers(displacement), None, check=check)
-        except ReconstructionError:  # too few lenslets, or nothing moves
+        except ReconstructionError as error:  # too few lenslets, or nothing moves
+            if self.reconstruction.sample == "layers":
+                raise ReconstructionError(f'{error} (reconstruction.sample = "layers")', image="frame") from error
             return FREE
         is_free = self.reconstruction.sample == "automatic"
         return most_probable(search, free=is_free, is_blind=self.hidden > 0)
@@ -171,14 +176,10 @@ class Reconstructor:
     @property
     def may_be_layered(self) -> bool:
         """True if layers may be assumed of displacements that change over the field."""
-        return self._assumes_layers and self._at_rest.modes.count > 1 and isinstance(self._register, GaussNewton)
+        return self._assumes_layers(self.registration)
 
-    @property
-    def _assumes_layers(self) -> bool:
-        """True if the settings allow layers: modal reconstruction in all Legendre modes."""
-        settings = self.reconstruction
-        is_smooth = settings.method == "modal" and settings.basis == "legendre" and settings.pupil_modes is None
-        return is_smooth and settings.sample != "free"
+    def _assumes_layers(self, registration: RegistrationSettings) -> bool:
+        return self.reconstruction.sample != "free" and not obstacle_to_layers(self.reconstruction, registration)
 
     def solve(
         self, displacement: Displacement, *, bias: Floats | None = None, sample: AssumedSample = FREE
@@ -259,7 +260,7 @@ class Reconstructor:
             # Layers tie its parameters together, so that noise does not grow. What the mask hides has the prior's error
             # bars; those of a warp that it shows would leave out what the warp leaves out.
             is_blind = _hidden(widest[1]) > 0 and not self.field.neglect_propagation
-            if self._assumes_layers or is_blind:
+            if self._assumes_layers(registration) or is_blind:
                 return widest
 
         def error_rad2(warp: Warp) -> float:

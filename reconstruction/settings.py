@@ -54,3 +54,15 @@ class ReconstructionSettings:
     def __post_init__(self) -> None:
         limits = f"{PUPIL_MODES.start} ... {PUPIL_MODES[-1]}"
         require({f"pupil_modes must be {limits}": self.pupil_modes is None or self.pupil_modes in PUPIL_MODES})
+
+
+def obstacle_to_layers(reconstruction: ReconstructionSettings, registration: RegistrationSettings) -> str:
+    """Return the setting with which layers cannot be assumed; empty if they can."""
+    obstacles = {
+        'reconstruction.method = "zonal"': reconstruction.method == "zonal",
+        f'reconstruction.basis = "{reconstruction.basis}"': reconstruction.basis != "legendre",
+        f"reconstruction.pupil_modes = {reconstruction.pupil_modes}": reconstruction.pupil_modes is not None,
+        f'registration.method = "{registration.method}"': registration.method != "gauss_newton",
+        'registration.warp = "translation"': registration.warp == "translation",
+    }
+    return next((setting for setting, is_set in obstacles.items() if is_set), "")

@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import nullcontext
 from functools import reduce
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 import typer.main
 from conftest import SMALL_TOML
+from packaging.version import Version
 from support.batches import Counting, batch
 from support.command_line import run
 from support.documents import commands, named_commands, python_blocks
@@ -121,6 +123,15 @@ def test_broken_links_fail(tmp_path: Path) -> None:
     told = build(tmp_path, tmp_path / "out")
     assert told.returncode != 0
     assert all(name in told.stderr for name in ("b.md", "'d'", "f.png", "h.json"))
+
+
+def test_version_is_that_of_the_changelog() -> None:
+    heading = (ROOT / "CHANGELOG.md").read_text("utf-8").partition("\n## ")[2].partition("\n")[0]
+    version = Version(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"])
+    release, _, state = heading.partition(" - ")
+    assert Version(release).release == version.release[: release.count(".") + 1]
+    assert version.is_devrelease == (state == "unreleased")
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
 
 
 @pytest.mark.parametrize("name", ["README.md", "CHANGELOG.md"])

@@ -43,7 +43,7 @@ def layers(
 
     Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
     """
-    from app.cli.tables import progress_bar
+    from app.cli.tables import print_version_notice, progress_bar
     from app.results.layers.run import Plan, find, summary
 
     plan = Plan(
@@ -58,7 +58,8 @@ def layers(
     )
     with progress_bar() as progress:
         found = find(plan, progress)
-    typer.echo("\n".join(summary(found)))
+    typer.echo(f"frame {frame}: " + "\n".join(summary(found)))
+    print_version_notice(source)
 
 
 def corrector(
@@ -92,7 +93,7 @@ def corrector(
 
     Example: svwfs corrector result.nc --distance 0.195 --out c.nc --command slm.png --pixels 1024
     """
-    from app.cli.tables import progress_bar
+    from app.cli.tables import print_version_notice, progress_bar
     from app.results.layers.correction import in_words
     from app.results.layers.correction_run import Plan, correct
     from reconstruction.layers.corrector import Corrector
@@ -116,6 +117,7 @@ def corrector(
     with progress_bar() as progress:
         found = correct(plan, progress)
     typer.echo(in_words(found))
+    print_version_notice(source)
 
 
 def field(
@@ -154,7 +156,7 @@ def field(
 
     Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
     """
-    from app.cli.tables import progress_bar
+    from app.cli.tables import print_version_notice, progress_bar
     from app.results.field.run import Plan, map_field, summary
 
     plan = Plan(
@@ -172,3 +174,4 @@ def field(
     with progress_bar() as progress:
         maps = map_field(plan, progress)
     typer.echo("\n".join(summary(maps)))
+    print_version_notice(source)

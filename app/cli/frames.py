@@ -181,7 +181,7 @@ def deconvolve(
 
     Example: svwfs deconvolve cells.tif --with result.nc --scale 2.5e-6 --set imaging.rotation_rad=1.57 --out c.tif
     """
-    from app.cli.tables import progress_bar
+    from app.cli.tables import print_version_notice, progress_bar
     from app.commands.deconvolve import Plan
     from app.commands.deconvolve import deconvolve as run
 
@@ -201,6 +201,7 @@ def deconvolve(
     known = "noise unknown" if math.isnan(made.chi_square) else f"chi-square {made.chi_square:.2f}"
     share = f"{100 * made.inside.mean():.0f} % of the pixels lie in the measured field"
     typer.echo(f"{counted(made.iterations, 'iteration')}, {known}; {share}; the image is in {out}")
+    print_version_notice(source)
 
 
 def _check_images(*images: Path | None) -> None:

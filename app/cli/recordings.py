@@ -55,7 +55,7 @@ def replay(
 
     Example: svwfs replay run1 --set reconstruction.method=zonal
     """
-    from app.cli.tables import print_replay, progress_bar
+    from app.cli.tables import print_replay, print_version_notice, progress_bar
     from app.results.replay.run import replay as run
 
     with progress_bar() as progress:
@@ -70,6 +70,8 @@ def replay(
             progress=progress,
         )
     print_replay(made)
+    if bench is None:
+        print_version_notice(recording, settings=tuple(setting or ()))
     _warn_of_missing(recording)
 
 
@@ -106,7 +108,7 @@ def batch(
     from app.batch.run import check_store, run_batch
     from app.batch.workers import workers as start
     from app.bench.config import load_bench, write_bench
-    from app.cli.tables import print_batch, progress_bar
+    from app.cli.tables import print_batch, print_version_notice, progress_bar
 
     settings = tuple(setting or ())
     other = "" if bench is None else write_bench(load_bench(bench, settings))
@@ -117,6 +119,8 @@ def batch(
             typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
         done = run_batch(recordings, out, job, evaluate, progress)
     print_batch(done, out)
+    if bench is None:
+        print_version_notice(*recordings, settings=settings)
     if done.failed:
         raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
 
@@ -146,12 +150,14 @@ def export(
 
     Example: svwfs export run1 --to double-zernike --out run1.nc
     """
-    from app.cli.tables import progress_bar
+    from app.cli.tables import print_version_notice, progress_bar
     from app.results.export.run import export as run
 
     with progress_bar() as progress:
         count = run(recording, to, out, frames=frames, overwrite=overwrite, progress=progress)
     typer.echo(f"{out} holds {counted(count)} of {recording}")
+    if to != "tiff":  # nothing is reconstructed
+        print_version_notice(recording)
     _warn_of_missing(recording)
 
 
@@ -179,7 +185,7 @@ def report(
 
     Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
     """
-    from app.cli.tables import print_residual, progress_bar
+    from app.cli.tables import print_residual, print_version_notice, progress_bar
     from app.results.report.run import report_pages
 
     with progress_bar() as progress:
@@ -195,9 +201,11 @@ def report(
     if residual is not None:
         print_residual(residual)
     typer.echo(f"the report of {summary.sampled_frames} is in {out}")
-    for each in (recording, beside):
-        if each is not None:
-            _warn_of_missing(each)
+    print_version_notice(recording, settings=tuple(setting or ()))
+    _warn_of_missing(recording)
+    if beside is not None:
+        print_version_notice(beside)
+        _warn_of_missing(beside)
 
 
 def _warn_of_missing(folder: Path) -> None:

@@ -1,7 +1,7 @@
 """Result tables and progress bar on the terminal."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from rich.table import Table
 
 from app.batch.run import Batch
 from app.cli import printable
+from app.errors import InputError
 from app.evaluation.selftest import Check
 from app.measurement.assumptions import sample_sentence
 from app.progress import counted
@@ -22,6 +23,7 @@ from app.results.recording_results import Measured
 from app.results.replay.run import Replay
 from app.results.report.residual import Residual
 from app.results.rotation import ROTATES, rotation_of, rotation_sentence
+from app.results.source_bench import version_notice
 from app.results.uncertainty import rms_noise, rms_text
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -31,10 +33,10 @@ from reconstruction.wavefront import Wavefront, peak_to_valley, rms
 
 
 def print_views(wavefront: Wavefront) -> None:
-    """Print RMS with noise and PV of every view, arranged as in the field, what was assumed, and the lenslets."""
+    """Print RMS with error bar and PV of every view, arranged as in the field, what was assumed, and the lenslets."""
     noise_rad = rms_noise(wavefront)
     cells = ((_cell(*each) for each in zip(*row, strict=True)) for row in zip(wavefront.views, noise_rad, strict=True))
-    _print_by_view(wavefront.field, "RMS +- noise and PV (rad) of the wavefront at each field position", cells)
+    _print_by_view(wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells)
     Console().print(lenslet_summary(wavefront))
     _print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
@@ -60,9 +62,9 @@ def print_refinement(changes_rad: Sequence[float]) -> None:
 
 
 def print_measurement(measured: Measured, out: Path) -> None:
-    """Print mean and scatter of every view's RMS over the frames, its noise, and the folder of the results."""
+    """Print mean and scatter of every view's RMS over the frames, its error bar, and the folder of the results."""
     has_scatter = measured.reconstructed > 1
-    of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else " +- noise"
+    of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else " +- error bar"
     errors_rad = measured.scatter_rms_rad if has_scatter else measured.noise_rad
     rows = zip(measured.mean_rms_rad, errors_rad, measured.noise_rad, strict=True)
     cells = (
@@ -73,7 +75,7 @@ def print_measurement(measured: Measured, out: Path) -> None:
         for row in rows
     )
     _print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
-    _print_sentence(f"noise of one frame: {np.nanmean(measured.noise_rad):.3f} rad RMS; assumed: {measured.assumed}")
+    _print_sentence(f"error bar of one frame: {np.nanmean(measured.noise_rad):.3f} rad; assumed: {measured.assumed}")
     light = "" if measured.light_current_a is None else f", light current {measured.light_current_a:.4g} A"
     _print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}")
     if measured.mask_note:
@@ -117,12 +119,20 @@ def print_replay(made: Replay) -> None:
     if made.verification is not None:
         (print_warning if made.verification.different else _print_sentence)(made.verification.sentence)
     print_quality(made.quality)
-    for sentence in filter(None, (made.notice, made.assumed and f"assumed: {made.assumed}")):
-        _print_sentence(sentence)
+    if made.assumed:
+        _print_sentence(f"assumed: {made.assumed}")
     failed = made.frames - made.reconstructed
     if failed or made.verification is None:  # else the verification has counted them
         why = f"; {failed} could not be reconstructed ({made.problem})" if failed else ""
         _print_sentence(f"{counted(made.frames)}{why}")
+
+
+def print_version_notice(*sources: Path, settings: tuple[str, ...] = ()) -> None:
+    """Print of recordings or results whose version neglected the propagation of light that this is done again."""
+    for source in sources:
+        with suppress(InputError):  # of a source that the command has refused
+            if notice := version_notice(source, settings):
+                _print_sentence(f"{source}: {notice}")
 
 
 def print_batch(batch: Batch, out: Path) -> None:
@@ -185,18 +195,21 @@ def _print_sentence(text: str) -> None:
 
 
 def _print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> None:
-    """Print a table with a cell (view_row, view_column) for each view."""
-    table = Table(title=title)
+    """Print a table with a cell (view_row, view_column) for each view; where it is too wide, break before brackets."""
+    texts, table, console = [list(row) for row in cells], Table(title=title), Console()
+    widest = max(len(line) for row in texts for cell in row for line in cell.splitlines())
+    if 14 + (3 + widest) * field.view_columns > console.width:  # with lines and margins
+        texts = [[cell.replace(" (", "\n(") for cell in row] for row in texts]
     table.add_column("y \\ x (mm)", justify="right")
     for x_m in field.view_x_m:
         table.add_column(f"{x_m * 1e3:+.2f}", justify="right")
     inside = field.contains(field.view_x_m / field.half_width_m, field.view_y_m[:, None] / field.half_width_m)
-    for y_m, row, is_inside in zip(field.view_y_m, cells, inside, strict=True):
-        texts = (cell if lies else "outside" for cell, lies in zip(row, is_inside, strict=True))
-        table.add_row(f"{y_m * 1e3:+.2f}", *texts)
-    Console().print(table)
+    for y_m, row, is_inside in zip(field.view_y_m, texts, inside, strict=True):
+        shown = (cell if lies else "outside" for cell, lies in zip(row, is_inside, strict=True))
+        table.add_row(f"{y_m * 1e3:+.2f}", *shown)
+    console.print(table)
     if not inside.all():
-        Console().print("outside: these views lie outside the circular field")
+        console.print("outside: these views lie outside the circular field")
 
 
 def _print_rotation(rotation: Circulation, *, rotates: bool) -> None:

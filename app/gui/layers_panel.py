@@ -74,7 +74,7 @@ class LayersPanel(QWidget):
         self.plot.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
         self.plot.setToolTip(
             "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
-            "No fit explains more than one without any assumption about layers."
+            "The dashed line is any wavefront, without layers."
         )
         self._limit = self.plot.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
         self._curve, self._marks = self.plot.add_curve(theme.ACCENT), self.plot.add_curve(theme.AMBER)

@@ -140,8 +140,6 @@ class MainWindow(NeutralFocusWindow):
             self._forget_bench()
             self.replay.use(player)
             self.connect_devices()
-            if player is not None and player.notice:
-                self.messages.warn(player.notice)
 
         if not self.controller.light.ask_off(connect):
             connect()
@@ -239,7 +237,7 @@ class MainWindow(NeutralFocusWindow):
             failure=self._failure,
             way_out=way_out(status),
             may_reconnect=not is_replay(status),
-            warning=alarm,
+            warning="; ".join(filter(None, [alarm, self.replay.notice])),
             advice=advice(status, self._activity, measurement),
         )
 

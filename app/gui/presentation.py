@@ -127,7 +127,7 @@ PRESENTATIONS = {
         about="Measured minus fitted: noise and finer detail than the pupil modes resolve", family="difference"
     ),
     Quantity.UNCERTAINTY: Presentation(
-        about="Standard deviation of each view's wavefront, from the camera noise",
+        about="Error bar of each view's wavefront: noise, prior and systematic errors",
         scale=uncertain,
         family="uncertainty",
         finest=0.001,

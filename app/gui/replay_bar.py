@@ -62,6 +62,11 @@ class ReplayBar(QFrame):
         self._timer.timeout.connect(self.refresh)
         self.use(None)
 
+    @property
+    def notice(self) -> str:
+        """What is to be known of the version of the recording; empty if nothing."""
+        return "" if self._player is None else self._player.notice
+
     def use(self, player: Player | None) -> None:
         """Move through the frames of another player; hide without one."""
         if self._player is not None and player is None:

@@ -49,7 +49,8 @@ class SampleTally:
 
     def sentence(self, of: Field) -> str:
         """Say what was assumed, with the newest distances, and of how many frames if not alike of all."""
-        told = [(sample_sentence(self._newest[layers], of), count) for layers, count in self._counts.most_common()]
-        if len(told) <= 1:
-            return "".join(text for text, _ in told)
-        return "; ".join(f"{text} ({counted(count)})" for text, count in told)
+        told, is_one = [], len(self._counts) == 1
+        for layers, count in self._counts.most_common():
+            text, last = sample_sentence(self._newest[layers], of), "last of " * bool(layers and count > 1)
+            told.append(text if is_one and not last else f"{text} ({last}{counted(count)})")
+        return "; ".join(told)

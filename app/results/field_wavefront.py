@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from app.bench.config import Bench, parse_bench
+from app.bench.config import Bench
 from app.errors import SETTINGS_CHANGED, InputError
 from app.progress import Progress
 from app.recording.reader import Recording, selected
@@ -20,16 +20,6 @@ from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.wavefront import without_piston
 
 _Frame = tuple[Floats | None, Floats]  # e_pq (pupil_mode, field_mode), and the wavefronts of the views, rad
-
-
-def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
-    """Return the bench of results or of a recording, changed by "section.key=value"."""
-    if source.is_dir():
-        text = str(Recording(source).run["bench"])
-    else:
-        with reading_results(source) as results:
-            text = str(results.attrs.get("bench", ""))
-    return parse_bench(text, f"{source}: bench", settings, is_recorded=True)
 
 
 def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Progress) -> PhaseAt:

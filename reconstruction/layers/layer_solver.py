@@ -15,13 +15,12 @@ from reconstruction.layers.layer_fit import LayerFit, Moments, Spectrum
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.runtime.deferred import Remembered
 from reconstruction.solve.evidence import FitQuality
-from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.modal import PRIOR_EXPONENT, ModalSolver
 
 # Degree of a layer's phase: the field positions of a lenslet lie between those of its neighbours, so that more than the
 # lenslets alone can carry are seen.
 _MORE_THAN_LENSLETS, _HIGHEST_DEGREE = 3, 18
 SKETCH_DEGREE = 9  # enough to tell distances apart on a coarse grid
-_PRIOR_EXPONENT = 5.0  # as in `solve.modal`
 _LEAST_LENSLETS = 9
 _REMEMBERED_BYTES = 1e8  # of design matrices
 # Systematic error: share of the displacement in one parameter of the warp that appears in another one, or is missing in
@@ -32,7 +31,7 @@ _SYSTEMATIC_SHARE, _SHARE_PER_HIDDEN = 0.0009, 0.00025
 
 def prior_scale(degree: int) -> Floats:
     """Standard deviation of a layer's polynomials up to a degree over the prior's strength, (k,)."""
-    return np.asarray(np.sum(layer_orders(degree), axis=1) ** -_PRIOR_EXPONENT)
+    return np.asarray(np.sum(layer_orders(degree), axis=1) ** -PRIOR_EXPONENT)
 
 
 def require_lenslets(lenslets: int) -> None:

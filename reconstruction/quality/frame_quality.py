@@ -62,6 +62,8 @@ _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which defor
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
 _COMPILED = ("uint8", "uint16", "int32", "uint32", "float32", "float64")  # kinds of counts that Numba knows
 _TILE = 16  # lenslets a side whose slopes are judged together
+_LEAST_SIDE, _LEAST_LENSLETS = 4, 25  # fewer sample a smooth wavefront too coarsely: right frames would be flagged
+_FEW_LENSLETS = "slopes are not judged: the lattice has too few lenslets"
 
 
 class FrameJudge:
@@ -87,7 +89,9 @@ class FrameJudge:
             self._limits = self._limits._replace(pixels=self._limits.pixels + points)
         self._knows_misfit = has_limit and reference.noise is not None
         why = "the noise of the images is unknown" if has_limit else "it has no limit for this registration"
-        self._unjudged = "" if self._knows_misfit else f"misfit is not judged: {why}"
+        self._tiles = list(_tiles(reference.lenslets))
+        unjudged = {f"misfit is not judged: {why}": self._knows_misfit, _FEW_LENSLETS: self._tiles}
+        self._unjudged = "; ".join(sentence for sentence, is_judged in unjudged.items() if not is_judged)
         self._lit = reference.lit.reshape(reference.lenslets)
         self._half_width_px, self._neglects = reference.half_width_px, field.neglect_propagation
         # The light of lenslets holds no period shorter than the blur: a finer grid sees all of it.
@@ -103,7 +107,6 @@ class FrameJudge:
         self._grid = self._grid[field.contains(*self._grid.T)]
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
         self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
-        self._tiles = list(_tiles(reference.lenslets))
         self._dark = None if dark is None else np.asarray(dark, np.float64).ravel()[self._sampled]
         # Compile now instead of at the first frame.
         camera_frame = np.zeros(1, np.uint16)
@@ -244,7 +247,7 @@ def _sum_up(
     return brightest
 
 
-_LOOK = "another mask, focus, motion, a ghost or wrong grey values?"
+_LOOK = "another mask, focus, motion, a ghost, a sample that absorbs or wrong grey values?"
 
 
 def _sharpness(reference: ReferenceSubimages) -> float:
@@ -269,12 +272,14 @@ def _misfit(displacement: Displacement) -> float:
 
 
 def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
-    """Parts of a lattice, of about 16 x 16 lenslets each; all begin with an even row."""
+    """Parts of a lattice, of about 16 x 16 lenslets each; all begin with an even row. None if they are too few."""
     rows, columns = (np.linspace(0, side, -(-side // _TILE) + 1).astype(int).tolist() for side in shape)
     rows[1:-1] = [row - row % 2 for row in rows[1:-1]]
     for top, bottom in pairwise(rows):
         for left, right in pairwise(columns):
-            yield slice(top, bottom), slice(left, right)
+            sides = bottom - top, right - left
+            if min(sides) >= _LEAST_SIDE and math.prod(sides) >= _LEAST_LENSLETS:
+                yield slice(top, bottom), slice(left, right)
 
 
 @lru_cache(maxsize=64)

@@ -55,8 +55,8 @@ def reference_quality(
         off_px = lattice_error_px(lattice, shown, sensor)
         if off_px > _OFF_LATTICE * lattice.pitch_px:
             reasons[Fault.LATTICE] = (
-                f"the reference shows lenslets up to {off_px:.1f} px from [lattice], which is wrong or stale:"
-                " calibrate again, or leave [lattice] out"
+                f"the reference shows lenslets up to {off_px:.1f} px from [lattice], which is wrong or stale (calibrate"
+                " again, or leave [lattice] out), unless the mask is asymmetric (keep a [lattice] from a symmetric one)"
             )
         elif (more := lit_elsewhere(light, lattice, shown, sensor)) > _MISSING * min(
             sensor.lenslet_rows, sensor.lenslet_columns

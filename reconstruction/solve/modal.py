@@ -30,7 +30,7 @@ from reconstruction.solve.expected_errors import ExpectedErrors
 from reconstruction.solve.modal_solution import KnownModes, ModalSolution, known_modes
 from reconstruction.solve.sensitivity import Sensitivity
 
-_PRIOR_EXPONENT = 5.0  # of the degree; with 4 the residuals at 100,000 e- are a fifth larger
+PRIOR_EXPONENT = 5.0  # of the degree; with 4 the residuals at 100,000 e- are a fifth larger
 _PRIOR_PER_FIELD_DEGREE = 0.5  # t; with 0.25 or 1, residuals changed by 15 % at most, in most cases by 3 %
 _UNSEEN = 1e-14  # eigenvalue over the largest, below which it is rounding
 _NOTHING = 1e-18  # eigenvalue over the largest, of what the displacements do not show
@@ -89,7 +89,7 @@ class ModalSolver:
         scale = np.ones((len(modes.degree) - 1, field_modes))
         if field_degree is not None:
             degree = modes.degree[1:, None] + field_degree
-            scale = degree**-_PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
+            scale = degree**-PRIOR_EXPONENT * _PRIOR_PER_FIELD_DEGREE**field_degree
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
         self._unknowns = basis.shape[1]
         rows = [self.errors.rows(modes, some) @ basis for some in self._chunks()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 from unittest.mock import Mock
 
 import numpy as np
@@ -16,6 +16,7 @@ from support.polynomial_layers import light, wavefront
 from app.bench.config import Bench
 from app.bench.imaging_model import lenslet_model
 from reconstruction.arrays import Floats, Image
+from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.layers.layer_fit import Layer, LayerFit
 from reconstruction.layers.layer_search import LayerSearch
@@ -153,3 +154,33 @@ def test_reason_is_kept_where_there_is_no_response(small_bench: SmallBench) -> N
     )
     unlike = small_bench.reconstructor(lenslet_model=partial(lenslet_model, narrow))
     assert "the modelled reference differs from the measured one by" in unlike.response_problem
+
+
+@pytest.mark.parametrize(
+    ("changes", "setting"),
+    [
+        ({"method": "zonal"}, 'reconstruction.method = "zonal"'),
+        ({"pupil_modes": 21}, "reconstruction.pupil_modes = 21"),
+        (
+            {"reconstruction": ReconstructionSettings(basis="zernike", sample="layers")},
+            'reconstruction.basis = "zernike"',
+        ),
+        ({"registration": RegistrationSettings(method="correlation")}, 'registration.method = "correlation"'),
+        ({"warp": "translation"}, 'registration.warp = "translation"'),
+    ],
+)
+def test_layers_are_refused_where_none_can_be_assumed(
+    checker_bench: SmallBench, changes: dict[str, Any], setting: str
+) -> None:
+    with pytest.raises(ReconstructionError, match=f'sample = "layers" is impossible with {setting}: change either'):
+        checker_bench.reconstructor(**{"pupil_modes": None, "sample": "layers", **changes})
+
+
+def test_frame_without_layers_says_why_if_they_are_demanded(checker_bench: SmallBench) -> None:
+    """The reference moves nothing."""
+    automatic = checker_bench.reconstructor("quadratic", pupil_modes=None, sample="automatic")
+    still = replace(automatic.register(checker_bench.reference), coefficients=np.zeros((7, 9, 6, 2)))
+    assert automatic.find_sample(still) is FREE
+    demanding = checker_bench.reconstructor("quadratic", pupil_modes=None, sample="layers")
+    with pytest.raises(ReconstructionError, match=r'there is no layer to find \(.*sample = "layers"\)'):
+        demanding.find_sample(still)

@@ -10,12 +10,13 @@ from app.files import atomic_write, check_outputs, check_suffix
 from app.progress import Progress, between
 from app.recording.folder import parts_of
 from app.results.dataset import write_results
-from app.results.field_wavefront import mean_wavefront, read_bench_of
+from app.results.field_wavefront import mean_wavefront
 from app.results.layers.correction import compare_correctors, correction_dataset
 from app.results.layers.correction_figure import correction_figure
 from app.results.layers.dataset import Origin, ratio_at
 from app.results.layers.phase_files import check_phase_path, write_phase
 from app.results.plot import check_plot_path
+from app.results.source_bench import read_bench_of
 from reconstruction.layers.corrector import Corrector
 
 

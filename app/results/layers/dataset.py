@@ -36,7 +36,7 @@ def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
     nearest_m, farthest_m = distance_range_m(origin, bench)
     if not nearest_m <= distance_m <= farthest_m:
         raise InputError(
-            f"a distance of {distance_m:g} m lies outside the bench: it must be {nearest_m:.3g} ... {farthest_m:.3g} m"
+            f"a distance of {distance_m:g} m lies outside the search range, {nearest_m:.3g} ... {farthest_m:.3g} m"
             f" from the {origin}"
         )
     focal_length_m = bench.field.collimator_focal_length_m

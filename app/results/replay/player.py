@@ -7,7 +7,6 @@ from pathlib import Path
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
-from app.bench.earlier_versions import neglected_propagation
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
@@ -15,6 +14,7 @@ from app.recording.reader import Recording
 from app.recording.recorded_camera import RecordedCamera
 from app.recording.recorded_devices import recorded_devices
 from app.results.replay.run import change_of
+from app.results.source_bench import version_notice
 from drivers.interface import Devices, Frame, WrongState
 
 
@@ -31,7 +31,7 @@ class Player:
         """Use another `bench`, or changed `settings` of the recorded one, if given."""
         self._recording = Recording(folder)
         self.folder, self.frames = folder, self._recording.select(frames)
-        self.notice = neglected_propagation(str(self._recording.run["bench"])) if bench is None and not settings else ""
+        self.notice = version_notice(folder, settings) if bench is None else ""
         self.position: int | None = None
         self._speed = 1.0
         self._change = change_of(None if bench is None else load_bench(bench, settings), settings)

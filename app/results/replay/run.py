@@ -6,7 +6,6 @@ from pathlib import Path
 
 from app.bench.bench_files import bench_file
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
-from app.bench.earlier_versions import neglected_propagation
 from app.errors import InputError, RunError
 from app.files import check_outputs, check_suffix
 from app.measurement.calibration import Calibration
@@ -33,7 +32,6 @@ class Replay:
     reconstructed: int = 0
     unrefined: int = 0  # frames refined live but not in this replay
     problem: str = ""  # of the first frame that could not be reconstructed
-    notice: str = ""  # that the recording is of an earlier version, and what that means
     assumed: str = ""  # samples, in words
     samples: SampleTally = field(default_factory=SampleTally)
     quality: QualityTally = field(default_factory=QualityTally)
@@ -78,8 +76,6 @@ def replay(
     if verify and change is not None:
         raise InputError("--verify compares with the recorded bench: leave --bench and --set out")
     made = Replay(Verification(recording) if change is None else None, None if change is None else Comparison())
-    if change is None:
-        made.notice = neglected_propagation(str(recording.run["bench"]))
     with one_blas_thread():
         stream = _frames(recording, chosen, change, made, progress)
         if out is not None:

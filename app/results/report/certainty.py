@@ -32,7 +32,7 @@ def draw_certainty(figure: FigureBase, summary: Summary, stats: Statistics) -> N
     lost, sigma = maps.subplots(1, 2)
     _draw_lost(lost, stats)
     image = sigma.imshow(stats.sigma, cmap="viridis", vmin=0)
-    sigma.set(title="uncertainty of one frame, from noise alone", xticks=[], yticks=[], facecolor="0.6")
+    sigma.set(title="error bar of one frame", xticks=[], yticks=[], facecolor="0.6")
     maps.colorbar(image, ax=sigma, label="standard deviation (rad)", shrink=0.8)
     field, views = stats.wavefront.field, stats.wavefront.views
     middle = field.view_rows // 2, field.view_columns // 2
@@ -50,7 +50,7 @@ def _draw_trend(axis: Axes, summary: Summary, stats: Statistics) -> None:
     live_rad = [np.nan if line.rms_rad is None else line.rms_rad for line in lines]
     axis.plot(list(time_s.values()), live_rad, "-", color="0.7", linewidth=1, label="as recorded", zorder=1)
     at_s = [time_s[index] for index in stats.frames.tolist()]
-    name = f"{summary.sampled_frames} reconstructed again; bars: at most one standard deviation of the noise"
+    name = f"{summary.sampled_frames} reconstructed again; bars: at most the error bar of one frame"
     axis.errorbar(at_s, stats.rms_rad, stats.rms_sigma_rad, fmt=".", capsize=2, linewidth=0.8, label=name, zorder=2)
     gaps_s = [time_s[line.index] for line in lines if line.lost]
     if gaps_s:

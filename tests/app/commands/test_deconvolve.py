@@ -17,7 +17,8 @@ from app.errors import InputError, Interrupted
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
 from app.results.dataset import open_results, result_dataset, results_in_pieces, write_results
-from app.results.field_wavefront import mean_wavefront, read_bench_of
+from app.results.field_wavefront import mean_wavefront
+from app.results.source_bench import read_bench_of
 
 SCALE = ("--scale", "10e-6")
 

@@ -210,6 +210,7 @@ def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
     window = MainWindow(None)
     window.show()
     window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    window.messages.clear_notice()  # gone after some seconds
     window.update_text()
     told = window.messages.text.text()
     window.close()

@@ -9,6 +9,7 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from app.measurement.assumptions import mask_sentence, sample_sentence
+from app.results.assumed_layers import SampleTally
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 
@@ -32,6 +33,15 @@ BIAS = "displacements count as mean gradients of the wavefront, whose bias the e
 def test_sample_is_told_in_millimetres(ratios: tuple[float, ...], sigmas: list[float] | None, sentence: str) -> None:
     covariance = None if sigmas is None else np.diag(np.square(sigmas))
     assert sample_sentence(AssumedSample(ratios, covariance), FIELD) == sentence
+
+
+def test_several_frames_name_the_one_whose_distance_is_told() -> None:
+    tally, layer = SampleTally(), "one layer {} mm in front of the lenslets"
+    for ratio, told in ((-0.975, layer.format(195)), (-0.97, f"{layer.format(194)} (last of 2 frames)")):
+        tally.take(AssumedSample((ratio,)))
+        assert tally.sentence(FIELD) == told
+    tally.take(FREE)
+    assert tally.sentence(FIELD) == f"{layer.format(194)} (last of 2 frames); any wavefront (1 frame)"
 
 
 @pytest.mark.parametrize(

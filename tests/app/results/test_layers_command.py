@@ -68,7 +68,7 @@ def test_distances_from_the_mask_and_given_ones(
 ) -> None:
     out = tmp_path / "layers.nc"
     assert run(monkeypatch, "layers", recording, "--from", "mask", "--distance", "0.1", "--out", out) == 0
-    assert "layer 100.0 mm from the mask" in capsys.readouterr().out
+    assert "frame 0: layer 100.0 mm from the mask" in capsys.readouterr().out
     with xr.open_dataset(out, engine="h5netcdf") as found:
         assert np.isnan(found["distance_sigma_m"].item())
         # s = u d / f1 + x (1 - d / f1)
@@ -87,7 +87,7 @@ def test_distances_and_ratios_belong_together() -> None:
     assert distance_m(0.0, "mask", bench) == pytest.approx(0.2)
     assert np.isnan(distance_m(0.5, "mask", bench))  # behind the lenslets
     for distance, origin in ((-10, "lenslets"), (np.nan, "lenslets"), (0.0, "mask"), (0.3, "mask")):
-        with pytest.raises(InputError, match="lies outside the bench"):
+        with pytest.raises(InputError, match="lies outside the search range"):
             ratio_at(distance, origin, bench)  # type: ignore[arg-type] # a name
 
 
@@ -197,11 +197,11 @@ def test_wave_has_256_levels() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["layers", "--distance", "-9"], "lies outside the bench"),
+        (["layers", "--distance", "-9"], "lies outside the search range"),
         (["layers", "--distance", "0.1", "--distance", "0.1"], "two different distances"),
         (["layers", "--distance", "1", "--distance", "2", "--distance", "3"], "at most two"),
         (["layers", "--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 1"),
-        (["layers", "--distance", "1e9"], "must be -4.8 ... 4.8 m from the lenslets"),
+        (["layers", "--distance", "1e9"], "outside the search range, -4.8 ... 4.8 m from the lenslets"),
         (["layers", "--layers", "2", "--distance", "0.1"], "two layers need two distances, or none"),
         (["layers", "--plot", "layers.xyz"], "picture"),
         (["layers", "--out", "layers.csv"], "the file will not be what its name says"),
@@ -209,7 +209,7 @@ def test_wave_has_256_levels() -> None:
         (["layers", "--out", "exists.nc"], "exists already"),
         (["corrector", "--modes", "actuators", "--count", "20"], "square"),
         (["corrector", "--count", "900"], "2 ... 500"),
-        (["corrector", "--distance", "0.3", "--from", "mask"], "lies outside the bench"),
+        (["corrector", "--distance", "0.3", "--from", "mask"], "lies outside the search range"),
         (["corrector", "--command", "c.bmp"], "ends in one of"),
         (["corrector", "--frames", "5:9"], "frame"),
     ],

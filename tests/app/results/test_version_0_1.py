@@ -29,6 +29,7 @@ from reconstruction.runtime.threads import one_blas_thread
 FILES = Path(__file__).parents[2] / "support" / "version_0_1"
 RECORDING = FILES / "recording"
 FRAMES = 4
+NOTICE = "recorded by version 0.1 or 0.2 with neglected propagation of light, and reconstructed so again"
 
 
 def test_bench_of_0_1_loads_with_all_its_settings() -> None:
@@ -136,14 +137,33 @@ def test_verification_names_the_other_version(
     assert f"{FRAMES} of {FRAMES} frames differ from what was recorded" in capsys.readouterr().err
 
 
-def test_replay_says_that_propagation_was_neglected(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("replay", RECORDING),
+        ("replay", RECORDING, "--set", "reconstruction.method=zonal"),
+        ("layers", RECORDING, "--out", "r.nc"),
+        ("layers", FILES / "result.nc", "--out", "r.nc"),
+        ("corrector", RECORDING, "--out", "r.nc"),
+        ("field", RECORDING, "--out", "r.nc"),
+        ("export", RECORDING, "--to", "csv", "--out", "r.csv"),
+        ("report", RECORDING, "--out", "r.pdf"),
+    ],
+)
+def test_every_command_says_that_propagation_was_neglected(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, words: tuple[Any, ...]
 ) -> None:
-    notice = "recorded by version 0.1 or 0.2 with neglected propagation of light, and reconstructed so again"
-    assert run(monkeypatch, "replay", RECORDING) == 0
-    assert notice in capsys.readouterr().out
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, *words) == 0
+    assert f"{words[1]}: {NOTICE}" in capsys.readouterr().out
+
+
+def test_notice_is_left_out_where_propagation_is_not_neglected(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert run(monkeypatch, "replay", RECORDING, "--set", "field.neglect_propagation=false") == 0
-    assert notice not in capsys.readouterr().out
+    assert run(monkeypatch, "export", RECORDING, "--to", "tiff", "--out", tmp_path / "r.tif") == 0
+    assert NOTICE not in capsys.readouterr().out
 
 
 def test_recording_of_0_1_plays_as_a_camera() -> None:

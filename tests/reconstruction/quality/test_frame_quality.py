@@ -114,6 +114,15 @@ def test_honest_frames_raise_no_alarm(warp: Warp, peak_e: float) -> None:
         assert not found.reasons, (strength, found.sentence)
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(3, 3), (4, 4), (2, 7)])
+def test_slopes_of_few_lenslets_are_not_judged(rows: int, columns: int) -> None:
+    """They sample a smooth wavefront too coarsely."""
+    bench = SmallBench(rows, columns)
+    found = verdict("quadratic", 1e4, aberrated(2.0, bench), bench=bench)
+    assert Fault.SLOPES not in found.faults
+    assert "slopes are not judged: the lattice has too few lenslets" in found.unjudged
+
+
 @pytest.mark.parametrize("peak_e", [1e3, 1e4])
 @pytest.mark.parametrize("name", FAULTY)
 def test_impossible_frame_is_found(name: str, peak_e: float) -> None:

@@ -44,6 +44,7 @@ def test_stale_lattice_is_found(change: dict[str, Any]) -> None:
     found = reference_quality(LIGHT, sensor=BENCH.sensor, lattice=stale, shown=shown)
     assert found.faults == Fault.LATTICE
     assert "calibrate again" in found.sentence
+    assert "unless the mask is asymmetric" in found.sentence
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(1, 0), (0, -1), (-2, 1)])
