@@ -77,7 +77,7 @@ class CameraPanel(QWidget):
         self._graphics = _Picture(self.reset_zoom, self._point_at)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
-        self._graphics.setMinimumSize(220, 120)
+        self._graphics.setMinimumSize(220, 70)
         unfocused(self._graphics)
         self._image = CameraImage(self._view)
         self._lines = Segments(self._view, theme.ACCENT_ON_IMAGE, alpha=110)

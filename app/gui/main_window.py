@@ -222,7 +222,7 @@ class MainWindow(NeutralFocusWindow):
             statistics = frame_statistics(measurement.frame.pixels, self.camera_panel.full_scale)
             self.camera_panel.show_statistics(statistics)
             self.tabs.histogram.show_statistics(statistics)
-            self.controls.show_automatic(measurement.wavefront)
+            self.controls.show_measured(measurement.wavefront, statistics)
         if measurement is not None and (now := self.controller.status) is not None:
             full_scale, temperature_c = now.capabilities.full_scale, now.temperature_c
             self.tabs.record(measurement, full_scale=full_scale, temperature_c=temperature_c)

@@ -58,7 +58,7 @@ class ViewGrid(QWidget):
         self.is_stale = False  # whether the maps are grey, since dark or reference no longer fit
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
-        self.setMinimumSize(260, 220)
+        self.setMinimumSize(260, 190)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
     def show_maps(self, maps: Maps | None) -> None:

@@ -22,7 +22,7 @@ def lay_out(window: MainWindow) -> PanelDocks:
     window.setWindowTitle("svwfs")
     window.resize(WINDOW_SIZE)
     below = QWidget()
-    column(window.replay, window.recording_bar, window.messages, window.status_line, spacing=4, parent=below)
+    column(window.replay, window.messages, window.status_line, spacing=4, parent=below)
     if (status_bar := window.statusBar()) is not None:
         status_bar.setSizeGripEnabled(False)
         status_bar.addPermanentWidget(below, 1)
@@ -33,6 +33,7 @@ def lay_out(window: MainWindow) -> PanelDocks:
         Dock("Wavefronts", window.wavefront_panel, window.wavefront_panel.header),
         window.tabs.panels,
         Dock("Controls", window.controls, is_strip=True),
+        window.recording_bar,
     )
     window.tabs.panel_requested.connect(docks.show_panel)
     if (bar := window.menuBar()) is not None:

@@ -28,7 +28,7 @@ from support.window_tools import MakeWindow, dim_frame, press, views, wait_for_w
 
 from app.gui.main_window import MainWindow
 from app.gui.number_field import NumberField
-from app.gui.status_line import FittingRow, StatusLine
+from app.gui.status_line import StatusLine
 from app.gui.theme import apply_theme
 from app.measurement.live_solver import Assumptions, RefinementState
 from app.measurement.measurement import FrameTotals
@@ -93,9 +93,9 @@ def test_long_texts_fit_at_every_size(make_window: MakeWindow, size: tuple[int, 
     assert (window.width(), window.height()) == size
     assert_nothing_overlaps(window)
     assert window.messages.text.toolTip() == LONG.capitalize()
-    for part in window.status_line.row._parts:
-        if part.name not in window.status_line.row.hidden_names:
-            assert part.value.width() >= part.value.fontMetrics().horizontalAdvance(part.value.text()), part.name
+    line = window.status_line
+    for value in (line.rate, line.delay, line.lost, line.valid, line.correction):
+        assert value.width() >= value.fontMetrics().horizontalAdvance(value.text())
 
 
 def room(control: QWidget) -> int:
@@ -162,46 +162,25 @@ def test_larger_font_widens_the_window(make_window: MakeWindow) -> None:
     assert_nothing_overlaps(window)
 
 
-def test_least_important_numbers_are_hidden_first(qtbot: QtBot) -> None:
+def test_numbers_keep_their_room_and_the_rest_is_told_in_a_tooltip(qtbot: QtBot) -> None:
     line = StatusLine()
     qtbot.addWidget(line)
+    line.resize(880, 40)
     line.show()
-    line.count(replace(make_measurement(dim_frame(), views()), counts=FrameTotals(1234567, 1204567, 30123)))
+    many = replace(make_measurement(dim_frame(), views()), counts=FrameTotals(1234567, 1204567, 30123))
+    line.count(many)
     line.update_text(None, None)
-    row = line.row
-    order = [
-        "shown",
-        "acquired",
-        "reconstructed",
-        "frame age",
-        "delay",
-        "sample",
-        "correction",
-        "lost",
-        "frames/s",
-        "valid",
-    ]
-    seen = set()
-    for width in range(1400, 100, -20):
-        line.resize(width, 40)
-        seen.add(len(row.hidden_names))
-        assert set(row.hidden_names) == set(order[: len(row.hidden_names)])
-        assert row._more.isHidden() == (not row.hidden_names)
-    assert {0, len(order) - 1} <= seen
-    assert "acquired 1234567" in row.toolTip()
-    assert "lost 30123" in row._more.toolTip()
-
-
-def test_room_of_a_number_never_shrinks(qtbot: QtBot) -> None:
-    row = FittingRow()
-    qtbot.addWidget(row)
-    value = row.add("count", "how many", widest="0", importance=0)
-    value.setText("123456789")
-    row.fit()
-    wide = value.minimumWidth()
-    value.setText("1")
-    row.fit()
-    assert value.minimumWidth() == wide
+    wide = line.lost.width()
+    assert wide >= line.lost.fontMetrics().horizontalAdvance("30123")
+    assert "1234567 acquired, 1204567 reconstructed, 1 shown" in line._counted.toolTip()
+    line.count(replace(many, counts=FrameTotals(1234568, 1204568, 30124), latency_s=0.9))
+    line.update_text(None, None)
+    assert line.lost.property("tone") == "red"  # it has grown
+    line.restart()
+    line.count(replace(many, counts=FrameTotals(1, 1, 1)))
+    line.update_text(None, None)
+    assert line.lost.width() == wide
+    assert line.lost.property("tone") == "text"
 
 
 @pytest.mark.usefixtures("large_font")
@@ -238,7 +217,7 @@ def test_tab_visits_the_controls_in_order(make_window: MakeWindow) -> None:
         widget = widget.nextInFocusChain()
     keyed = [stop for stop in stops if stop.focusPolicy() & Qt.FocusPolicy.TabFocus and stop.isVisible()]
     controls = window.controls
-    wanted = [window.camera_panel.lattice_toggle, window.wavefront_panel.freeze_scale, controls.start, controls.light]
+    wanted = [window.camera_panel.lattice_toggle, window.wavefront_panel.freeze_scale, controls.light, controls.start]
     wanted += [controls.dark, controls.refine, window.recording_panel.record]
     places = [keyed.index(each) for each in wanted]
     assert places == sorted(places)  # from left to right, from the top down
@@ -257,17 +236,20 @@ def test_escape_closes_only_the_help(make_window: MakeWindow, qtbot: QtBot) -> N
 
 
 @pytest.mark.parametrize(
-    ("sample", "text", "told"),
+    ("sample", "told"),
     [
-        (None, "searching", "any wavefront"),
-        (FREE, "any", "any wavefront"),
-        (AssumedSample((-0.975,), np.array([[0.005**2]])), "1 layer", "one layer 195 +- 1 mm in front of the lenslets"),
+        (None, "any wavefront (searching for layers)"),
+        (FREE, "any wavefront"),
+        (AssumedSample((-0.975,), np.array([[0.005**2]])), "one layer 195 +- 1 mm in front of the lenslets"),
     ],
 )
-def test_assumed_sample_is_shown(qtbot: QtBot, sample: AssumedSample | None, text: str, told: str) -> None:
-    line = StatusLine()
-    qtbot.addWidget(line)
+def test_sample_and_mask_are_told_in_the_window(
+    live: tuple[MainWindow, FakeCamera], sample: AssumedSample | None, told: str
+) -> None:
+    window, line = live[0], live[0].status_line
+    assert window._status is not None
     line.count(replace(make_measurement(dim_frame(), views()), assumed=Assumptions(sample)))
-    line.update_text(None, None)
-    assert line.sample.text() == text
-    assert f"Assumed: {told}" in line.sample.toolTip()
+    line.update_text(replace(window._status, mask_note="the mask shows 7 of 9 displacements"), None)
+    assert line.assumed.text() == f"Sample: {told}; the mask shows 7 of 9 displacements"
+    assert line.assumed.isVisible()
+    assert not line._of_correction.isVisible()
