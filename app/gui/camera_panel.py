@@ -47,6 +47,7 @@ class CameraPanel(QWidget):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
     lenslet_clicked = pyqtSignal(int, int)  # row and column
+    levels_changed = pyqtSignal(float, float)  # counts that are black and white
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -130,9 +131,11 @@ class CameraPanel(QWidget):
         is_first = self._frame is None  # a remembered frozen contrast begins with its levels
         is_new_shape = self._frame is None or self._frame.pixels.shape != frame.pixels.shape
         self._frame, self._displacement = frame, displacement
-        choice = self.contrast.currentText()
+        choice, before = self.contrast.currentText(), self._levels.levels
         if choice != _FROZEN or is_first:
             self._levels.follow(frame, self.full_scale, is_automatic=choice != _FULL)
+        if self._levels.levels != before:
+            self.levels_changed.emit(*self._levels.levels)
         self._image.show_counts(frame.pixels, *self._levels.levels)
         if is_new_shape:
             self._placeholder.hide()
@@ -140,6 +143,13 @@ class CameraPanel(QWidget):
             self.reset_zoom()
         self._show_clipped(frame)
         self._show_overlay()
+
+    def use_levels(self, black: float, white: float) -> None:
+        """Freeze the contrast at these counts."""
+        self.contrast.setCurrentText(_FROZEN)
+        self._levels.use(black, white)
+        if self._frame is not None:
+            self.show_frame(self._frame, self._displacement)
 
     def reset_zoom(self) -> None:
         """Show the whole frame."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QSize
 from PyQt6.QtWidgets import QWidget
 
+from app.gui.file_dialogs import export_history
 from app.gui.panel_docks import Dock, PanelDocks
 from app.gui.widgets import column
 
@@ -36,6 +38,9 @@ def lay_out(window: MainWindow) -> PanelDocks:
         window.recording_bar,
     )
     window.tabs.panel_requested.connect(docks.show_panel)
+    window.camera_panel.levels_changed.connect(window.tabs.histogram.show_levels)
+    window.tabs.histogram.levels_chosen.connect(window.camera_panel.use_levels)
+    window.tabs.history.export_requested.connect(partial(export_history, window))
     if (bar := window.menuBar()) is not None:
         bar.setNativeMenuBar(False)  # a native one has no corner
         bar.setCornerWidget(window.recording_panel)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import Qt
 
-from app.gui.file_dialogs import choose_recording, choose_recordings_folder, export_view
+from app.gui.file_dialogs import choose_recording, choose_recordings_folder, export_history, export_view
 from app.gui.menu import Entries
 from app.results.view_analysis import Quantity
 
@@ -35,6 +35,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Choose the recordings folder", "", partial(choose_recordings_folder, window)),
             None,
             ("Export the shown wavefronts", "Ctrl+E", partial(export_view, window)),
+            ("Export the history", "", partial(export_history, window)),
             ("Save a screenshot", "Ctrl+P", window.save_screenshot),
             None,
             ("Quit", "Ctrl+Q", window.quit),

@@ -147,3 +147,16 @@ def test_lenslet_without_reference_is_explained(window: MainWindow, qtbot: QtBot
     qtbot.waitUntil(lambda: panel.numbers.text().startswith("nothing to inspect"))
     click_lenslet(window.camera_panel, 4, 4)
     assert panel.title.text() == "Lenslet row 4, column 4"
+
+
+def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow) -> None:
+    camera, levels = window.camera_panel, window.tabs.histogram.levels
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    assert levels.getRegion() == camera._levels.levels
+    levels.lines[0].setValue(900.0)
+    levels.lines[1].setValue(1100.0)  # as a drag does
+    assert camera.contrast.currentText() == "frozen contrast"
+    assert camera._levels.levels == (900, 1100)
+    assert camera._image.pixels[0, 0] & 0xFF in range(126, 130)  # 1000 counts: middle grey
+    camera.contrast.setCurrentText("full range")
+    assert levels.getRegion() == (0, 65535)
