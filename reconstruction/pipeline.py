@@ -82,7 +82,7 @@ class Reconstructor:
         self._above_dark = AboveDark(self.frame_shape, dark, full_scale)
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
         self.reconstruction = reconstruction
-        self._reference_frames = reference_frames
+        self._reference_frames, self._excluded = reference_frames, registration.excluded
         light, _ = self._above_dark(reference, "reference")
         if not np.mean(light) > 0:
             raise ReconstructionError(
@@ -306,6 +306,7 @@ class Reconstructor:
             noise=self.noise,
             reference_frames=self._reference_frames,
             bad=self._bad,
+            excluded=self._excluded,
         )
 
 

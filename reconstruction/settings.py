@@ -24,6 +24,7 @@ class RegistrationSettings:
     warp: Warp | None = None  # omitted: the one with the least expected error; quartic if the noise is unknown
     rotation: bool = False  # gauss_newton: whether subimages may rotate; layers cannot make them
     threads: int = 2  # of gauss_newton
+    excluded: tuple[tuple[int, int], ...] = ()  # lenslets (row, column from 0) that are left out, as if lost
     flow: Literal["views", "warp"] = "views"  # block_flow, demons, ffd: sampled at the views, or fitted by the warp
     star_rows: int = 3
     star_columns: int = 3

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QGuiApplication, QKeyEvent, QKeySequence
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTableWidget, QTableWidgetItem, QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.colours import diverging
+from app.gui.copy_menu import add_copy_menu, copy_text
 from app.gui.plot import Plot
 from app.gui.presentation import number, signed
 from app.gui.view_grid import Maps, ViewGrid
@@ -166,6 +167,8 @@ class CoefficientsPanel(QWidget):
         self.show_coefficients(self._shown)
 
     def _click(self, event: object) -> None:
+        if event.button() != Qt.MouseButton.LeftButton:  # type: ignore[attr-defined] # pyqtgraph's event
+            return
         position = self.plot.view.mapSceneToView(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
         mode = round(position.x())
         if self._shown is not None and 1 <= mode < len(self._shown.rad):
@@ -177,6 +180,7 @@ class _Table(QTableWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, 3, parent)
+        add_copy_menu(self, lambda _: self.text)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         if (header := self.verticalHeader()) is not None:
             header.hide()
@@ -188,7 +192,7 @@ class _Table(QTableWidget):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
         """Copy at Ctrl+C."""
         if event is not None and event.matches(QKeySequence.StandardKey.Copy):
-            self.copy()
+            copy_text(self.text)
         else:
             super().keyPressEvent(event)
 
@@ -206,12 +210,11 @@ class _Table(QTableWidget):
                     self.setItem(index, at, item)
                 item.setText(text)
 
-    def copy(self) -> None:
-        """Copy the selected rows, or all, as lines of tab-separated texts."""
+    @property
+    def text(self) -> str:
+        """The selected rows, or all, as lines of tab-separated texts."""
         rows = sorted({index.row() for index in self.selectedIndexes()}) or range(self.rowCount())
         lines = [[item.text() for at in range(3) if (item := self.item(index, at))] for index in rows]
         heads = [[item.text() for at in range(3) if (item := self.horizontalHeaderItem(at))]]
-        clipboard = QGuiApplication.clipboard()
-        if clipboard is not None:
-            text = "\n".join("\t".join(line) for line in heads + lines)
-            clipboard.setText(text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "nan"))
+        text = "\n".join("\t".join(line) for line in heads + lines)
+        return text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "nan")

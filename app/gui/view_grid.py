@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
 from app.gui.colours import ColourScale
+from app.gui.copy_menu import add_copy_menu, as_table
 from app.gui.view_places import Places, arrange_views
 from app.results.shades import Pixels, enlarged
 from reconstruction.arrays import Floats
@@ -60,6 +61,7 @@ class ViewGrid(QWidget):
         self.selection: tuple[int, int] | None = None  # the framed view
         self.setMinimumSize(260, 190)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        add_copy_menu(self, self._numbers_at)
 
     def show_maps(self, maps: Maps | None) -> None:
         """Show a map of every view, or that there is no wavefront."""
@@ -123,7 +125,8 @@ class ViewGrid(QWidget):
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Request to select the view under the pointer."""
-        if event is not None and (view := self._view_at(event.pos())) is not None:
+        is_left = event is not None and event.button() == Qt.MouseButton.LeftButton
+        if event is not None and is_left and (view := self._view_at(event.pos())) is not None:
             self.selected.emit(*view)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
@@ -162,6 +165,12 @@ class ViewGrid(QWidget):
         column = inside.x() * values.shape[1] // tile.width()
         text = self.maps.describe(row, column, float(values[row, column]))
         return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
+
+    def _numbers_at(self, position: QPoint) -> str:
+        """Return the map at a position, or the selected one, as a table."""
+        if self.maps is None:
+            return ""
+        return as_table((), self.maps.values[self._view_at(position) or self.selection or (0, 0)])
 
     @property
     def places(self) -> Places:

@@ -38,6 +38,8 @@ def lay_out(window: MainWindow) -> PanelDocks:
         window.recording_bar,
     )
     window.tabs.panel_requested.connect(docks.show_panel)
+    for by in (window.camera_panel.picker, window.tabs.lenslet):
+        by.exclusion_requested.connect(partial(_exclude, window))
     window.camera_panel.levels_changed.connect(window.tabs.histogram.show_levels)
     window.tabs.histogram.levels_chosen.connect(window.camera_panel.use_levels)
     window.tabs.history.export_requested.connect(partial(export_history, window))
@@ -45,3 +47,7 @@ def lay_out(window: MainWindow) -> PanelDocks:
         bar.setNativeMenuBar(False)  # a native one has no corner
         bar.setCornerWidget(window.recording_panel)
     return docks
+
+
+def _exclude(window: MainWindow, row: int, column: int) -> None:
+    window.controller.change_settings(lambda bench: bench.with_toggled((row, column)))

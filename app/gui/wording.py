@@ -25,6 +25,7 @@ LOST_REASONS = {
     Outcome.DIVERGED: "no match with the reference",
     Outcome.LEFT_CELL: "displaced into a neighbour's cell",
     Outcome.OFF_CAMERA: "cell not fully on the camera",
+    Outcome.EXCLUDED: "excluded by hand",
 }
 _SLOW_S = 1.0  # a frame shown for longer is explained
 _SATURATED = "saturated"  # in a problem of a frame

@@ -19,6 +19,7 @@ _REASONS = {
     Outcome.DIVERGED: ("diverged", "#cc3311"),
     Outcome.LEFT_CELL: ("left its cell", "#0077bb"),
     Outcome.OFF_CAMERA: ("off the camera", "#aa4499"),
+    Outcome.EXCLUDED: ("excluded", "#44aa99"),
 }
 _VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
 

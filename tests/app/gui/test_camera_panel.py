@@ -12,6 +12,7 @@ from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from app.gui.lattice_overlay import arrow_length_px
+from app.results.frame_statistics import frame_statistics
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Arrangement
 
@@ -100,7 +101,7 @@ def test_pointer_computes_no_statistics(make_window: MakeWindow, monkeypatch: py
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))
     counted: list[object] = []
-    monkeypatch.setattr("app.gui.main_window.frame_statistics", lambda *_: counted.append(_))
+    monkeypatch.setattr("app.gui.main_window.frame_statistics", lambda *_: counted.append(_) or frame_statistics(*_))
     monkeypatch.setattr(window.camera_panel, "show_statistics", counted.append)
     panel = window.camera_panel
     for x in range(30):
