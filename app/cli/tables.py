@@ -1,5 +1,7 @@
 """Result tables and progress bar on the terminal."""
 
+import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +17,7 @@ from app.batch.run import Batch
 from app.cli import printable
 from app.evaluation.selftest import Check
 from app.measurement.assumptions import sample_sentence
-from app.progress import counted
+from app.progress import LINE_START, LINES, counted
 from app.recording.recover import Recovered
 from app.results.quality import QualityTally
 from app.results.recording_results import Measured
@@ -166,7 +168,10 @@ def print_checks(checks: Iterable[Check]) -> bool:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Progress bar on standard error; yields its callback."""
+    """Progress bar on standard error, or lines for the program that asked for them; yields its callback."""
+    if os.environ.get(LINES):
+        yield lambda _, fraction: print(f"{LINE_START}{fraction:.3f}", file=sys.stderr, flush=True)  # noqa: T201
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
