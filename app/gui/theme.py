@@ -81,14 +81,21 @@ def apply_theme(application: QApplication) -> None:
         hints.colorSchemeChanged.connect(lambda _: _colour(application))
 
 
+def use_theme(application: QApplication, name: str) -> None:
+    """Use the "light" or "dark" colours from now on, or those of the desktop ("system")."""
+    application.setProperty("theme", name)
+    _colour(application)
+
+
 def tone(colour: QColor) -> str:
     """Return the name of a theme colour in the style sheet."""
     return next(name for name, one in _TONES.items() if one is colour)
 
 
 def _colour(application: QApplication) -> None:
-    hints = application.styleHints()
+    hints, chosen = application.styleHints(), application.property("theme")
     is_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
+    is_light = is_light if chosen not in {"light", "dark"} else chosen == "light"
     for colour, name in _LIGHT if is_light else _DARK:
         colour.setNamedColor(name)  # the object that all parts of the window use
     palette = QPalette()
