@@ -43,7 +43,7 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReconstructionSettings:
-    """From displacements to wavefronts; without `pupil_modes`, as many as the lattice carries, with a smooth prior."""
+    """From displacements to wavefronts; without a number of modes as many as the lattice carries, smoothed."""
 
     method: Literal["zonal", "modal"] = "modal"
     basis: PupilBasis = "legendre"

@@ -11,7 +11,7 @@ from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.colours import diverging
 from app.gui.copy_menu import add_copy_menu, copy_text
 from app.gui.plot import Plot
-from app.gui.presentation import number, signed
+from app.gui.presentation import signed, with_error
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, column, row, toggle
 from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_names
@@ -112,11 +112,11 @@ class CoefficientsPanel(QWidget):
         label_px = 1.5 * self.fontMetrics().horizontalAdvance("Z00")
         step = max(round(label_px * len(values) / max(self.plot.graphics.width(), 1)), 1)
         self.plot.axes["bottom"].setTicks([[(at, names[at].split(" ")[0]) for at in index[::step]]])
-        pinned = f": {self._described(found, self._mapped)}" if self._mapped is not None and found else ""
-        self.title.setText(f"Coefficients ({self._unit}){pinned}")
+        pinned = self._described(found, self._mapped) if self._mapped is not None and found else ""
+        self.title.setText(pinned or f"Coefficients ({self._unit})")
         self.table.show_rows(
             [
-                (name, number(value), number(one))
+                (name, *with_error(value, one))
                 for name, value, one in zip(names[1:], values[1:], sigma[1:], strict=True)
             ],
             self._unit,
@@ -138,8 +138,9 @@ class CoefficientsPanel(QWidget):
 
     def _described(self, found: ModeCoefficients, mode: int) -> str:
         value, sigma = found.rad[mode] * self._per_rad, found.sigma_rad[mode] * self._per_rad
-        error = f" \N{PLUS-MINUS SIGN} {number(sigma, 2)}" if np.isfinite(sigma) else ""
-        return f"{found.names[mode]} {signed(value)}{error}"
+        text, error = with_error(value, sigma)
+        error = f" \N{PLUS-MINUS SIGN} {error}" if np.isfinite(sigma) else ""
+        return f"{text}{error} {self._unit}, {found.names[mode]}"
 
     def _show_map(self, found: ModeCoefficients | None) -> None:
         if found is None or found.field_map is None or self._mapped != found.choice.mapped:

@@ -4,8 +4,9 @@ import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
+from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.colours import ColourScale, diverging
-from app.gui.presentation import number, percent, signed
+from app.gui.presentation import number, percent, with_error
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, button, column, label, row
 from app.gui.wording import LOST_REASONS
@@ -24,6 +25,7 @@ class LensletPanel(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.lenslet: tuple[int, int] | None = None  # row and column
+        self._top, self._most = AdaptiveScale(RANGES), AdaptiveScale(RANGES)  # of light and residual, counts
         self.title = ElidedLabel("title")
         self.numbers, self.quality = ElidedLabel(), ElidedLabel()
         self.tiles = {name: ViewGrid() for name in ("Reference", "Frame", "Frame, warped back", "Residual")}
@@ -71,12 +73,15 @@ class LensletPanel(QWidget):
         )
         self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
-        light = ColourScale("inferno", 0.0, top, "", _LIGHT)
+        light = ColourScale("inferno", 0.0, self._top.follow(top), "", _LIGHT)
         images = (found.reference, found.frame, found.fitted, found.residual)
         for tile, image in zip(self.tiles.values(), images, strict=True):
-            scale = light if image is not found.residual or image is None else _residual_scale(image)
+            scale = light if image is not found.residual or image is None else self._residual_scale(image)
             tile.show_maps(None if image is None else Maps(image[None, None], scale, _describe))
         self._write(*_numbers(found))
+
+    def _residual_scale(self, residual: Floats) -> ColourScale:
+        return diverging(self._most.follow(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0)), "")
 
     def _exclude(self) -> None:
         if self.lenslet is not None:
@@ -87,16 +92,12 @@ class LensletPanel(QWidget):
         self.quality.setText(quality)
 
 
-def _residual_scale(residual: Floats) -> ColourScale:
-    return diverging(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0), "")
-
-
 def _numbers(found: LensletInspection) -> tuple[str, str]:
     """Return the displacement, and how good it is."""
     if not np.isfinite(found.displacement_px).all():
         return "", ""
     x, y = (
-        f"{axis} {signed(float(value))} \N{PLUS-MINUS SIGN} {number(float(sigma), 2)}"
+        f"{axis} " + " \N{PLUS-MINUS SIGN} ".join(with_error(float(value), float(sigma)))
         for axis, value, sigma in zip("xy", found.displacement_px, found.sigma_px, strict=True)
     )
     parts = [

@@ -13,7 +13,7 @@ from app.acquisition.worker import Measurement
 from app.gui import theme
 from app.gui.timing_row import TimingRow, timing_table
 from app.gui.widgets import ElidedLabel, colour_text, column, label, row, row_of
-from app.gui.wording import lenslet_summary
+from app.gui.wording import as_sentence, lenslet_summary
 from app.measurement.assumptions import sample_sentence
 from app.measurement.live_solver import RefinementState
 from app.timing import Timings
@@ -125,9 +125,9 @@ class StatusLine(QWidget):
         if measurement.wavefront is not None:
             told = f"Sample: {sample_sentence(sample or FREE, measurement.wavefront.field)}"
             told += " (searching for layers)" * (sample is None)
-        sentence = "; ".join(filter(None, [told, mask_note]))
-        self.assumed.setText(sentence)
-        self.assumed.setToolTip(f"<p>{_ASSUMED}.</p><p>{sentence}</p>")
+        told = told.replace("+-", "\N{PLUS-MINUS SIGN}")
+        self.assumed.setText(told)
+        self.assumed.setToolTip("".join(f"<p>{as_sentence(one)}.</p>" for one in (_ASSUMED, told, mask_note) if one))
 
     def _show_correction(self, refinement: RefinementState) -> None:
         change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"

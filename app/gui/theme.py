@@ -52,6 +52,7 @@ QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; 
 QFrame[role="rule"] {{ background: {LINE.name()}; }}
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
 QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
+QFrame[role="outline"] {{ border: 2px solid {ACCENT.name()}; }}
 QFrame[role="bubble"] QLabel {{ border: none; }}
 QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}

@@ -21,6 +21,7 @@ from reconstruction.arrays import Floats
 _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
 _LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
+_BETWEEN = 4  # px between the captions of neighbours
 _SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
 _STALE_OPACITY = 0.5
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
@@ -73,7 +74,9 @@ class ViewGrid(QWidget):
             if scale == before and not self._is_moved:
                 self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
                 return
-            self._number_width = max(self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks) + 1
+            before_px = self._number_width if before is not None and before.title == scale.title else 0
+            widths = [self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks]
+            self._number_width = max(before_px, max(widths) + 1)  # shrinks only with another unit: the maps stay
         self.update()
 
     def show_stale(self, *, is_stale: bool) -> None:
@@ -221,7 +224,7 @@ class ViewGrid(QWidget):
         painter.setOpacity(1.0)
 
     def _paint_captions(self, painter: QPainter) -> None:
-        line = self.fontMetrics().height()
+        line, gap = self.fontMetrics().height(), self.places.step.width() - self.places.size.width()
         for index, colour in enumerate((theme.TEXT, theme.DIM)):
             wording = self._wording(index)
             if wording is None:
@@ -229,12 +232,12 @@ class ViewGrid(QWidget):
             painter.setPen(colour)
             for (row, column), lines in self.captions.items():
                 tile = self.tile(row, column)
-                place = QRect(tile.left(), tile.bottom() + 3 + index * line, tile.width(), line)
+                place = QRect(tile.left() - gap // 2, tile.bottom() + 3 + index * line, tile.width() + gap, line)
                 painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
 
     def _wording(self, line: int) -> int | None:
-        """Return the longest wording of a line that fits under all views, if any."""
-        width, advance = self.places.size.width(), self.fontMetrics().horizontalAdvance
+        """Return the longest wording of a line that fits under all views and half of the gaps beside them, if any."""
+        width, advance = self.places.step.width() - _BETWEEN, self.fontMetrics().horizontalAdvance
         by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 

@@ -114,7 +114,7 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     qtbot.waitUntil(lambda: bool(panel.quality.text()))
     assert panel.title.text() == "Lenslet row 4, column 7: converged"
     assert panel.numbers.text().startswith(
-        "displacement x +1.30 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
+        "displacement x +1.300 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
     )
     maps = {name: tile.maps for name, tile in panel.tiles.items()}
     for name in ("Reference", "Frame", "Frame, warped back", "Residual"):

@@ -26,15 +26,19 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views, wait_for_wavefront
 
+from app.acquisition.worker import Activity
 from app.gui.main_window import MainWindow
 from app.gui.number_field import NumberField
 from app.gui.status_line import StatusLine
 from app.gui.theme import apply_theme
+from app.gui.wording import advice
 from app.measurement.live_solver import Assumptions, RefinementState
 from app.measurement.measurement import FrameTotals
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 
 LONG = "the recording ended early, 1203 frames are saved: the disk is full, free some space and start another recording"
+
+LAYER = AssumedSample((-0.975,), np.array([[0.005**2]]))
 
 
 @pytest.fixture
@@ -240,16 +244,21 @@ def test_escape_closes_only_the_help(make_window: MakeWindow, qtbot: QtBot) -> N
     [
         (None, "any wavefront (searching for layers)"),
         (FREE, "any wavefront"),
-        (AssumedSample((-0.975,), np.array([[0.005**2]])), "one layer 195 +- 1 mm in front of the lenslets"),
+        (
+            AssumedSample((-0.975,), np.array([[0.005**2]])),
+            "one layer 195 \N{PLUS-MINUS SIGN} 1 mm in front of the lenslets",
+        ),
     ],
 )
 def test_sample_and_mask_are_told_in_the_window(
     live: tuple[MainWindow, FakeCamera], sample: AssumedSample | None, told: str
 ) -> None:
-    window, line = live[0], live[0].status_line
+    window, line, note = live[0], live[0].status_line, "the mask shows 7 of 9 displacements"
     assert window._status is not None
     line.count(replace(make_measurement(dim_frame(), views()), assumed=Assumptions(sample)))
-    line.update_text(replace(window._status, mask_note="the mask shows 7 of 9 displacements"), None)
-    assert line.assumed.text() == f"Sample: {told}; the mask shows 7 of 9 displacements"
+    window._status = status = replace(window._status, mask_note=note)
+    line.update_text(status, None)
+    assert line.assumed.text() == f"Sample: {told}"
     assert line.assumed.isVisible()
+    assert advice(status, Activity(), window._measurement) == note  # while there is nothing to do
     assert not line._of_correction.isVisible()
