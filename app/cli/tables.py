@@ -1,7 +1,6 @@
 """Result tables and progress bar on the terminal."""
 
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -170,7 +169,7 @@ def print_checks(checks: Iterable[Check]) -> bool:
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """Progress bar on standard error, or lines for the program that asked for them; yields its callback."""
     if os.environ.get(LINES):
-        yield lambda _, fraction: print(f"{LINE_START}{fraction:.3f}", file=sys.stderr, flush=True)  # noqa: T201
+        yield lambda _, fraction: typer.echo(f"{LINE_START}{fraction:.3f}", err=True)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     console = Console(stderr=True)

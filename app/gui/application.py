@@ -91,7 +91,7 @@ def run_window(
             window.show()
             if settings is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
-            if settings is not None:
+            else:
                 offer_tour(window, settings)
             open_first(window)
             status = application.exec()

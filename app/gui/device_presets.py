@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QDialog, QListWidget, QWidget
 from app.acquisition.instrument import Status
 from app.gui.controls_panel import ControlsPanel
 from app.gui.text_field import TextField
-from app.gui.widgets import button, column, label, row
+from app.gui.widgets import button, column, row
 
 _KEY = "presets/devices"  # of the settings
 
@@ -30,9 +30,8 @@ class DevicePresets(QDialog):
         self.save = button("Save", "Save exposure, gain, current and mask in force under this name", self._save)
         self.apply = button("Apply", "Set exposure, gain, current and mask of the chosen preset", self._apply)
         self.delete = button("Delete", "Delete the chosen preset", self._delete)
-        about = label("A preset holds exposure, gain, current and mask.", "dim")
         chosen = row(self.apply, self.delete, (QWidget(), 1), button("Close", "Close (Esc)", self.close))
-        column(about, (self.names, 1), row((self.name, 1), self.save), chosen, spacing=8, parent=self)
+        column((self.names, 1), row((self.name, 1), self.save), chosen, spacing=8, parent=self)
         if (layout := self.layout()) is not None:
             layout.setContentsMargins(12, 12, 12, 12)
         self._list()

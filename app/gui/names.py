@@ -2,17 +2,12 @@
 
 from collections.abc import Mapping
 
-from reconstruction.settings import Method, PupilBasis
-
-_METHODS: Mapping[Method, str] = {
+NAMES: Mapping[str, str] = {  # the others are their word
     "gauss_newton": "Gauss-Newton",
-    "correlation": "correlation",
     "correlation_fft": "correlation (FFT)",
-    "centroids": "centroids",
     "itk_affine": "affine (ITK)",
     "block_flow": "block flow",
-    "demons": "demons",
     "ffd": "free-form (ITK)",
+    "legendre": "Legendre",
+    "zernike": "Zernike",
 }
-_BASES: Mapping[PupilBasis, str] = {"legendre": "Legendre", "zernike": "Zernike"}
-NAMES: Mapping[str, str] = dict([*_METHODS.items(), *_BASES.items()])  # the others are their word

@@ -9,7 +9,6 @@ from app.gui import theme
 from app.gui.widgets import Button, Slot
 
 _LAMPS: dict[Validity, QColor] = {"missing": theme.DIM, "doubtful": theme.AMBER, "good": theme.GREEN}
-_STATES: dict[Validity, str] = {"missing": "Missing", "doubtful": "Doubtful", "good": "Good"}
 
 
 class StepButton(Button):
@@ -35,7 +34,7 @@ class StepButton(Button):
         self._shown = validity, state, note
         self.setText(f"{self._name}  {state}" if state else self._name)
         self._light_lamp()
-        self.setToolTip(f"{self._about}\n\n{_STATES[validity]}: {note}" if note else self._about)
+        self.setToolTip(f"{self._about}\n\n{validity.capitalize()}: {note}" if note else self._about)
 
     def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
         """Follow the theme."""

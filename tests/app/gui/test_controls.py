@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from PyQt6.QtCore import Qt
@@ -17,7 +17,9 @@ from support.window_tools import press
 from app.acquisition.validity import Validity
 from app.gui import theme
 from app.gui.main_window import MainWindow
+from app.gui.names import NAMES
 from app.measurement.routines.averages import AVERAGED_FRAMES
+from reconstruction.settings import Method, PupilBasis
 
 
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
@@ -232,3 +234,9 @@ def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeC
     shown = window.status_line.shown
     qtbot.waitUntil(lambda: window.status_line.shown > shown + 3)
     assert camera.exposure_s == 0.02
+
+
+def test_no_method_is_shown_as_a_word_of_code() -> None:
+    for word in (*get_args(Method), *get_args(PupilBasis)):
+        assert "_" not in NAMES.get(word, word)
+    assert NAMES.keys() <= {*get_args(Method), *get_args(PupilBasis)}
