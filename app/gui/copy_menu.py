@@ -19,14 +19,9 @@ def add_copy_menu(
         menu = QMenu(widget)
         menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         fill(menu, at)
-        text = numbers(at)
-        for name, copy in (
-            ("Copy picture", partial(_copy_picture, widget)),
-            ("Copy numbers", partial(copy_text, text)),
-        ):
-            if (action := menu.addAction(name)) is not None:
-                action.triggered.connect(copy)
-                action.setEnabled(bool(text) or name != "Copy numbers")
+        menu.addAction("Copy picture", partial(_copy_picture, widget))
+        if text := numbers(at):
+            menu.addAction("Copy numbers", partial(copy_text, text))
         menu.popup(widget.mapToGlobal(at))
 
     widget.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)

@@ -3,12 +3,12 @@
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtWidgets import QScrollArea, QWidget
 
 from app.gui import theme
 from app.gui.plot import Plot
 from app.gui.presentation import NOTHING, number
-from app.gui.widgets import Choice, ElidedLabel, button, column, row, toggle
+from app.gui.widgets import Choice, ElidedLabel, button, column, row, toggle, unfocused
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History
 from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats
@@ -101,7 +101,13 @@ class HistoryPanel(QWidget):
         self._hint = ElidedLabel("dim")
         self._hint.setText(_HINT)
         self.charts: dict[str, StripChart] = {}
-        self._rows = column(spacing=0)
+        area, charts = QScrollArea(), QWidget()  # many charts do not make the window larger than its screen
+        area.setWidget(charts)
+        area.setWidgetResizable(True)
+        area.setFrameShape(QScrollArea.Shape.NoFrame)
+        area.setMinimumHeight(2 * self.fontMetrics().height())
+        unfocused(area)
+        self._rows = column(spacing=0, parent=charts)
         self.time_axis = _plot("minutes")
         self.time_axis.axes["left"].setTicks([[]])
         self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
@@ -111,7 +117,7 @@ class HistoryPanel(QWidget):
         beside.setFixedWidth(name_width(self))
         after.setFixedWidth(_drift_width(self))
         header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
-        column(header, (self._rows, 1), row(beside, (self.time_axis, 1), after), spacing=2, parent=self)
+        column(header, (area, 1), row(beside, (self.time_axis, 1), after), spacing=2, parent=self)
         self._arrange()
 
     def use_unit(self, unit: Unit, per_rad: float) -> None:

@@ -42,8 +42,6 @@ class LensletPicker(QObject):
         if (lenslet := self._find(self._graphics.mapToScene(at))) is None:
             return
         name = "lenslet row {}, column {}".format(*lenslet)
-        if (inspect := menu.addAction(f"Inspect {name}")) is not None:
-            inspect.triggered.connect(lambda: self.clicked.emit(lenslet))
-        if (exclude := menu.addAction(f"Exclude {name}, or use it again")) is not None:
-            exclude.triggered.connect(lambda: self.exclusion_requested.emit(*lenslet))
+        menu.addAction(f"Inspect {name}", lambda: self.clicked.emit(lenslet))
+        menu.addAction(f"Exclude {name}, or use it again", lambda: self.exclusion_requested.emit(*lenslet))
         menu.addSeparator()

@@ -85,7 +85,9 @@ class Tour(QFrame):
         for other in self._window.findChildren(Tour):
             if other is not self:
                 other.close()
-        self.text.setFixedHeight(max(self._height(text) for _, _, text in self._steps))
+        room, wrap = QRect(0, 0, _WIDTH, 999), Qt.TextFlag.TextWordWrap
+        heights = [self.text.fontMetrics().boundingRect(room, wrap, text).height() for _, _, text in self._steps]
+        self.text.setFixedHeight(max(heights) + self.fontMetrics().height())
         self.adjustSize()
         self._show_step()
         self.show()
@@ -113,10 +115,6 @@ class Tour(QFrame):
         else:
             self._index += 1
             self._show_step()
-
-    def _height(self, text: str) -> int:
-        self.text.setText(text)
-        return self.text.heightForWidth(_WIDTH)
 
     def _show_step(self) -> None:
         _, title, text = self._steps[self._index]

@@ -262,3 +262,29 @@ def test_sample_and_mask_are_told_in_the_window(
     assert line.assumed.isVisible()
     assert advice(status, Activity(), window._measurement) == note  # while there is nothing to do
     assert not line._of_correction.isVisible()
+
+
+def test_window_with_recording_bar_fits_a_full_hd_screen_at_scale_2(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window(FakeCamera())
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    for chart in window.tabs.history.toggles.values():
+        chart.setChecked(True)
+    window.docks.show_panel(window.tabs.history)
+    window.recording_bar.prepare()
+    cut_texts(window)  # makes it as small as it can be
+    assert window.width() <= 960
+    assert window.height() <= 1080 / 2 - 40  # 40 px for the frame of a window manager
+
+
+def test_recording_bar_leaves_the_controls_in_place(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.resize(1280, 800)
+    QApplication.processEvents()
+    before = place(window.controls, window)
+    window.recording_bar.prepare()
+    for _ in range(3):  # one layout triggers others
+        QApplication.processEvents()
+    assert window.recording_bar.isVisible()
+    assert place(window.controls, window) == before
+    assert place(window.recording_bar, window).bottom() < before.top()
