@@ -7,7 +7,7 @@ from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame
 
 from app.acquisition.calibration_steps import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.acquisition.instrument import Status
-from app.acquisition.validity import taken_at
+from app.acquisition.validity import Validity, taken_at
 from app.bench.config import AUTOMATIC
 from app.gui import theme
 from app.gui.names import NAMES
@@ -244,9 +244,8 @@ class ControlsPanel(QFrame):
     def show_measured(self, wavefront: Wavefront | None, statistics: FrameStatistics) -> None:
         """Show how bright a frame is, and in the tool tips what was chosen automatically for its wavefront."""
         share = statistics.peak / statistics.clip_level
-        is_good = share > _DIM and not statistics.is_nearly_full
-        note = "brightest pixel beside full scale; 70 % is best"
-        self.auto_exposure.show_step("good" if is_good else "doubtful", percent(share), note)
+        state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
+        self.auto_exposure.show_step(state, percent(share), "brightest pixel beside full scale; 70 % is best")
         warp, modes = _WARP_TIP, _MODES_TIP
         if wavefront is not None and self.warp.isEnabled() and self.warp.currentText() == AUTOMATIC:
             fields = wavefront.displacement.modes.count

@@ -95,9 +95,8 @@ def tone(colour: QColor) -> str:
 
 def _colour(application: QApplication) -> None:
     hints, chosen = application.styleHints(), application.property("theme")
-    is_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
-    is_light = is_light if chosen not in {"light", "dark"} else chosen == "light"
-    for colour, name in _LIGHT if is_light else _DARK:
+    is_desktop_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
+    for colour, name in _LIGHT if chosen == "light" or (is_desktop_light and chosen != "dark") else _DARK:
         colour.setNamedColor(name)  # the object that all parts of the window use
     palette = QPalette()
     roles = QPalette.ColorRole

@@ -224,7 +224,7 @@ class ViewGrid(QWidget):
         painter.setOpacity(1.0)
 
     def _paint_captions(self, painter: QPainter) -> None:
-        line, gap = self.fontMetrics().height(), self.places.step.width() - self.places.size.width()
+        line, width = self.fontMetrics().height(), self._caption_width
         for index, colour in enumerate((theme.TEXT, theme.DIM)):
             wording = self._wording(index)
             if wording is None:
@@ -232,12 +232,18 @@ class ViewGrid(QWidget):
             painter.setPen(colour)
             for (row, column), lines in self.captions.items():
                 tile = self.tile(row, column)
-                place = QRect(tile.left() - gap // 2, tile.bottom() + 3 + index * line, tile.width() + gap, line)
+                place = QRect(tile.center().x() - width // 2, tile.bottom() + 3 + index * line, width, line)
                 painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
 
+    @property
+    def _caption_width(self) -> int:
+        """Width of a view and half of the gaps beside it, without touching the colour bar."""
+        places = self.places
+        return min(places.step.width() - _BETWEEN, places.size.width() + 2 * (_BAR_MARGIN - _BETWEEN))
+
     def _wording(self, line: int) -> int | None:
-        """Return the longest wording of a line that fits under all views and half of the gaps beside them, if any."""
-        width, advance = self.places.step.width() - _BETWEEN, self.fontMetrics().horizontalAdvance
+        """Return the longest wording of a line that fits under all views, if any."""
+        width, advance = self._caption_width, self.fontMetrics().horizontalAdvance
         by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 

@@ -180,6 +180,9 @@ def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) 
     assert grid.places.size.width() < 80
     assert grid._wording(1) is not None
     assert grid.tile(0, 5).right() + grid.places.bar_space < grid.width()
+    right = grid.tile(0, 5).center().x() + grid._caption_width // 2
+    assert grid.maps is not None
+    assert right < grid._bar(grid.maps).left()
 
 
 def test_colour_bar_stays_while_its_numbers_change(qtbot: QtBot) -> None:
