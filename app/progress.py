@@ -2,6 +2,9 @@
 
 from collections.abc import Callable
 
+LINES = "SVWFS_PROGRESS_LINES"  # environment variable: a command writes its progress as lines for a program
+LINE_START = "progress: "
+
 Progress = Callable[[str, float], None]
 """Receives the present step in words and the share that is done, 0 ... 1."""
 

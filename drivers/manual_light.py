@@ -10,7 +10,7 @@ from drivers.range import Range
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ManualLightSettings:
-    """Section `[light]` with driver "manual"."""
+    """A light that a person switches."""
 
     driver: Literal["manual"] = "manual"
 

@@ -27,6 +27,7 @@ class Outcome(IntEnum):
     DIVERGED = 3
     LEFT_CELL = 4  # beyond the dynamic range: the subimage reaches into the neighbour's cell
     OFF_CAMERA = 5  # the cell is not entirely on the camera
+    EXCLUDED = 6  # by hand
 
 
 class CovarianceSource(Protocol):

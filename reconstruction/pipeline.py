@@ -87,7 +87,7 @@ class Reconstructor:
         self.sensor, self.lattice, self.field, self.noise = sensor, lattice, field, noise
         self._own = own
         registration, self.reconstruction = own.named(registration, reconstruction)
-        self._reference_frames = reference_frames
+        self._reference_frames, self._excluded = reference_frames, registration.excluded
         light, _ = self._above_dark(reference, "reference")
         if not np.mean(light) > 0:
             raise ReconstructionError(
@@ -320,6 +320,7 @@ class Reconstructor:
             noise=self.noise,
             reference_frames=self._reference_frames,
             bad=self._bad,
+            excluded=self._excluded,
         )
 
 

@@ -24,6 +24,7 @@ class RegistrationSettings:
     warp: Warp | None = None  # omitted: the one with the least expected error; quartic if the noise is unknown
     rotation: bool = False  # gauss_newton: whether subimages may rotate; layers cannot make them
     threads: int = 2  # of gauss_newton
+    excluded: tuple[tuple[int, int], ...] = ()  # lenslets (row, column from 0) that are left out, as if lost
     flow: Literal["views", "warp"] = "views"  # block_flow, demons, ffd: sampled at the views, or fitted by the warp
     star_rows: int = 3
     star_columns: int = 3
@@ -42,7 +43,7 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReconstructionSettings:
-    """From displacements to wavefronts; without `pupil_modes`, as many as the lattice carries, with a smooth prior."""
+    """From displacements to wavefronts; without a number of modes as many as the lattice carries, smoothed."""
 
     method: Literal["zonal", "modal"] = "modal"
     basis: PupilBasis = "legendre"

@@ -1,5 +1,6 @@
 """Validity of a dark or a reference for the current frames."""
 
+import re
 from dataclasses import replace
 from datetime import datetime
 from typing import Literal
@@ -9,6 +10,7 @@ from app.measurement.routines.device_state import Circumstances
 from app.progress import counted
 
 Validity = Literal["missing", "doubtful", "good"]
+_TIME = re.compile(r"^\d+ frames? at (\d\d:\d\d):\d\d: ")
 
 
 def as_averaged(now: Circumstances, average: Average) -> Circumstances:
@@ -36,6 +38,12 @@ def about(average: Average, taken: Circumstances) -> str:
         f" exposure {taken.exposure_s * 1e3:.4g} ms, amplifier {taken.amplifier},"
         f" gain {taken.em_gain:.4g}, mask {taken.mask}"
     )
+
+
+def taken_at(note: str) -> str:
+    """Return hours and minutes from a note that begins as `about`; empty if there is no average or it was recorded."""
+    found = _TIME.search(note)
+    return found[1] if found else ""
 
 
 def note(how: str, why: str) -> str:

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import cattrs
 import tomli_w
@@ -73,8 +73,19 @@ class Bench:
                 f"lattice.pitch_px = {self.lattice.pitch_px:g} is far from"
                 f" sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
             )
+        shape = self.sensor.lenslet_rows, self.sensor.lenslet_columns
+        for lenslet in self.registration.excluded:
+            if not all(0 <= index < count for index, count in zip(lenslet, shape, strict=True)):
+                raise ValueError(
+                    f"registration.excluded: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}"
+                )
         if self.lattice is not None and self.lattice.arrangement != self.sensor.arrangement:
             raise ValueError(f'lattice.arrangement = "{self.sensor.arrangement}" is missing')
+
+    def with_toggled(self, lenslet: tuple[int, int]) -> Self:
+        """Exclude a lenslet (row, column), or use it again."""
+        excluded = tuple(sorted({*self.registration.excluded} ^ {lenslet}))
+        return dataclasses.replace(self, registration=dataclasses.replace(self.registration, excluded=excluded))
 
     @property
     def is_simulated(self) -> bool:

@@ -11,7 +11,7 @@ Pace = Literal["own", "fastest"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSettings:
-    """Section `[camera]` with driver "recording": a recording in place of the devices."""
+    """A recording in place of the devices."""
 
     driver: Literal["recording"] = "recording"
     folder: str
@@ -21,7 +21,7 @@ class RecordingSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamSettings:
-    """Section `[streams]`: port for other programs; without one nothing is published and no socket opened.
+    """Port for other programs; without one nothing is published and no socket opened.
 
     `address` is this computer's on the network to be served; by default only this computer can connect.
     """

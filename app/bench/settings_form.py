@@ -31,7 +31,8 @@ _UNITS = {  # by the end of a name; the first that fits
 }
 _PREFIXES = {"n": 1e-9, "\N{MICRO SIGN}": 1e-6, "m": 1e-3, "": 1.0}
 _TYPED_PREFIXES = {**_PREFIXES, "u": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6}
-_WORDS = {"rms": "RMS", "pv": "PV", "em": "EM", "x": "x", "y": "y"}
+_WORDS = {"rms": "RMS", "pv": "PV", "em": "EM", "center": "centre"}
+_USUAL = {"wavelength_m": "n", "current_a": "m", "pixel_m": "\N{MICRO SIGN}"}  # prefixes, whatever the value
 _PREFIXED = {"m", "s", "A", "m/s"}
 _NUMBER = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\D*)")
 _COMMENT = re.compile(r"^    (\w+): [^#\n]*#\s*(.+)$", re.MULTILINE)
@@ -223,7 +224,7 @@ def _field(path: str, name: str, hint: Any, value: Any, told: tuple[str, str]) -
     elif hint is float:
         kind = "number"
         if unit in _PREFIXED:
-            prefix = _prefix(value)
+            prefix = next((usual for of, usual in _USUAL.items() if name.endswith(of)), _prefix(value))
             unit, factor = prefix + unit, _PREFIXES[prefix]
     words = [_WORDS.get(word, word) for word in name.removesuffix(end).split("_")]
     about = filter(None, (told[0], in_unit(told[1], unit, factor)))

@@ -1,5 +1,6 @@
 """Result tables and progress bar on the terminal."""
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ from app.cli import printable
 from app.errors import InputError
 from app.evaluation.selftest import Check
 from app.measurement.assumptions import sample_sentence
-from app.progress import counted
+from app.progress import LINE_START, LINES, counted
 from app.recording.recover import Recovered
 from app.results.quality import QualityTally
 from app.results.recording_results import Measured
@@ -181,7 +182,10 @@ def print_checks(checks: Iterable[Check]) -> bool:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Progress bar on standard error; yields its callback."""
+    """Progress bar on standard error, or lines for the program that asked for them; yields its callback."""
+    if os.environ.get(LINES):
+        yield lambda _, fraction: typer.echo(f"{LINE_START}{fraction:.3f}", err=True)
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:

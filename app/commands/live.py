@@ -57,12 +57,16 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
 
     The window shows what is wrong with the file, and opens others; it may offer the one that was open last.
     """
+    from app.gui.splash import show_splash
+
+    splash = show_splash()  # before the rest is loaded
     from app.gui.application import run_window
 
     with ExitStack() as streams:
         publishing = _Publishing(streams)
 
         def open_first(window: "MainWindow") -> None:
+            splash.finish(window)
             window.benches.open(source, overrides, trust=trust)
             if offers_last:
                 window.benches.offer_last()
@@ -75,17 +79,18 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
 
 def replay_window(player: Player) -> int:
     """Run the window on a recording until it is closed, and return the exit status."""
+    from app.gui.splash import show_splash
+
+    splash = show_splash()  # before the rest is loaded
     from app.gui.application import run_window
+
+    def open_first(window: "MainWindow") -> None:
+        splash.finish(window)
+        window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take, *sinks)), player.begin, player)
 
     with ExitStack() as streams:
         sinks = streams.enter_context(stream_sinks(player.bench))
-        return run_window(
-            None,
-            make_for=_Publishing(streams),
-            open_first=lambda window: window.open(
-                lambda: Acquisition(player.bench, player.open_devices, (player.take, *sinks)), player.begin, player
-            ),
-        )
+        return run_window(None, make_for=_Publishing(streams), open_first=open_first)
 
 
 def unattended_window(

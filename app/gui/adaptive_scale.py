@@ -34,6 +34,10 @@ class AdaptiveScale:
                 self.value = min(self.value, self._step_above(needed / _FILL))
         return self.value
 
+    def use(self, value: float) -> None:
+        """Take a limit as it is, until another is needed."""
+        self.is_set, self.value = True, value
+
     def _step_above(self, value: float) -> float:
         """Return the smallest step that is at least `value`."""
         decade = 10.0 ** math.floor(math.log10(value))
@@ -50,6 +54,10 @@ class ContrastLevels:
     def restart(self) -> None:
         """Adapt to the next frame at once."""
         self._time_s = -math.inf
+
+    def use(self, low: float, high: float) -> None:
+        """Take these levels, in counts, until they follow a frame."""
+        self.levels = (low, max(high, low + 1))
 
     def follow(self, frame: Frame, full_scale: int, *, is_automatic: bool) -> None:
         """Adapt to a frame: to 1 % and 99.8 % of its pixels if automatic, else to 0 and the full scale."""

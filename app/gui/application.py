@@ -14,6 +14,7 @@ from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError
 from app.gui.controller import CLOSING_S
 from app.gui.main_window import MainWindow
+from app.gui.preferences import apply_preferences
 from app.gui.theme import apply_theme
 from app.gui.tour import offer_tour
 from app.gui.window_layout import WINDOW_SIZE
@@ -73,6 +74,8 @@ def run_window(
     application.setApplicationName("svwfs")
     apply_theme(application)
     settings = settings_file() if remembers and offscreen_s is None else None
+    if settings is not None:
+        apply_preferences(application, settings)
     window = MainWindow(make_acquisition, settings=settings, make_for=make_for)
     if offscreen_s is not None:
         until = _UnattendedRun(window, offscreen_s, screenshot, on_finish).is_done
@@ -88,7 +91,7 @@ def run_window(
             window.show()
             if settings is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
-            if settings is not None:
+            else:
                 offer_tour(window, settings)
             open_first(window)
             status = application.exec()

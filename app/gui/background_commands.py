@@ -4,10 +4,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, QProcess
+from PyQt6.QtCore import QObject, QProcess, QProcessEnvironment
 from PyQt6.QtWidgets import QAbstractButton
 
 from app.gui.message_strip import MessageStrip
+from app.gui.presentation import percent
+from app.progress import LINE_START, LINES
 
 _RUN = "import sys; from app.cli import main; sys.exit(main())"
 _END_MS = 3000
@@ -33,16 +35,28 @@ class BackgroundCommands(QObject):
         end: str,
         then: Callable[[], object] | None = None,
     ) -> None:
-        """Run a command to its end, its button `by` grey meanwhile.
+        """Run a command to its end; meanwhile its button `by` is grey and shows the progress.
 
         `begin` and `end` are the messages, `then` is called if it succeeds.
         """
-        process = QProcess(self)
+        process, name, errors = QProcess(self), by.text(), list[str]()
+        environment = QProcessEnvironment.systemEnvironment()
+        environment.insert(LINES, "1")
+        process.setProcessEnvironment(environment)
         by.setEnabled(False)
 
+        def read() -> None:
+            while process.canReadLine():
+                line = bytes(process.readLine().data()).decode(errors="replace").strip()
+                if line.startswith(LINE_START):
+                    by.setText(f"{name} {percent(float(line.removeprefix(LINE_START)))}")
+                elif line:
+                    errors.append(line)
+
         def finish(status: int, how: QProcess.ExitStatus) -> None:
-            errors = bytes(process.readAllStandardError().data()).decode(errors="replace").strip().splitlines()
+            read()
             process.deleteLater()
+            by.setText(name)
             by.setEnabled(True)
             if how is QProcess.ExitStatus.NormalExit and status == 0:
                 self._messages.inform(end)
@@ -51,6 +65,8 @@ class BackgroundCommands(QObject):
             else:
                 self._messages.alarm(errors[-1].removeprefix("svwfs: ") if errors else f"{begin}: failed")
 
+        process.setReadChannel(QProcess.ProcessChannel.StandardError)
+        process.readyReadStandardError.connect(read)
         process.finished.connect(finish)
         self._messages.inform(begin)
         process.start(*command_line(*arguments))

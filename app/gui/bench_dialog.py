@@ -8,6 +8,7 @@ from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QWidget
 
 from app.gui import theme
 from app.gui.widgets import button, column
+from app.gui.wording import as_sentence
 
 Choices = tuple[tuple[str, str, Callable[[], object]], ...]  # text, tool tip, action
 
@@ -54,7 +55,7 @@ def fault_html(sentence: str, lines: tuple[tuple[int, str], ...], faulty: int | 
         f"{'&#9654;' if number == faulty else '&nbsp;'}&nbsp;{number:>4}&nbsp;&nbsp;{_spaced(text)}</span>"
         for number, text in lines
     )
-    shown = f"<p>{escape(sentence[:1].upper() + sentence[1:])}</p>"
+    shown = f"<p>{escape(as_sentence(sentence))}</p>"
     return f'{shown}<p style="font-family: monospace;">{listing}</p>' if lines else shown
 
 

@@ -35,7 +35,7 @@ class BenchFiles(QObject):
     ) -> None:
         """`settings` remember the recent benches and the last one."""
         super().__init__(window)
-        self._window, self._connect, self._controller, self._remembered = window, connect, controller, settings
+        self._window, self._connect, self._controller, self.remembered = window, connect, controller, settings
         self.recent = RecentFiles(settings, "recent/benches")
         self.dialog = BenchDialog(window)
         self.settings: SettingsDialog | None = None  # made when it is needed
@@ -79,14 +79,14 @@ class BenchFiles(QObject):
 
     def offer_last(self) -> None:
         """Ask whether to open the bench that was opened last, if it is a file that still exists."""
-        name = None if self._remembered is None else self._remembered.value(_LAST)
+        name = None if self.remembered is None else self.remembered.value(_LAST)
         if isinstance(name, str) and name and Path(name).is_file():
             question = f'the bench "{Path(name).name}" was open last: open it again?'
             self._controller.ask(question, partial(self.open, name), "Open it", "Not now")
 
     def _remember(self, path: Path) -> None:
-        if self._remembered is not None:
-            self._remembered.setValue(_LAST, str(path.absolute()))
+        if self.remembered is not None:
+            self.remembered.setValue(_LAST, str(path.absolute()))
 
     def edit(self) -> None:
         """Edit the settings of the open bench, with lattice, exposure and current in force."""

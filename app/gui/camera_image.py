@@ -1,4 +1,7 @@
-"""The camera's frame as an image item: pyqtgraph's own converts it twice, Qt's part in threads that wait for a core."""
+"""The camera's frame and its clipped pixels as image items.
+
+pyqtgraph's own converts a frame twice, Qt's part in threads that wait for a core.
+"""
 
 from typing import Any
 
@@ -8,8 +11,11 @@ from numpy.typing import NDArray
 from PyQt6.QtCore import QRectF
 from PyQt6.QtGui import QImage, QPainter
 
+from app.gui import theme
 from app.gui.colours import colour_table
+from app.results.frame_statistics import FrameStatistics
 from app.results.shades import Pixels, shaded
+from drivers.interface import Frame
 
 _SHADES = 256
 
@@ -47,3 +53,22 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
     def paint(self, painter: QPainter, *_: object) -> None:
         """Paint the image."""
         painter.drawImage(self.boundingRect(), self._image)
+
+
+class ClippedPixels(pg.ImageItem):  # type: ignore[misc] # ships no types
+    """Paints clipped pixels red over the camera image."""
+
+    def __init__(self, view: pg.ViewBox) -> None:
+        """Add an item without pixels to a view."""
+        super().__init__(axisOrder="row-major")  # pyqtgraph's default is column-major
+        self.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
+        self.setZValue(0.5)
+        view.addItem(self)
+
+    def show_of(self, frame: Frame, known: FrameStatistics | None) -> None:
+        """Show those of a frame, if there were any when the statistics were taken."""
+        self.setVisible(known is not None and known.clipped_share > 0)
+        if known is not None and self.isVisible():
+            clipped = frame.pixels >= known.clip_level
+            self.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))
+            self.setRect(QRectF(-0.5, -0.5, *clipped.shape[::-1]))

@@ -4,14 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPoint, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QMouseEvent
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
-from app.gui.camera_image import CameraImage
+from app.gui.camera_image import CameraImage, ClippedPixels
+from app.gui.copy_menu import add_copy_menu, as_table
 from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
+from app.gui.lenslet_picker import LensletPicker
 from app.gui.plot import Canvas
 from app.gui.presentation import percent
 from app.gui.segments import Segments
@@ -26,6 +28,10 @@ from reconstruction.lattice.search import Survey
 _AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
 _CLOSEST_PX = 8  # side of the smallest area that fills the view
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
+_HINT = (
+    "Wheel: zoom; drag: move; double click or 0: whole frame\n"
+    "Click: inspect the lenslet; right click: exclude it, copy picture or displacements"
+)
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 
@@ -47,6 +53,7 @@ class CameraPanel(QWidget):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
     lenslet_clicked = pyqtSignal(int, int)  # row and column
+    levels_changed = pyqtSignal(float, float)  # counts that are black and white
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -74,10 +81,10 @@ class CameraPanel(QWidget):
         self.colours.setToolTip("Colours of the camera image")
         self.colours.currentTextChanged.connect(self._show_colours)
 
-        self._graphics = _Picture(self.reset_zoom, self._point_at)
+        self._graphics = _Picture(self._zoom_out, self._point_at)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
-        self._graphics.setMinimumSize(220, 120)
+        self._graphics.setMinimumSize(220, 70)
         unfocused(self._graphics)
         self._image = CameraImage(self._view)
         self._lines = Segments(self._view, theme.ACCENT_ON_IMAGE, alpha=110)
@@ -86,13 +93,13 @@ class CameraPanel(QWidget):
         self._proposed_boxes = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
         self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
         self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
-        self._clipped = _clipped_item()
-        self._view.addItem(self._clipped)
+        self._clipped = ClippedPixels(self._view)
         self._view.sigRangeChanged.connect(self._place_legend)
         self._view.sigResized.connect(self._place_legend)
-        scene = self._graphics.scene()
-        scene.sigMouseMoved.connect(self._point_at)
-        scene.sigMouseClicked.connect(self._click)
+        self._graphics.scene().sigMouseMoved.connect(self._point_at)
+        self.picker = LensletPicker(self._graphics, self._lenslet_at)
+        self.picker.clicked.connect(self._inspect)
+        add_copy_menu(self._graphics, self._displacements, self.picker.fill)
         self.legend = label("", "on-image", self._graphics)
         self.legend.hide()
         self.caption = ElidedLabel("dim")
@@ -130,16 +137,29 @@ class CameraPanel(QWidget):
         is_first = self._frame is None  # a remembered frozen contrast begins with its levels
         is_new_shape = self._frame is None or self._frame.pixels.shape != frame.pixels.shape
         self._frame, self._displacement = frame, displacement
-        choice = self.contrast.currentText()
+        choice, before = self.contrast.currentText(), self._levels.levels
         if choice != _FROZEN or is_first:
             self._levels.follow(frame, self.full_scale, is_automatic=choice != _FULL)
+        if self._levels.levels != before:
+            self.levels_changed.emit(*self._levels.levels)
         self._image.show_counts(frame.pixels, *self._levels.levels)
         if is_new_shape:
             self._placeholder.hide()
             self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
             self.reset_zoom()
-        self._show_clipped(frame)
+        self._clipped.show_of(frame, self._statistics)
         self._show_overlay()
+
+    def use_levels(self, black: float, white: float) -> None:
+        """Freeze the contrast at these counts."""
+        self.contrast.setCurrentText(_FROZEN)
+        self._levels.use(black, white)
+        if self._frame is not None:
+            self.show_frame(self._frame, self._displacement)
+
+    def _zoom_out(self) -> None:
+        self.picker.cancel()
+        self.reset_zoom()
 
     def reset_zoom(self) -> None:
         """Show the whole frame."""
@@ -178,26 +198,26 @@ class CameraPanel(QWidget):
         if self._frame is not None:
             self.show_frame(self._frame, self._displacement)
 
-    def _show_clipped(self, frame: Frame) -> None:
-        """Paint clipped pixels red, if there were any when the statistics were taken."""
-        known = self._statistics
-        self._clipped.setVisible(known is not None and known.clipped_share > 0)
-        if known is not None and self._clipped.isVisible():
-            clipped = frame.pixels >= known.clip_level
-            self._clipped.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))
-            self._clipped.setRect(QRectF(-0.5, -0.5, *clipped.shape[::-1]))
+    def _lenslet_at(self, position: QPointF) -> tuple[int, int] | None:
+        """Return the lenslet at a position of the scene, if any."""
+        at, sensor = self._view.mapSceneToView(position), self._sensor
+        if sensor is None or self._lattice is None:
+            return None
+        return lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
 
-    def _click(self, event: object) -> None:
-        """Request to inspect the lenslet under a click."""
-        position = self._view.mapSceneToView(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
-        sensor, lattice = self._sensor, self._lattice
-        if sensor is None or lattice is None:
-            return
-        shape = (sensor.lenslet_rows, sensor.lenslet_columns)
-        self._inspected = lenslet_at(lattice, shape, position.x(), position.y())
+    def _inspect(self, lenslet: tuple[int, int] | None) -> None:
+        self._inspected = lenslet
         self._show_overlay()
-        if self._inspected is not None:
-            self.lenslet_clicked.emit(*self._inspected)
+        if lenslet is not None:
+            self.lenslet_clicked.emit(*lenslet)
+
+    def _displacements(self, _: QPoint) -> str:
+        """Return the mean displacement of each lenslet as a table."""
+        if self._displacement is None:
+            return ""
+        mean_px = self._displacement.mean
+        rows = (np.array([*at, *mean_px[at]]) for at in np.ndindex(mean_px.shape[:2]))
+        return as_table(("row", "column", "x (px)", "y (px)"), rows)
 
     def _show_overlay(self) -> None:
         lattice, sensor, displacement = self._lattice, self._sensor, self._displacement
@@ -267,7 +287,7 @@ class CameraPanel(QWidget):
             if displacement is None or lattice is None
             else lenslet_at(lattice, displacement.outcome.shape, pointer.x(), pointer.y())
         )
-        self._graphics.setToolTip("Wheel: zoom; drag: move; double click or 0: whole frame; click: inspect the lenslet")
+        self._graphics.setToolTip(_HINT)
         if displacement is None or lenslet is None:
             return text
         name, reason = "row {}, column {}".format(*lenslet), LOST_REASONS[Outcome(int(displacement.outcome[lenslet]))]
@@ -275,11 +295,3 @@ class CameraPanel(QWidget):
             return f"{text}    lenslet {name}"
         self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")
         return f"{text}    lenslet {name}: {reason}"
-
-
-def _clipped_item() -> pg.ImageItem:
-    """Make an image of 1 where a pixel is clipped: red, and transparent elsewhere."""
-    item = pg.ImageItem(axisOrder="row-major")  # pyqtgraph's default is column-major
-    item.setLookupTable(np.array([[0, 0, 0, 0], theme.RED_ON_IMAGE.getRgb()], np.uint8))
-    item.setZValue(0.5)
-    return item

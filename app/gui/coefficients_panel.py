@@ -2,15 +2,16 @@
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QGuiApplication, QKeyEvent, QKeySequence
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTableWidget, QTableWidgetItem, QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.colours import diverging
+from app.gui.copy_menu import add_copy_menu, copy_text
 from app.gui.plot import Plot
-from app.gui.presentation import number, signed
+from app.gui.presentation import signed, with_error
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, column, row, toggle
 from app.results.mode_coefficients import ModeChoice, ModeCoefficients, mode_names
@@ -111,11 +112,11 @@ class CoefficientsPanel(QWidget):
         label_px = 1.5 * self.fontMetrics().horizontalAdvance("Z00")
         step = max(round(label_px * len(values) / max(self.plot.graphics.width(), 1)), 1)
         self.plot.axes["bottom"].setTicks([[(at, names[at].split(" ")[0]) for at in index[::step]]])
-        pinned = f": {self._described(found, self._mapped)}" if self._mapped is not None and found else ""
-        self.title.setText(f"Coefficients ({self._unit}){pinned}")
+        pinned = self._described(found, self._mapped) if self._mapped is not None and found else ""
+        self.title.setText(pinned or f"Coefficients ({self._unit})")
         self.table.show_rows(
             [
-                (name, number(value), number(one))
+                (name, *with_error(value, one))
                 for name, value, one in zip(names[1:], values[1:], sigma[1:], strict=True)
             ],
             self._unit,
@@ -137,8 +138,9 @@ class CoefficientsPanel(QWidget):
 
     def _described(self, found: ModeCoefficients, mode: int) -> str:
         value, sigma = found.rad[mode] * self._per_rad, found.sigma_rad[mode] * self._per_rad
-        error = f" \N{PLUS-MINUS SIGN} {number(sigma, 2)}" if np.isfinite(sigma) else ""
-        return f"{found.names[mode]} {signed(value)}{error}"
+        text, error = with_error(value, sigma)
+        error = f" \N{PLUS-MINUS SIGN} {error}" if np.isfinite(sigma) else ""
+        return f"{text}{error} {self._unit}, {found.names[mode]}"
 
     def _show_map(self, found: ModeCoefficients | None) -> None:
         if found is None or found.field_map is None or self._mapped != found.choice.mapped:
@@ -166,6 +168,8 @@ class CoefficientsPanel(QWidget):
         self.show_coefficients(self._shown)
 
     def _click(self, event: object) -> None:
+        if event.button() != Qt.MouseButton.LeftButton:  # type: ignore[attr-defined] # pyqtgraph's event
+            return
         position = self.plot.view.mapSceneToView(event.scenePos())  # type: ignore[attr-defined] # pyqtgraph's event
         mode = round(position.x())
         if self._shown is not None and 1 <= mode < len(self._shown.rad):
@@ -177,6 +181,7 @@ class _Table(QTableWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, 3, parent)
+        add_copy_menu(self, lambda _: self.text)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         if (header := self.verticalHeader()) is not None:
             header.hide()
@@ -188,7 +193,7 @@ class _Table(QTableWidget):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
         """Copy at Ctrl+C."""
         if event is not None and event.matches(QKeySequence.StandardKey.Copy):
-            self.copy()
+            copy_text(self.text)
         else:
             super().keyPressEvent(event)
 
@@ -206,12 +211,11 @@ class _Table(QTableWidget):
                     self.setItem(index, at, item)
                 item.setText(text)
 
-    def copy(self) -> None:
-        """Copy the selected rows, or all, as lines of tab-separated texts."""
+    @property
+    def text(self) -> str:
+        """The selected rows, or all, as lines of tab-separated texts."""
         rows = sorted({index.row() for index in self.selectedIndexes()}) or range(self.rowCount())
         lines = [[item.text() for at in range(3) if (item := self.item(index, at))] for index in rows]
         heads = [[item.text() for at in range(3) if (item := self.horizontalHeaderItem(at))]]
-        clipboard = QGuiApplication.clipboard()
-        if clipboard is not None:
-            text = "\n".join("\t".join(line) for line in heads + lines)
-            clipboard.setText(text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "nan"))
+        text = "\n".join("\t".join(line) for line in heads + lines)
+        return text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "nan")

@@ -1,37 +1,32 @@
-"""The controls panel: camera, light and stage, calibration, and reconstruction; all values are in SI units."""
+"""The controls panel: the light; devices, calibration in its order, and reconstruction; all values are in SI units."""
 
 from typing import get_args
 
-from PyQt6.QtCore import pyqtBoundSignal, pyqtSignal
-from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import (
-    QAbstractButton,
-    QAbstractSpinBox,
-    QComboBox,
-    QFrame,
-    QGridLayout,
-    QHBoxLayout,
-    QSizePolicy,
-    QWidget,
-)
+from PyQt6.QtCore import QSize, pyqtBoundSignal, pyqtSignal
+from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy, QWidget
 
+from app.acquisition.calibration_steps import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.acquisition.instrument import Status
-from app.acquisition.validity import Validity
+from app.acquisition.validity import Validity, taken_at
 from app.bench.config import AUTOMATIC
 from app.gui import theme
+from app.gui.names import NAMES
 from app.gui.number_field import NumberField
-from app.gui.widgets import Choice, Slot, button, label, row, toggle
+from app.gui.presentation import percent
+from app.gui.step_button import StepButton
+from app.gui.widgets import Choice, Item, Slot, button, column, label, row, toggle
 from app.measurement.routines.averages import AVERAGED_FRAMES
+from app.results.frame_statistics import FrameStatistics
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
 from reconstruction.wavefront import Wavefront
 
 _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
-_GAP = 4  # px between controls
+_GAP, _GROUP_GAP = 4, 8  # px between controls, and between groups of them
+_LIGHT_WIDTH, _LIGHT_LAMP = 96, 20  # px
 _PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest stands for automatic
-_LAMPS: dict[Validity, QColor] = {"missing": theme.DIM, "doubtful": theme.AMBER, "good": theme.GREEN}
-_STATES: dict[Validity, str] = {"missing": "Missing", "doubtful": "Stale", "good": "Good"}
 _DARK_TIP = "Average frames with the light off: the background of all frames (D)"
+_DIM = 0.3  # share of full scale below which noise matters
 _REFERENCE_TIP = "Average frames without the sample: spot positions that count as zero (R)"
 _WARP_TIP = (
     "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
@@ -68,18 +63,38 @@ class ControlsPanel(QFrame):
         """Start with averages over `frames` frames."""
         super().__init__(parent)
         self.setProperty("role", "strip")
-        self._layout = QHBoxLayout(self)
-        self._layout.setContentsMargins(8, 6, 8, 8)
-        self._layout.setSpacing(5)  # all controls fit into a window 900 px wide
         self._make_camera()
         self._make_bench()
         self._make_calibration(frames)
         self._make_reconstruction()
+        light = column((self.light, 1), self.current, spacing=5)
+        rule = QFrame()
+        rule.setFixedWidth(1)
+        rule.setProperty("role", "rule")
+        exposure = _named("Exposure", (self.exposure, 2))
+        gain = _named("Gain", (self.em_gain, 1), (self.amplifier, 1))
+        devices = (self.start, self.sensor_region, (exposure, 3), (gain, 4), (_named("Speed", self.readout_speed), 0))
+        calibration: list[Item] = [self.lattice]
+        for step in (self.auto_exposure, self.dark, self.reference):
+            calibration += [label("\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}", "dim"), step]
+        lines = (
+            row(*devices, self.sample, (self.mask_choice, 2), spacing=_GROUP_GAP),
+            row(*calibration, _named("Frames", self.frames), self.calibrate, spacing=_GROUP_GAP // 2),
+            row(
+                (_named("Matching", (self.registration, 3), (self.warp, 2)), 5),
+                (_named("Wavefront", (self.method, 1), (self.basis, 1)), 4),
+                (_named("Modes", (self.pupil_modes, 1)), 2),
+                (self.refine, 1),
+                spacing=_GROUP_GAP,
+            ),
+        )
+        row(light, rule, (column(*lines, spacing=5), 1), spacing=_GROUP_GAP, parent=self).setContentsMargins(8, 6, 8, 6)
         self.setEnabled(False)
 
     def _make_camera(self) -> None:
         self._is_running = False
         self.start = button("Start", "Start or stop taking frames (Space)", self._toggle_running)
+        self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP)
         self.sensor_region = button(
             "Region\N{HORIZONTAL ELLIPSIS}",
             "Choose the sensor region and the binning (P)",
@@ -96,46 +111,48 @@ class ControlsPanel(QFrame):
             "Readout speed: faster is noisier; a change restarts the camera",
             lambda speed: self.readout_speed_requested.emit(int(speed)),
         )
-        readout = row((self.start, 1), (self.sensor_region, 1), self.readout_speed, spacing=_GAP)
-        gain = row(label("Gain", "dim"), (self.em_gain, 1), (self.amplifier, 1), spacing=_GAP)
-        self._add_section("Camera", readout, ("Exposure", self.exposure), gain)
 
     def _make_bench(self) -> None:
         self.light = toggle("Light off", "Switch the light (L)", self.light_requested)
+        self.light.setProperty("role", "light")
+        self.light.setIconSize(QSize(_LIGHT_LAMP, _LIGHT_LAMP))
+        self.light.setMinimumWidth(_LIGHT_WIDTH)
+        self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         self.sample = toggle("Sample out", "Move the sample into or out of the beam (S)", self.sample_requested)
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
         self.current.entered.connect(self.current_requested)
         self.mask_choice = _choice(
             "Mask in front of the light; a new mask needs a new reference (R)", self.mask_requested
         )
-        switches = _pair(self.light, self.sample)
-        self._add_section("Light and stage", switches, ("Current", self.current), ("Mask", self.mask_choice))
 
     def _make_calibration(self, frames: int) -> None:
         self.frames = NumberField(name="Frames", tool_tip="Number of frames averaged into a dark or a reference")
         self.frames.show_value(frames, _FRAMES_RANGE)
-        self.dark = button("Dark", _DARK_TIP, lambda: self._request_average(self.dark_requested))
-        self.reference = button("Reference", _REFERENCE_TIP, lambda: self._request_average(self.reference_requested))
-        self.lattice = button(
-            "Lattice", "Find the lenslets in the reference and propose a lattice (N)", self.lattice_requested
+        self.lattice = StepButton(
+            f"1 {LATTICE.title}",
+            "Find the lenslets in the reference and propose a lattice (N)",
+            self.lattice_requested,
+            widest="",
         )
-        self.auto_exposure = button(
-            "Expose",
+        self.auto_exposure = StepButton(
+            f"2 {EXPOSURE.title}",
             "Find the exposure, and if needed the current, that fills 70 % of the camera's range (X)",
             self.auto_exposure_requested,
+        )
+        self.dark = StepButton(f"3 {DARK.title}", _DARK_TIP, lambda: self._request_average(self.dark_requested))
+        self.reference = StepButton(
+            f"4 {REFERENCE.title}", _REFERENCE_TIP, lambda: self._request_average(self.reference_requested)
         )
         self.calibrate = button(
             "Calibrate",
             "Find lattice and exposure, take dark and reference, with an explanation of each step (Ctrl+K)",
             lambda: self._request_average(self.calibration_requested),
         )
-        averages, searches = _pair(self.dark, self.reference), _pair(self.lattice, self.auto_exposure)
-        self._add_section("Calibration", averages, ("Frames", _pair(self.frames, self.calibrate)), searches)
 
     def _make_reconstruction(self) -> None:
         self.registration = self._setting(
             "registration.method",
-            "Matching of the subimages with the reference: gauss_newton is this instrument's own method;\n"
+            "Matching of the subimages with the reference: Gauss-Newton is this instrument's own method;\n"
             "the others come from the paper and related software, and some are too slow for live use",
         )
         self.warp = self._setting("registration.warp", _WARP_TIP)
@@ -144,7 +161,7 @@ class ControlsPanel(QFrame):
         )
         self.basis = self._setting(
             "reconstruction.basis",
-            "Polynomials of the modal method: legendre for a square pupil, zernike for a circular one",
+            "Polynomials of the modal method: Legendre for a square pupil, Zernike for a circular one",
         )
         self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
         self.pupil_modes.entered.connect(
@@ -154,12 +171,6 @@ class ControlsPanel(QFrame):
             "Refine",
             "Correct systematic errors by a simulation of your bench, updated about every second (F)",
             lambda on: self._request("reconstruction.refine", on),
-        )
-        self._add_section(
-            "Reconstruction",
-            ("Matching", _pair(self.registration, self.warp)),
-            ("Wavefront", _pair(self.method, self.basis)),
-            ("Modes", _pair(self.pupil_modes, self.refine)),
         )
 
     def _setting(self, key: str, tool_tip: str) -> Choice:
@@ -176,30 +187,9 @@ class ControlsPanel(QFrame):
     def _toggle_running(self) -> None:
         self.running_requested.emit(not self._is_running)
 
-    def _add_section(self, title: str, *lines: QHBoxLayout | tuple[str, QWidget | QHBoxLayout]) -> None:
-        """Add a column of controls under a title, separated from the previous one; some have a label."""
-        if self._layout.count():
-            rule = QFrame()
-            rule.setFixedWidth(1)
-            rule.setProperty("role", "rule")
-            self._layout.addWidget(rule)
-        grid = QGridLayout()
-        grid.setVerticalSpacing(5)
-        grid.setHorizontalSpacing(_GAP)
-        grid.setColumnStretch(1, 1)
-        grid.addWidget(label(title, "title"), 0, 0, 1, 2)
-        for index, line in enumerate(lines, 1):
-            grid.setRowMinimumHeight(index, self.start.sizeHint().height())  # aligns the rows of all sections
-            if not isinstance(line, tuple):
-                grid.addLayout(line, index, 0, 1, 2)
-                continue
-            grid.addWidget(label(line[0], "dim"), index, 0)
-            grid.addLayout(row((line[1], 1)), index, 1)
-        self._layout.addLayout(grid, 2 if title == "Reconstruction" else 1)  # it has the longest texts
-
     def show_switching_off(self) -> None:
         """Show that the light is being switched off."""
-        self.light.setText("Switching off \N{HORIZONTAL ELLIPSIS}")
+        self.light.setText("Switching\noff \N{HORIZONTAL ELLIPSIS}")
 
     def enable_devices(self, *, is_enabled: bool) -> None:
         """Enable all, or only the reconstruction and the start button: a recording plays in place of the devices."""
@@ -237,23 +227,25 @@ class ControlsPanel(QFrame):
         for choice in (self.basis, self.pupil_modes):
             choice.setEnabled(reconstruction.method == "modal")
         for shown, texts, is_on, colour in (
-            (self.light, _light_texts(status), status.is_light_on, theme.AMBER),
+            (self.light, _light_texts(status), status.is_light_on, theme.LIT),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
         ):
             shown.setText(texts[is_on])
             shown.setChecked(is_on)
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
         about_reference = "\n".join(filter(None, (status.reference_note, status.mask_note)))
-        for taken, validity, tool_tip, note in (
-            (self.dark, status.dark, _DARK_TIP, status.dark_note),
-            (self.reference, status.reference, _REFERENCE_TIP, about_reference),
-        ):
-            is_missing = validity == "missing"
-            taken.setIcon(theme.validity_lamp(_LAMPS[validity], is_good=validity == "good", is_missing=is_missing))
-            taken.setToolTip(f"{tool_tip}\n\n{_STATES[validity]}: {note}")
+        self.dark.show_step(status.dark, taken_at(status.dark_note), status.dark_note)
+        self.reference.show_step(status.reference, taken_at(status.reference_note), about_reference)
+        lattice = status.lattice
+        self.lattice.show_step(
+            "missing" if lattice is None else "good", "", "" if lattice is None else f"pitch {lattice.pitch_px:.3f} px"
+        )
 
-    def show_automatic(self, wavefront: Wavefront | None) -> None:
-        """Tell in the tool tips what was chosen automatically for a wavefront."""
+    def show_measured(self, wavefront: Wavefront | None, statistics: FrameStatistics) -> None:
+        """Show how bright a frame is, and in the tool tips what was chosen automatically for its wavefront."""
+        share = statistics.peak / statistics.clip_level
+        state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
+        self.auto_exposure.show_step(state, percent(share), "brightest pixel beside full scale; 70 % is best")
         warp, modes = _WARP_TIP, _MODES_TIP
         if wavefront is not None and self.warp.isEnabled() and self.warp.currentText() == AUTOMATIC:
             fields = wavefront.displacement.modes.count
@@ -266,7 +258,7 @@ class ControlsPanel(QFrame):
 
 def _light_texts(status: Status) -> tuple[str, str]:
     """Texts for a light that is off and on; of a manual one only what a person has said is known."""
-    return ("Light noted off", "Light by hand") if status.bench.has_manual_light else ("Light off", "Light on")
+    return ("Light\nnoted off", "Light\nby hand") if status.bench.has_manual_light else ("Light off", "Light on")
 
 
 def _uses_warp(registration: RegistrationSettings) -> bool:
@@ -275,23 +267,24 @@ def _uses_warp(registration: RegistrationSettings) -> bool:
     return registration.method == "gauss_newton"
 
 
-def _pair(left: QWidget, right: QWidget) -> QHBoxLayout:
-    return row((left, 1), (right, 1), spacing=_GAP)
+def _named(name: str, *controls: Item) -> QHBoxLayout:
+    return row(label(name, "dim"), *controls, spacing=_GAP)
 
 
 def _choice(tool_tip: str, chosen: Slot) -> Choice:
-    choice = Choice()
-    choice.textActivated.connect(chosen)
+    choice, send = Choice(), chosen if callable(chosen) else chosen.emit
+    choice.activated.connect(lambda index: send(choice.itemData(index)))
     choice.setToolTip(tool_tip)
     choice.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     return choice
 
 
 def _show_choice(choice: Choice, allowed: tuple[str, ...], chosen: str) -> None:
-    if tuple(choice.itemText(index) for index in range(choice.count())) != allowed:
+    if tuple(choice.itemData(index) for index in range(choice.count())) != allowed:
         choice.clear()
-        choice.addItems(allowed)
+        for value in allowed:
+            choice.addItem(NAMES.get(value, value), value)
         if (items := choice.view()) is not None:
             items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
-    choice.setCurrentText(chosen)  # does not emit `textActivated`
+    choice.setCurrentIndex(choice.findData(chosen))  # does not emit `activated`
     choice.setEnabled(len(allowed) > 1)

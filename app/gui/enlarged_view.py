@@ -65,7 +65,7 @@ class EnlargedMap(ViewGrid):
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Move the cursor to the pointer."""
-        if event is not None:
+        if event is not None and event.button() == Qt.MouseButton.LeftButton:
             self._move(event.pos())
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name

@@ -36,6 +36,19 @@ def export_view(window: MainWindow) -> None:
         window.messages.inform(f"saved {path} and {results.name}")
 
 
+def export_history(window: MainWindow) -> None:
+    """Ask for a name, and write the history as CSV."""
+    name, _ = QFileDialog.getSaveFileName(window, "Export the history", "history.csv", "Table (*.csv)")
+    if not name:
+        return
+    try:
+        window.tabs.history.history.write_csv(path := Path(name).with_suffix(".csv"))
+    except RunError as error:
+        window.messages.warn(str(error))
+    else:
+        window.messages.inform(f"saved {path}")
+
+
 def choose_recording(window: MainWindow) -> None:
     """Ask for a recording and play it in another window."""
     before = str(window.controller.recordings_folder)

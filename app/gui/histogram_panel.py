@@ -2,7 +2,7 @@
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
@@ -14,18 +14,27 @@ from app.results.frame_statistics import NEARLY_FULL, FrameStatistics
 
 
 class HistogramPanel(QWidget):
-    """Number of pixels over their counts, on a logarithmic scale; dashed lines at 95 % and where pixels clip."""
+    """Number of pixels over their counts, on a logarithmic scale; dashed lines at 95 % and where pixels clip.
+
+    Two handles set which counts are black and white in the camera picture.
+    """
+
+    levels_chosen = pyqtSignal(float, float)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         keys = (("95 %", theme.AMBER), ("clipped", theme.RED))
         self.plot = Plot("Histogram", "counts", keys, widest="10000")
         self.plot.setToolTip(
-            "Number of pixels over their counts. Keep the brightest below 95 % of the level that clips."
+            "Number of pixels over their counts. Keep the brightest below 95 % of the level that clips.\n"
+            "Drag the handles to choose which counts are black and white in the camera picture."
         )
         self.curve = pg.PlotCurveItem(x=[0, 1], y=[0], stepMode="center", fillLevel=0)
         self.plot.view.addItem(self.curve)
         self._lines = [pg.InfiniteLine(0, angle=90) for _ in keys]
+        self.levels = pg.LinearRegionItem(swapMode="block", brush=(0, 0, 0, 0))
+        self.levels.sigRegionChanged.connect(lambda: self.levels_chosen.emit(*self.levels.getRegion()))
+        self.plot.view.addItem(self.levels)
         self.plot.colour(self._colour)
         for line in self._lines:
             self.plot.view.addItem(line)
@@ -37,8 +46,17 @@ class HistogramPanel(QWidget):
         fill = QColor(theme.ACCENT)
         fill.setAlpha(100)
         self.curve.setBrush(fill)
+        for handle in self.levels.lines:
+            handle.setPen(pg.mkPen(theme.TEXT, width=2))
+            handle.setHoverPen(pg.mkPen(theme.ACCENT, width=3))
         for line, colour in zip(self._lines, (theme.AMBER, theme.RED), strict=True):
             line.setPen(pg.mkPen(colour, width=1, style=Qt.PenStyle.DashLine))
+
+    def show_levels(self, black: float, white: float) -> None:
+        """Show the counts that are black and white."""
+        self.levels.blockSignals(True)
+        self.levels.setRegion((black, white))
+        self.levels.blockSignals(False)
 
     def show_statistics(self, found: FrameStatistics) -> None:
         """Show the histogram of a frame, if visible."""

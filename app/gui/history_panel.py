@@ -1,18 +1,20 @@
 """Strip charts of the recent minutes, one above the other on a common time axis."""
 
 import numpy as np
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtWidgets import QScrollArea, QWidget
 
 from app.gui import theme
 from app.gui.plot import Plot
 from app.gui.presentation import NOTHING, number
-from app.gui.widgets import Choice, ElidedLabel, column, row, toggle
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, History
+from app.gui.widgets import Choice, ElidedLabel, button, column, row, toggle, unfocused
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, Drift, History
 from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats
 
 _MINUTES = (1, 2, 5, 10, 20)
+_SAMPLES = (20, 100, 500, 2000)
 _HINT = "click a bar of Coefficients to add it"
 _ABOUT = {
     RMS: "Mean RMS of the shown views",
@@ -23,10 +25,11 @@ _ABOUT = {
 _WIDEST = "\N{MINUS SIGN}00.00"  # number on an axis
 _NAME = "Z00 astigmatism at 00"  # its width is that of all names
 _LEAST_LINES = 2  # height of a chart
+_DRIFT = "mean \N{MINUS SIGN}0.000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
 
 
 class StripChart(QWidget):
-    """Name and newest value of a series, and its curve beside them."""
+    """Name and newest value of a series, its curve beside them, and its statistics."""
 
     def __init__(self, name: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -38,7 +41,11 @@ class StripChart(QWidget):
         self.plot = _plot(None)
         self.plot.graphics.setMinimumHeight(_LEAST_LINES * self.fontMetrics().height() + 9)
         self.curve = self.plot.add_curve(theme.ACCENT, 1)
-        row(labels, (self.plot, 1), parent=self)
+        self.drift = [ElidedLabel("dim") for _ in range(2)]
+        drift = QWidget()
+        column(*self.drift, spacing=0, parent=drift).addStretch()
+        drift.setFixedWidth(_drift_width(self))
+        row(labels, (self.plot, 1), drift, parent=self)
         labels.setFixedWidth(name_width(self))
 
     def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str) -> None:
@@ -53,9 +60,19 @@ class StripChart(QWidget):
         is_known = bool(known.size and known[-1])
         self.value.setText(f"{number(float(values[-1]))} {unit}" if is_known else NOTHING)
 
+    def show_drift(self, found: Drift, samples: int) -> None:
+        """Show the statistics of the last samples."""
+        sigma = f"\N{GREEK SMALL LETTER SIGMA} {number(found.sigma, 2)}"
+        self.drift[0].setText(f"mean {number(found.mean, 4)}  {sigma}")
+        self.drift[1].setText(f"peak to peak {number(found.peak_to_peak, 2)}")
+        for each in self.drift:
+            each.setToolTip(f"Mean, standard deviation and peak to peak of the last {samples} samples")
+
 
 class HistoryPanel(QWidget):
     """Charts of the chosen series."""
+
+    export_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -71,18 +88,36 @@ class HistoryPanel(QWidget):
             self.minutes.addItem(f"{minutes} min", minutes)
         self.minutes.setCurrentIndex(1)
         self.minutes.setToolTip("Time shown")
-        self.minutes.currentIndexChanged.connect(self.refresh)
+        self.samples = Choice()
+        for samples in _SAMPLES:
+            self.samples.addItem(f"last {samples}", samples)
+        self.samples.setCurrentIndex(1)
+        self.samples.setToolTip(
+            "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second"
+        )
+        for choice in (self.minutes, self.samples):
+            choice.currentIndexChanged.connect(self.refresh)
+        self.export = button("Export", "Save all series as CSV", self.export_requested)
         self._hint = ElidedLabel("dim")
         self._hint.setText(_HINT)
         self.charts: dict[str, StripChart] = {}
-        self._rows = column(spacing=0)
+        area, charts = QScrollArea(), QWidget()  # many charts do not make the window larger than its screen
+        area.setWidget(charts)
+        area.setWidgetResizable(True)
+        area.setFrameShape(QScrollArea.Shape.NoFrame)
+        area.setMinimumHeight(2 * self.fontMetrics().height())
+        unfocused(area)
+        self._rows = column(spacing=0, parent=charts)
         self.time_axis = _plot("minutes")
         self.time_axis.axes["left"].setTicks([[]])
         self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
-        beside = QWidget()
+        beside, after = QWidget(), QWidget()
+        row(self.export, (QWidget(), 1), parent=beside)
+        column(self.samples, parent=after).addStretch()
         beside.setFixedWidth(name_width(self))
+        after.setFixedWidth(_drift_width(self))
         header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
-        column(header, (self._rows, 1), row(beside, (self.time_axis, 1)), spacing=2, parent=self)
+        column(header, (area, 1), row(beside, (self.time_axis, 1), after), spacing=2, parent=self)
         self._arrange()
 
     def use_unit(self, unit: Unit, per_rad: float) -> None:
@@ -111,8 +146,10 @@ class HistoryPanel(QWidget):
         for name, chart in self.charts.items():
             time_s, values = self.history.series(name)
             recent = time_s >= -60 * span_min
-            values = values[recent] * (1.0 if name in UNITS else self._per_rad)
-            chart.show_series(time_s[recent] / 60, values, span_min, UNITS.get(name, self._unit))
+            values *= 1.0 if name in UNITS else self._per_rad
+            chart.show_series(time_s[recent] / 60, values[recent], span_min, UNITS.get(name, self._unit))
+            samples = self.samples.currentData()
+            chart.show_drift(Drift.of(values[-samples:]), samples)
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
         """Draw what has come while hidden."""
@@ -136,6 +173,10 @@ class HistoryPanel(QWidget):
 def name_width(widget: QWidget) -> int:
     """Return the width of the names, px."""
     return widget.fontMetrics().horizontalAdvance(_NAME)
+
+
+def _drift_width(widget: QWidget) -> int:
+    return widget.fontMetrics().horizontalAdvance(_DRIFT)
 
 
 def _plot(bottom: str | None) -> Plot:

@@ -13,7 +13,7 @@ from app.gui.colours import diverging
 from app.gui.number_field import NumberField
 from app.gui.plot import Plot
 from app.gui.presentation import number, signed
-from app.gui.view_grid import Maps, ViewGrid
+from app.gui.view_grid import Caption, Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, column, row
 from app.measurement.measurement import Measurement
 from app.results.layers.answers import FoundLayers, LayersRequest
@@ -155,10 +155,12 @@ class LayersPanel(QWidget):
 
         self.map.is_stale = False
         self.map.show_maps(Maps(values[None], diverging(limit, unit), describe, True, reach_mm, "mm"))
-        wide = (f"half width {reach_mm[0]:.2f} mm", f"\N{PLUS-MINUS SIGN} {reach_mm[0]:.1f} mm")
-        self.map.set_captions(
-            {(0, index): ((f"{at_m * 1e3:.1f} mm",), wide) for index, at_m in enumerate(found.distances_m)}
-        )
+        wide = (f"map {2 * reach_mm[0]:.1f} mm wide", f"{2 * reach_mm[0]:.1f} mm wide")  # not after +-
+        captions: dict[tuple[int, int], Caption] = {}
+        for index, (at_m, sigma_m) in enumerate(zip(found.distances_m, found.sigma_m, strict=True)):
+            at = (distance_in_words(at_m, sigma_m, found.origin), f"{at_m * 1e3:.1f} mm")
+            captions[0, index] = (at, wide)
+        self.map.set_captions(captions)
 
     def _enter(self, typed_m: float) -> None:
         if self._bench is not None:

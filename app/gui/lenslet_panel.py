@@ -1,16 +1,18 @@
 """The lenslet inspector: subimages, residual and numbers of the lenslet that was clicked."""
 
 import numpy as np
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
+from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.colours import ColourScale, diverging
-from app.gui.presentation import number, percent, signed
+from app.gui.presentation import number, percent, with_error
 from app.gui.view_grid import Maps, ViewGrid
-from app.gui.widgets import ElidedLabel, column, label, row
+from app.gui.widgets import ElidedLabel, button, column, label, row
 from app.gui.wording import LOST_REASONS
 from app.results.lenslet_inspection import LensletInspection
 from reconstruction.arrays import Floats
+from reconstruction.displacement import Outcome
 
 _LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
 
@@ -18,9 +20,12 @@ _LIGHT = (0.0, 0.5, 1.0)  # numbered fractions of the colour bar
 class LensletPanel(QWidget):
     """Shows one lenslet of the newest frame."""
 
+    exclusion_requested = pyqtSignal(int, int)  # of the shown lenslet, or its end
+
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.lenslet: tuple[int, int] | None = None  # row and column
+        self._top, self._most = AdaptiveScale(RANGES), AdaptiveScale(RANGES)  # of light and residual, counts
         self.title = ElidedLabel("title")
         self.numbers, self.quality = ElidedLabel(), ElidedLabel()
         self.tiles = {name: ViewGrid() for name in ("Reference", "Frame", "Frame, warped back", "Residual")}
@@ -31,7 +36,13 @@ class LensletPanel(QWidget):
             tile.setFocusPolicy(Qt.FocusPolicy.NoFocus)
             tile.empty = ""
             columns.append((column(label(name, "dim"), (tile, 1), spacing=2), 1))
-        column(self.title, (row(*columns, spacing=10), 1), column(self.numbers, self.quality, spacing=0), parent=self)
+        self.exclude = button(
+            "Exclude",
+            "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings",
+            self._exclude,
+        )
+        header = row((self.title, 1), self.exclude)
+        column(header, (row(*columns, spacing=10), 1), column(self.numbers, self.quality, spacing=0), parent=self)
         self.select(None)
 
     def select(self, lenslet: tuple[int, int] | None) -> None:
@@ -40,6 +51,7 @@ class LensletPanel(QWidget):
         self.title.setText(
             "Click a lenslet in the camera image" if lenslet is None else "Lenslet row {}, column {}".format(*lenslet)
         )
+        self.exclude.setEnabled(lenslet is not None)
         self._write("" if lenslet is None else "computing \N{HORIZONTAL ELLIPSIS}")
         for tile in self.tiles.values():
             tile.show_maps(None)
@@ -59,21 +71,25 @@ class LensletPanel(QWidget):
         self.title.setText(
             f"Lenslet row {found.row}, column {found.column}: {'lost, ' + reason if reason else 'converged'}"
         )
+        self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
-        light = ColourScale("inferno", 0.0, top, "", _LIGHT)
+        light = ColourScale("inferno", 0.0, self._top.follow(top), "", _LIGHT)
         images = (found.reference, found.frame, found.fitted, found.residual)
         for tile, image in zip(self.tiles.values(), images, strict=True):
-            scale = light if image is not found.residual or image is None else _residual_scale(image)
+            scale = light if image is not found.residual or image is None else self._residual_scale(image)
             tile.show_maps(None if image is None else Maps(image[None, None], scale, _describe))
         self._write(*_numbers(found))
+
+    def _residual_scale(self, residual: Floats) -> ColourScale:
+        return diverging(self._most.follow(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0)), "")
+
+    def _exclude(self) -> None:
+        if self.lenslet is not None:
+            self.exclusion_requested.emit(*self.lenslet)
 
     def _write(self, numbers: str, quality: str = "") -> None:
         self.numbers.setText(numbers)
         self.quality.setText(quality)
-
-
-def _residual_scale(residual: Floats) -> ColourScale:
-    return diverging(max(float(np.nanmax(np.abs(residual), initial=0.0)), 1.0), "")
 
 
 def _numbers(found: LensletInspection) -> tuple[str, str]:
@@ -81,7 +97,7 @@ def _numbers(found: LensletInspection) -> tuple[str, str]:
     if not np.isfinite(found.displacement_px).all():
         return "", ""
     x, y = (
-        f"{axis} {signed(float(value))} \N{PLUS-MINUS SIGN} {number(float(sigma), 2)}"
+        f"{axis} " + " \N{PLUS-MINUS SIGN} ".join(with_error(float(value), float(sigma)))
         for axis, value, sigma in zip("xy", found.displacement_px, found.sigma_px, strict=True)
     )
     parts = [

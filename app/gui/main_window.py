@@ -65,11 +65,10 @@ class MainWindow(NeutralFocusWindow):
         `settings`, and saves how it looks when it closes.
         """
         super().__init__()
-        self._settings = settings
+        self._settings, self._is_closing, self._refreshes = settings, False, 0
         self._measurement: Measurement | None = None
         self._status: Status | None = None
         self._failure, self._activity = "", Activity()
-        self._is_closing, self._refreshes = False, 0
         self._late = LateMeasurements()
         self._conditions: tuple[object, ...] = ()  # of the frames
         self._changed_s = -math.inf  # time of their last change
@@ -123,9 +122,10 @@ class MainWindow(NeutralFocusWindow):
 
     def connect_devices(self) -> None:
         """Open the devices and start measuring, also after a failure."""
-        self._measurement, self._status, self._failure = None, None, ""
+        self._measurement, self._status, self._failure, self._activity = None, None, "", Activity("opening the devices")
         self.status_line.restart()
         self.controller.connect_devices()
+        self.update_text()
         self._timer.start()
 
     def open(
@@ -220,7 +220,7 @@ class MainWindow(NeutralFocusWindow):
             statistics = frame_statistics(measurement.frame.pixels, self.camera_panel.full_scale)
             self.camera_panel.show_statistics(statistics)
             self.tabs.histogram.show_statistics(statistics)
-            self.controls.show_automatic(measurement.wavefront)
+            self.controls.show_measured(measurement.wavefront, statistics)
         if measurement is not None and (now := self.controller.status) is not None:
             full_scale, temperature_c = now.capabilities.full_scale, now.temperature_c
             self.tabs.record(measurement, full_scale=full_scale, temperature_c=temperature_c)

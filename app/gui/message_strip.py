@@ -9,6 +9,7 @@ from PyQt6.QtWidgets import QFrame, QProgressBar, QWidget
 from app.acquisition.worker import Activity
 from app.gui import theme
 from app.gui.widgets import ElidedLabel, button, colour_text, row
+from app.gui.wording import as_sentence
 
 _NOTICE_S = 8.0  # how long a notice is shown
 
@@ -155,17 +156,11 @@ class MessageStrip(QFrame):
 
     def _say(self, text: str) -> None:
         if text:
-            self.said.emit(_sentence(text))
+            self.said.emit(as_sentence(text))
 
     def _show(self, text: str, colour: QColor) -> None:
-        sentence = _sentence(text)
+        sentence = as_sentence(text)
         if (sentence, colour) != self._shown:
             self._shown = (sentence, colour)
             self.text.setText(sentence)
             colour_text(self.text, colour)
-
-
-def _sentence(text: str) -> str:
-    """Begin a message with a capital, unless it begins with the name of a file."""
-    first = text.partition(" ")[0].rstrip(":,;")
-    return text if "." in first else text[:1].upper() + text[1:]

@@ -71,9 +71,18 @@ class PanelDocks:
     """The docks of a window."""
 
     def __init__(
-        self, window: QMainWindow, camera: Dock, wavefronts: Dock, analysis: Mapping[str, QWidget], controls: Dock
+        self,
+        window: QMainWindow,
+        camera: Dock,
+        wavefronts: Dock,
+        analysis: Mapping[str, QWidget],
+        controls: Dock,
+        bar: QWidget,
     ) -> None:
-        """Dock all panels in the default layout; those of the `analysis` are tabs, by title."""
+        """Dock all panels in the default layout; those of the `analysis` are tabs, by title.
+
+        The `bar` stands above the controls, which stay in place when it opens.
+        """
         self._window, self._camera, self._wavefronts, self._controls = window, camera, wavefronts, controls
         self._analysis = [Dock(title, panel) for title, panel in analysis.items()]
         self._closed: list[Dock] = []  # by `toggle_analysis`
@@ -83,9 +92,12 @@ class PanelDocks:
         self._settle = QTimer(window)  # after all the signals of a change
         self._settle.setSingleShot(True)
         self._settle.timeout.connect(self._show_titles)
+        self.settled = self._settle.timeout
         self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
         self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        window.setCentralWidget(self._hint)
+        middle = QWidget()
+        column((self._hint, 1), bar, spacing=0, parent=middle)
+        window.setCentralWidget(middle)
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
                 changed.connect(lambda *_: self._settle.start(0))

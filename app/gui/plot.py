@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
+from app.gui.copy_menu import add_copy_menu, as_table
 from app.gui.widgets import ElidedLabel, colour_text, column, label, row, unfocused
 
 
@@ -83,6 +85,12 @@ class Plot(QWidget):
             colour_text(key, colour)
             header.addWidget(key)
         column(header, (self.graphics, 1), spacing=2, parent=self)
+        add_copy_menu(self, lambda _: self._numbers())
+
+    def _numbers(self) -> str:
+        """Return x and y of each curve as a table."""
+        known = [(x, y) for x, y in (curve.getData() for curve in self.curves) if x is not None and len(x)]
+        return "\n\n".join(as_table(("x", "y"), np.c_[x, y]) for x, y in known)
 
     def add_curve(self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine) -> pg.PlotCurveItem:
         """Add an empty curve."""

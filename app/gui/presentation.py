@@ -64,6 +64,16 @@ def number(value: float, digits: int = 3) -> str:
     )
 
 
+def with_error(value: float, sigma: float) -> tuple[str, str]:
+    """Format a value with its sign and its error, which has two digits; both end at the same decimal."""
+    if not (math.isfinite(value) and sigma > 0):
+        return signed(value), number(sigma, 2)
+    decimals = 1 - math.floor(math.log10(float(f"{sigma:.1e}")))
+    if not 0 <= decimals <= _MOST_DECIMALS:
+        return signed(value), number(sigma, 2)
+    return f"{value:+.{decimals}f}".replace("-", "\N{MINUS SIGN}"), f"{sigma:.{decimals}f}"
+
+
 def percent(share: float, decimals: int = 0) -> str:
     """Format a share of 1 in percent."""
     return f"{100 * share:.{decimals}f} %"

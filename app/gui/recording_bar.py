@@ -189,7 +189,12 @@ class RecordingBar(QFrame):
 
     def _open(self) -> None:
         if self.folder is not None:
-            QDesktopServices.openUrl(QUrl.fromLocalFile(str(self.folder)))
+            self._show(self.folder)
+
+    def _show(self, path: Path) -> None:
+        """Show a file in the program that the desktop has for it."""
+        if not QDesktopServices.openUrl(QUrl.fromLocalFile(str(path))):
+            self._messages.alarm(f"{path} cannot be shown here: this desktop has no program for it")
 
     def _replay(self) -> None:
         if self.folder is not None:
@@ -203,7 +208,7 @@ class RecordingBar(QFrame):
                 f"writing the report of {self.folder.name}",
                 *("report", self.folder, "--out", out, "--overwrite"),
                 end=f"the report is in {out}",
-                then=lambda: QDesktopServices.openUrl(QUrl.fromLocalFile(str(out))),
+                then=lambda: self._show(out),
             )
 
     def _export(self, to: str) -> None:

@@ -160,7 +160,7 @@ class SettingsDialog(QDialog):
             area.setWidget(inner)
             area.setWidgetResizable(True)
             self.pages.addWidget(area)
-            self.sections.addItem(section.path.replace(".", " \N{RIGHTWARDS ARROW} "))
+            self.sections.addItem(" \N{RIGHTWARDS ARROW} ".join(part.capitalize() for part in section.path.split(".")))
             if section.path == shown:
                 self.sections.setCurrentRow(self.sections.count() - 1)
         self._check()
@@ -173,9 +173,10 @@ class SettingsDialog(QDialog):
             return box
         if field.kind == "choice":
             choice = Choice()
-            choice.addItems(field.choices)
-            choice.setCurrentText(field.text)
-            choice.textActivated.connect(lambda text: self._enter(field, choice, text))
+            for value in field.choices:
+                choice.addItem(value or "automatic", value)
+            choice.setCurrentIndex(choice.findData(field.text))
+            choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
             return choice
         line = QLineEdit(field.text)
         line.setFocusPolicy(Qt.FocusPolicy.ClickFocus)  # else it might swallow the key of the light

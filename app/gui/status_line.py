@@ -1,23 +1,19 @@
-"""The status line: frame counts, rate, delays and valid lenslets; the least important are hidden when it is narrow."""
+"""The status line: rate, delay, losses and valid lenslets, and what is assumed of the sample; the rest as tool tip."""
 
 import math
 import time
 from collections import deque
-from dataclasses import dataclass
-from itertools import accumulate
 from statistics import median
 
 import numpy as np
-from PyQt6.QtCore import QSize
-from PyQt6.QtGui import QResizeEvent
-from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Measurement
 from app.gui import theme
 from app.gui.timing_row import TimingRow, timing_table
-from app.gui.widgets import colour_text, column, label, row
-from app.gui.wording import lenslet_summary
+from app.gui.widgets import ElidedLabel, colour_text, column, label, row, row_of
+from app.gui.wording import as_sentence, lenslet_summary
 from app.measurement.assumptions import sample_sentence
 from app.measurement.live_solver import RefinementState
 from app.timing import Timings
@@ -25,15 +21,13 @@ from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
 
 _VALID = "Lenslets whose subimage matches the reference"
-_CORRECTION = "Age of the correction of systematic errors"
-_SAMPLE = "What is assumed of the sample; layers are searched for in the background"
-_LAYERS = ("any", "1 layer", "2 layers")
+_CORRECTION = "Age of the correction of systematic errors by the model of the bench"
+_ASSUMED = "What is assumed of the sample, and what the mask shows; layers are searched for in the background"
+_LOST = "Frames that the camera overwrote before they were read; red while they become more"
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
-_SHOWN = "Frames drawn in this window: the newest one, up to 25 times a second"
 _WINDOW_S = 1.0  # over which rate and delay are taken
 _TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
 _GAP = 14  # px between two parts
-_WITHIN = 4  # px between a name and its value
 
 
 class StatusLine(QWidget):
@@ -42,35 +36,39 @@ class StatusLine(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._newest: Measurement | None = None
-        self._recent: deque[tuple[float, int, float]] = deque()  # time, frames acquired, delay: measurements are large
+        self._recent: deque[tuple[float, int, float, int]] = deque()  # time, frames acquired, delay, frames lost
         self.shown = 0
         self._times_due_s = -math.inf
         self.timing_row = TimingRow()
-        self.row = line = FittingRow()
         self.devices = label("", "dim")
         self.simulated = label("SIMULATED", "badge")
         self.simulated.setToolTip("No real device: camera, light and sample are computed")
         self.simulated.hide()
-        column(
-            self.timing_row, row((line, 1), self.simulated, self.devices), spacing=2, parent=self
-        ).setContentsMargins(10, 0, 10, 2)
-        count, time_s = "00000", "0000.0 ms"
-        self.acquired = line.add("acquired", "Frames read from the camera", widest=count, importance=8)
-        self.reconstructed = line.add("reconstructed", "Frames with a wavefront", widest=count, importance=7)
-        self.shown_count = line.add("shown", _SHOWN, widest=count, importance=9)
-        self.lost = line.add("lost", "Frames that the camera overwrote before they were read", widest="0", importance=2)
-        self.rate = line.add("frames/s", "Frames acquired per second", widest="00.0", importance=1)
-        self.delay = line.add("delay", _DELAY, widest=time_s, importance=5)
-        self.age = line.add("frame age", "Time since the exposure of the shown frame", widest=time_s, importance=6)
-        self.valid = line.add("valid", _VALID, widest="000 of 000", importance=0)
-        self.sample = line.add("sample", _SAMPLE, widest="searching", importance=4)
-        self.correction = line.add("correction", _CORRECTION, widest="computing", importance=3)
+        self.rate, self.delay, self.lost = label("\N{EN DASH}"), label("\N{EN DASH}"), label("0")
+        self.valid, self.correction = label("\N{EN DASH}"), label("off")
+        self.assumed = ElidedLabel("dim")
+        parts = (
+            ("frames/s", self.rate, "", "00.0"),
+            ("delay", self.delay, _DELAY, "0000.0 ms"),
+            ("lost", self.lost, _LOST, "000"),
+            ("valid", self.valid, _VALID, "000 of 000"),
+            ("correction", self.correction, _CORRECTION, "computing"),
+        )
+        named = []
+        for name, value, tool_tip, widest in parts:
+            value.setMinimumWidth(value.fontMetrics().horizontalAdvance(widest))  # so that the next does not move
+            named.append(row_of(label(name, "dim"), value))
+            named[-1].setToolTip(tool_tip)
+        self._counted, self._of_correction = named[0], named[-1]
+        line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP)
+        column(self.timing_row, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
 
     def count(self, measurement: Measurement) -> None:
         """Count a shown measurement."""
         self.shown += 1
         self._newest, time_s = measurement, measurement.frame.host_time_s
-        self._recent.append((time_s, measurement.counts.acquired, measurement.latency_s))
+        counts = measurement.counts
+        self._recent.append((time_s, counts.acquired, measurement.latency_s, counts.lost))
         while self._recent[0][0] < time_s - _WINDOW_S and len(self._recent) > 2:
             self._recent.popleft()
 
@@ -94,20 +92,21 @@ class StatusLine(QWidget):
         last = self._newest
         if last is None:
             return
-        self.acquired.setText(str(last.counts.acquired))
-        self.reconstructed.setText(str(last.counts.reconstructed))
-        self.lost.setText(str(last.counts.lost))
-        self.shown_count.setText(str(self.shown))
-        (first_s, first_count, _), (last_s, last_count, _) = self._recent[0], self._recent[-1]
+        (first_s, first_count, _, first_lost), (last_s, last_count, _, lost) = self._recent[0], self._recent[-1]
+        _write(self.lost, str(lost))
+        colour_text(self.lost, theme.RED if lost > first_lost else theme.TEXT)
         is_running = status is not None and status.is_running
         has_rate = is_running and last_s > first_s
-        self.rate.setText(f"{(last_count - first_count) / (last_s - first_s):.1f}" if has_rate else "\N{EN DASH}")
-        self.delay.setText(_duration(median(delay_s for _, _, delay_s in self._recent)))
-        self.age.setText(_duration(time.perf_counter() - last.exposure_end_s))
+        _write(self.rate, f"{(last_count - first_count) / (last_s - first_s):.1f}" if has_rate else "\N{EN DASH}")
+        _write(self.delay, _duration(median(delay_s for _, _, delay_s, _ in self._recent)))
+        age = _duration(time.perf_counter() - last.exposure_end_s)
+        self._counted.setToolTip(
+            f"Frames acquired per second\n\n{last.counts.acquired} acquired, {last.counts.reconstructed} reconstructed,"
+            f" {self.shown} shown in this window; the shown one is {age} old"
+        )
         self._show_valid(None if last.wavefront is None else last.wavefront.displacement)
-        self._show_sample(last, "" if status is None else status.mask_note)
+        self._show_assumed(last, "" if status is None else status.mask_note)
         self._show_correction(last.assumed.refinement)
-        self.row.fit()
 
     def _show_valid(self, displacement: Displacement | None) -> None:
         text, tool_tip, colour = "\N{EN DASH}", _VALID, theme.TEXT
@@ -117,17 +116,18 @@ class StatusLine(QWidget):
             tool_tip = "\n".join([_VALID, *lenslet_summary(displacement)])
             if valid < count:
                 colour = theme.AMBER if valid >= count / 2 else theme.RED
-        self.valid.setText(text)
+        _write(self.valid, text)
         self.valid.setToolTip(tool_tip)
         colour_text(self.valid, colour)
 
-    def _show_sample(self, measurement: Measurement, mask_note: str) -> None:
-        sample, text, told = measurement.assumed.sample, "\N{EN DASH}", ""
+    def _show_assumed(self, measurement: Measurement, mask_note: str) -> None:
+        sample, told = measurement.assumed.sample, ""
         if measurement.wavefront is not None:
-            text = "searching" if sample is None else _LAYERS[len(sample.ratios)]
-            told = f"Assumed: {sample_sentence(sample or FREE, measurement.wavefront.field)}"
-        self.sample.setText(text)
-        self.sample.setToolTip("\n".join(filter(None, [_SAMPLE, told, mask_note])))
+            told = f"Sample: {sample_sentence(sample or FREE, measurement.wavefront.field)}"
+            told += " (searching for layers)" * (sample is None)
+        told = told.replace("+-", "\N{PLUS-MINUS SIGN}")
+        self.assumed.setText(told)
+        self.assumed.setToolTip("".join(f"<p>{as_sentence(one)}.</p>" for one in (_ASSUMED, told, mask_note) if one))
 
     def _show_correction(self, refinement: RefinementState) -> None:
         change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"
@@ -139,80 +139,17 @@ class StatusLine(QWidget):
             "worse": ("rejected", "It brings the model no closer to the measurement", theme.AMBER),
             "failed": ("failed", refinement.problem, theme.RED),
         }[refinement.stage]
-        self.correction.setText(text)
+        self._of_correction.setVisible(refinement.stage != "off")
+        _write(self.correction, text)
         self.correction.setToolTip("\n".join(filter(None, [_CORRECTION, why])))
         colour_text(self.correction, colour)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    name: str
-    importance: int  # 0 is hidden last
-    shown: QWidget  # holds name and value
-    value: QLabel
-
-
-class FittingRow(QWidget):
-    """A row of names and values without minimum width; an ellipsis with a tool tip replaces hidden ones."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._parts: list[_Part] = []
-        self._more = label("\N{HORIZONTAL ELLIPSIS}", "dim")
-        self._row = row(self._more, spacing=_GAP, parent=self)
-        self._row.addStretch()
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-
-    def add(self, name: str, tool_tip: str, *, widest: str, importance: int) -> QLabel:
-        """Add a value with room for the `widest` usual text; the highest `importance` is hidden first."""
-        value = label("\N{EN DASH}")
-        value.setMinimumWidth(value.fontMetrics().horizontalAdvance(widest))
-        shown = QWidget()
-        row(label(name, "dim"), value, spacing=_WITHIN, parent=shown)
-        shown.setToolTip(tool_tip)
-        value.setToolTip(tool_tip)
-        self._row.insertWidget(len(self._parts), shown)
-        self._parts.append(_Part(name, importance, shown, value))
-        return value
-
-    @property
-    def hidden_names(self) -> tuple[str, ...]:
-        """Names of the hidden values."""
-        return tuple(part.name for part in self._parts if part.shown.isHidden())
-
-    def fit(self) -> None:
-        """Show the values that fit; the room of a value never shrinks.
-
-        Each value has a fixed size; otherwise Qt lays out and paints the whole status bar for each new text.
-        """
-        for part in self._parts:
-            needed = part.value.sizeHint()
-            part.value.setFixedSize(max(part.value.minimumWidth(), needed.width()), needed.height())
-        whole = "\n".join(f"{part.name} {part.value.text()}" for part in self._parts)
-        for widget in (self, self._more):
-            widget.setToolTip(whole)
-        width, wanted = self.width(), sum(map(_width, self._parts))
-        left = width if wanted <= width else width - self._more.sizeHint().width() - _GAP
-        by_importance = sorted(self._parts, key=lambda part: part.importance)
-        count = sum(used <= left for used in accumulate(map(_width, by_importance)))
-        for index, part in enumerate(by_importance):
-            part.shown.setVisible(index < count)
-            if self.width() != width:  # the layout resized the row, which was fitted again
-                return
-        self._more.setVisible(count < len(self._parts))
-
-    def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return a minimum width of zero."""
-        return QSize(0, super().minimumSizeHint().height())
-
-    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
-        """Fit the values to the new width."""
-        super().resizeEvent(event)
-        self.fit()
-
-
-def _width(part: _Part) -> int:
-    return part.shown.sizeHint().width() + _GAP
+def _write(value: QLabel, text: str) -> None:
+    """Show a text; a fixed size, which never shrinks, keeps Qt from laying out and painting the whole status bar."""
+    value.setText(text)
+    needed = value.sizeHint()
+    value.setFixedSize(max(value.minimumWidth(), needed.width()), needed.height())
 
 
 def _duration(seconds: float) -> str:

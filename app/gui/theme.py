@@ -18,6 +18,7 @@ AMBER = QColor("#f0b64a")
 RED = QColor("#ff6a5f")
 DISABLED = QColor("#69727d")
 CHECKED = QColor("#22394c")
+LIT = QColor("#ffc14d")  # the lamp of a light that is on
 ACCENT_ON_IMAGE, GREEN_ON_IMAGE, AMBER_ON_IMAGE, RED_ON_IMAGE = map(QColor, (ACCENT, GREEN, AMBER, RED))
 # An image is as dark in every theme.
 
@@ -34,6 +35,7 @@ _LIGHT = (  # in place of the dark ones above
     (RED, "#c0281c"),
     (DISABLED, "#8b949e"),
     (CHECKED, "#c5dcef"),
+    (LIT, "#f0a400"),
 )
 _DARK = tuple((colour, colour.name()) for colour, _ in _LIGHT)
 _TONES = {"text": TEXT, "dim": DIM, "accent": ACCENT, "green": GREEN, "amber": AMBER, "red": RED}  # of texts
@@ -50,9 +52,13 @@ QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; 
 QFrame[role="rule"] {{ background: {LINE.name()}; }}
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
 QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
+QFrame[role="outline"] {{ border: 2px solid {ACCENT.name()}; }}
 QFrame[role="bubble"] QLabel {{ border: none; }}
 QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
+QPushButton[role="step"] {{ padding: 3px 4px; }}
+QPushButton[role="light"] {{ font-weight: 600; padding: 3px 6px; }}
+QPushButton[role="light"]:checked {{ border: 2px solid {RED.name()}; border-radius: 4px; }}
 QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
 QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
 QMenuBar::item:selected {{ background: {RAISED.name()}; }}
@@ -76,15 +82,21 @@ def apply_theme(application: QApplication) -> None:
         hints.colorSchemeChanged.connect(lambda _: _colour(application))
 
 
+def use_theme(application: QApplication, name: str) -> None:
+    """Use the "light" or "dark" colours from now on, or those of the desktop ("system")."""
+    application.setProperty("theme", name)
+    _colour(application)
+
+
 def tone(colour: QColor) -> str:
     """Return the name of a theme colour in the style sheet."""
     return next(name for name, one in _TONES.items() if one is colour)
 
 
 def _colour(application: QApplication) -> None:
-    hints = application.styleHints()
-    is_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
-    for colour, name in _LIGHT if is_light else _DARK:
+    hints, chosen = application.styleHints(), application.property("theme")
+    is_desktop_light = hints is not None and hints.colorScheme() is Qt.ColorScheme.Light
+    for colour, name in _LIGHT if chosen == "light" or (is_desktop_light and chosen != "dark") else _DARK:
         colour.setNamedColor(name)  # the object that all parts of the window use
     palette = QPalette()
     roles = QPalette.ColorRole

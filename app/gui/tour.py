@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QEvent, QObject, QPoint, QRect, QSettings, Qt
+from PyQt6.QtGui import QCloseEvent, QKeyEvent
 from PyQt6.QtWidgets import QFrame, QLabel, QWidget
 
 from app.gui.widgets import button, column, label, row
@@ -14,11 +15,10 @@ if TYPE_CHECKING:
 
 _SEEN = "tour/seen"
 _WIDTH = 340  # px
-_MARGIN = 14  # px, to the part and to the window
 
 
 class Tour(QFrame):
-    """A bubble that explains one part after the other; the window stays usable."""
+    """A bubble that explains one outlined part after the other; the window stays usable."""
 
     def __init__(self, window: MainWindow) -> None:
         super().__init__(window)
@@ -62,29 +62,48 @@ class Tour(QFrame):
                 ),
             ),
         )
+        self._outline = QFrame(window)
+        self._outline.setProperty("role", "outline")
+        self._outline.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.title, self.text, self.count = label("", "title"), QLabel(), label("", "dim")
         self.text.setWordWrap(True)
         self.text.setFixedWidth(_WIDTH)
+        self.text.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.next = button("Next", "The next part", self._advance)
         self.end = button("End the tour", "It stays in the menu Help", self.close)
         buttons = row((self.count, 1), self.end, self.next)
         column(self.title, self.text, buttons, spacing=8, parent=self).setContentsMargins(14, 12, 14, 12)
         window.installEventFilter(self)
+        window.docks.settled.connect(self.raise_)  # above a panel that has come to the front
 
     def begin(self) -> None:
         """Show the first part."""
         for other in self._window.findChildren(Tour):
             if other is not self:
                 other.close()
+        room, wrap = QRect(0, 0, _WIDTH, 999), Qt.TextFlag.TextWordWrap
+        heights = [self.text.fontMetrics().boundingRect(room, wrap, text).height() for _, _, text in self._steps]
+        self.text.setFixedHeight(max(heights) + self.fontMetrics().height())
+        self.adjustSize()
         self._show_step()
         self.show()
-        self.raise_()
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
-        """Follow the window's size."""
+        """Follow the window's size, and end at Esc."""
+        if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.isVisible():
+            if event.type() == QEvent.Type.ShortcutOverride:
+                event.accept()
+            elif event.type() == QEvent.Type.KeyPress:
+                self.close()
+            return True
         if event is not None and event.type() == QEvent.Type.Resize:
             self._place()
         return super().eventFilter(watched, event)
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Remove the outline, too."""
+        self._outline.close()
+        super().closeEvent(event)
 
     def _advance(self) -> None:
         if self._index + 1 == len(self._steps):
@@ -97,26 +116,18 @@ class Tour(QFrame):
         _, title, text = self._steps[self._index]
         self.title.setText(title)
         self.text.setText(text)
-        self.text.setFixedHeight(self.text.heightForWidth(_WIDTH))
         self.count.setText(f"{self._index + 1} of {len(self._steps)}")
         self.next.setText("Next" if self._index + 1 < len(self._steps) else "Done")
         self._place()
 
     def _place(self) -> None:
-        """Put the bubble beside its part, above one at the lower edge, and within the window."""
-        self.adjustSize()
+        """Outline the part; the bubble stays at the middle of the window, so that its button stays in place."""
         part = self._steps[self._index][0]
         where = QRect(part.mapTo(self._window, QPoint(0, 0)), part.size())
-        room = self._window.rect().marginsRemoved(self.contentsMargins()).adjusted(_MARGIN, _MARGIN, -_MARGIN, -_MARGIN)
-        if where.height() > 2 * self.height():
-            corner = where.center() - self.rect().center()
-        elif where.center().y() > room.center().y():
-            corner = QPoint(where.center().x() - self.width() // 2, where.top() - self.height() - _MARGIN)
-        else:
-            corner = QPoint(where.center().x() - self.width() // 2, where.bottom() + _MARGIN)
-        x = min(max(corner.x(), room.left()), room.right() - self.width())
-        y = min(max(corner.y(), room.top()), room.bottom() - self.height())
-        self.move(x, y)
+        self._outline.setGeometry(where)
+        self._outline.show()
+        self.move(self._window.rect().center() - self.rect().center())
+        self.raise_()
 
 
 def offer_tour(window: MainWindow, settings: QSettings) -> None:

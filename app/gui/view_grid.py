@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui import theme
 from app.gui.colours import ColourScale
+from app.gui.copy_menu import add_copy_menu, as_table
 from app.gui.view_places import Places, arrange_views
 from app.results.shades import Pixels, enlarged
 from reconstruction.arrays import Floats
@@ -20,6 +21,7 @@ from reconstruction.arrays import Floats
 _GAP, _NARROW_GAP = 10, 3  # px between views with captions, and without
 _BAR_WIDTH, _BAR_MARGIN, _BAR_TICK = 14, 16, 7  # px: colour bar, space left of it, space before its numbers
 _LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
+_BETWEEN = 4  # px between the captions of neighbours
 _SMALLEST_CAPTIONED = 48  # px: narrower views have the numbers in their tool tips only
 _STALE_OPACITY = 0.5
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
@@ -58,8 +60,9 @@ class ViewGrid(QWidget):
         self.is_stale = False  # whether the maps are grey, since dark or reference no longer fit
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
-        self.setMinimumSize(260, 220)
+        self.setMinimumSize(260, 190)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        add_copy_menu(self, self._numbers_at)
 
     def show_maps(self, maps: Maps | None) -> None:
         """Show a map of every view, or that there is no wavefront."""
@@ -71,7 +74,9 @@ class ViewGrid(QWidget):
             if scale == before and not self._is_moved:
                 self.update(self.places.tiles)  # captions and colour bar are as before, and cost as much as the maps
                 return
-            self._number_width = max(self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks) + 1
+            before_px = self._number_width if before is not None and before.title == scale.title else 0
+            widths = [self.fontMetrics().horizontalAdvance(text) for _, text in maps.scale.ticks]
+            self._number_width = max(before_px, max(widths) + 1)  # shrinks only with another unit: the maps stay
         self.update()
 
     def show_stale(self, *, is_stale: bool) -> None:
@@ -123,7 +128,8 @@ class ViewGrid(QWidget):
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Request to select the view under the pointer."""
-        if event is not None and (view := self._view_at(event.pos())) is not None:
+        is_left = event is not None and event.button() == Qt.MouseButton.LeftButton
+        if event is not None and is_left and (view := self._view_at(event.pos())) is not None:
             self.selected.emit(*view)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
@@ -162,6 +168,12 @@ class ViewGrid(QWidget):
         column = inside.x() * values.shape[1] // tile.width()
         text = self.maps.describe(row, column, float(values[row, column]))
         return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
+
+    def _numbers_at(self, position: QPoint) -> str:
+        """Return the map at a position, or the selected one, as a table."""
+        if self.maps is None:
+            return ""
+        return as_table((), self.maps.values[self._view_at(position) or self.selection or (0, 0)])
 
     @property
     def places(self) -> Places:
@@ -212,7 +224,7 @@ class ViewGrid(QWidget):
         painter.setOpacity(1.0)
 
     def _paint_captions(self, painter: QPainter) -> None:
-        line = self.fontMetrics().height()
+        line, width = self.fontMetrics().height(), self._caption_width
         for index, colour in enumerate((theme.TEXT, theme.DIM)):
             wording = self._wording(index)
             if wording is None:
@@ -220,12 +232,17 @@ class ViewGrid(QWidget):
             painter.setPen(colour)
             for (row, column), lines in self.captions.items():
                 tile = self.tile(row, column)
-                place = QRect(tile.left(), tile.bottom() + 3 + index * line, tile.width(), line)
+                place = QRect(tile.center().x() - width // 2, tile.bottom() + 3 + index * line, width, line)
                 painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
+
+    @property
+    def _caption_width(self) -> int:
+        """Width of a view and half of the gaps beside it, without touching the colour bar."""
+        return min(self.places.step.width() - _BETWEEN, self.places.size.width() + 2 * (_BAR_MARGIN - _BETWEEN))
 
     def _wording(self, line: int) -> int | None:
         """Return the longest wording of a line that fits under all views, if any."""
-        width, advance = self.places.size.width(), self.fontMetrics().horizontalAdvance
+        width, advance = self._caption_width, self.fontMetrics().horizontalAdvance
         by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
         return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
 

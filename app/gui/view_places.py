@@ -6,6 +6,7 @@ import numpy as np
 from PyQt6.QtCore import QPoint, QRect, QSize
 from PyQt6.QtGui import QRegion
 
+_CAPTION = 100  # px: small views stand apart, if there is room, so that their captions fit
 _MARGIN = 3  # px around all views, for the selection frame
 
 
@@ -34,8 +35,10 @@ def arrange_views(room: QSize, shape: tuple[int, ...], *, bar_space: int, below:
     height = (room.height() - 2 * _MARGIN - (view_rows - 1) * gap) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
     size = QSize(int(scale * columns), int(scale * rows))
-    step = QSize(size.width() + gap, size.height() + below + gap)
-    used = QSize(view_columns * step.width() - gap + bar_space, view_rows * step.height() - gap)
+    free = room.width() - 2 * _MARGIN - bar_space - view_columns * size.width() - (view_columns - 1) * gap
+    wider = min(max(_CAPTION - size.width() - gap, 0), max(free, 0) // max(view_columns - 1, 1)) if below else 0
+    step = QSize(size.width() + gap + wider, size.height() + below + gap)
+    used = QSize(view_columns * step.width() - gap - wider + bar_space, view_rows * step.height() - gap)
     left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
     first = QPoint(max(left, _MARGIN), max(top, _MARGIN))
     tiles = QRegion()

@@ -14,17 +14,20 @@ from app.gui import theme
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.display_menu import DisplayMenu
 from app.gui.enlarged_view import EnlargedView
+from app.gui.number_field import NumberField
 from app.gui.presentation import PRESENTATIONS, Presentation, number, place
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, button, colour_text, column, label, row_of, toggle
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
 from app.results.uncertainty import rms_noise
 from app.results.view_analysis import Analysis, Quantity
+from drivers.interface import Range
 from reconstruction.arrays import Floats
 from reconstruction.quality.row_alignment import aligned
 from reconstruction.refinement import mean_rms
 from reconstruction.wavefront import Wavefront
 
+_LIMITS = Range(1e-3, 1e5)
 _WEAK_RAD = 0.1  # mean RMS from which on noise is not looked at: it takes some milliseconds
 
 
@@ -53,6 +56,10 @@ class WavefrontPanel(QWidget):
         self._summary = ElidedLabel("dim")
         self._summary.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.freeze_scale = toggle("Freeze scale", "Freeze the colour scale (H)")
+        self.freeze_scale.toggled.connect(self._show_limit)
+        self.limit = NumberField(name="Limit of the colours", decimals=3, tool_tip="Limit of the frozen colour scale")
+        self.limit.entered.connect(self._fix_limit)
+        self.limit.hide()
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)
         self.menu.store_requested.connect(self._store)
@@ -65,9 +72,8 @@ class WavefrontPanel(QWidget):
         colour_text(self.stale, theme.AMBER)
         self.stale.hide()
         self.grid.opened.connect(self.enlarge)
-        self.header = row_of(
-            self.choice, label("over the field", "title"), (self._summary, 1), self.display_button, self.freeze_scale
-        )
+        scale = (self.display_button, self.freeze_scale, self.limit)
+        self.header = row_of(self.choice, label("over the field", "title"), (self._summary, 1), *scale)
         column(self.header, self.stale, (self.grid, 1), parent=self)
 
     @property
@@ -170,6 +176,19 @@ class WavefrontPanel(QWidget):
         else:
             self.menu.change(stored=stored)
 
+    @property
+    def _scale(self) -> AdaptiveScale:
+        return self._limits[PRESENTATIONS[self.quantity].family, self.menu.unit]
+
+    def _fix_limit(self, limit: float) -> None:
+        self._scale.use(limit)
+        self._redraw()
+
+    def _show_limit(self) -> None:
+        """Show the limit of a frozen colour scale, to be changed."""
+        self.limit.setVisible(self.freeze_scale.isChecked())
+        self.limit.show_value(self._scale.value, _LIMITS)
+
     def _store(self) -> None:
         if self._newest is not None:
             name = f"that of {datetime.now().astimezone():%H:%M:%S}"
@@ -192,6 +211,7 @@ class WavefrontPanel(QWidget):
             self._show_nothing()  # until the analysis has it
         self.show_wavefront(self._newest)
         self.update_text()
+        self._show_limit()
 
     def _show(
         self,
@@ -206,7 +226,7 @@ class WavefrontPanel(QWidget):
         per_rad = unit.per_rad(self.shown.sensor.wavelength_m) if presentation.has_unit else 1.0
         sensor = self.shown.sensor
         shown = (aligned(maps, sensor.arrangement) if reach_mrad is None else maps) * per_rad
-        limit = self._limits[presentation.family, unit]
+        limit = self._scale
         self._follow(limit, max(presentation.limit(shown), presentation.finest * per_rad))
         self._maps = (self.quantity, shown)
         x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3

@@ -82,7 +82,17 @@ class ElidedLabel(QLabel):
 
 
 class Button(QPushButton):
-    """A button that Space and Return press while it has the focus, although both are shortcuts of the window."""
+    """A button that does not take the focus when clicked.
+
+    While it has the focus, Space and Return press it, although both are shortcuts of the window.
+    """
+
+    def __init__(self, text: str, tool_tip: str, clicked: Slot) -> None:
+        super().__init__(text)
+        self.setToolTip(tool_tip)
+        self.setIconSize(QSize(14, 14))
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.clicked.connect(clicked)
 
     def event(self, event: QEvent | None) -> bool:
         """Keep both keys from the shortcuts."""
@@ -131,13 +141,8 @@ class Choice(QComboBox):
 
 
 def button(text: str, tool_tip: str, clicked: Slot) -> QPushButton:
-    """Make a button that does not take the focus when clicked."""
-    made = Button(text)
-    made.setToolTip(tool_tip)
-    made.setIconSize(QSize(14, 14))
-    made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    made.clicked.connect(clicked)
-    return made
+    """Make a button."""
+    return Button(text, tool_tip, clicked)
 
 
 def toggle(text: str, tool_tip: str, clicked: Slot | None = None) -> QPushButton:

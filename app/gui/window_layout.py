@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QSize
 from PyQt6.QtWidgets import QWidget
 
+from app.gui.file_dialogs import export_history
 from app.gui.panel_docks import Dock, PanelDocks
 from app.gui.widgets import column
 
@@ -22,7 +24,7 @@ def lay_out(window: MainWindow) -> PanelDocks:
     window.setWindowTitle("svwfs")
     window.resize(WINDOW_SIZE)
     below = QWidget()
-    column(window.replay, window.recording_bar, window.messages, window.status_line, spacing=4, parent=below)
+    column(window.replay, window.messages, window.status_line, spacing=4, parent=below)
     if (status_bar := window.statusBar()) is not None:
         status_bar.setSizeGripEnabled(False)
         status_bar.addPermanentWidget(below, 1)
@@ -33,9 +35,19 @@ def lay_out(window: MainWindow) -> PanelDocks:
         Dock("Wavefronts", window.wavefront_panel, window.wavefront_panel.header),
         window.tabs.panels,
         Dock("Controls", window.controls, is_strip=True),
+        window.recording_bar,
     )
     window.tabs.panel_requested.connect(docks.show_panel)
+    for by in (window.camera_panel.picker, window.tabs.lenslet):
+        by.exclusion_requested.connect(partial(_exclude, window))
+    window.camera_panel.levels_changed.connect(window.tabs.histogram.show_levels)
+    window.tabs.histogram.levels_chosen.connect(window.camera_panel.use_levels)
+    window.tabs.history.export_requested.connect(partial(export_history, window))
     if (bar := window.menuBar()) is not None:
         bar.setNativeMenuBar(False)  # a native one has no corner
         bar.setCornerWidget(window.recording_panel)
     return docks
+
+
+def _exclude(window: MainWindow, row: int, column: int) -> None:
+    window.controller.change_settings(lambda bench: bench.with_toggled((row, column)))

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import Qt
 
-from app.gui.file_dialogs import choose_recording, choose_recordings_folder, export_view
+from app.gui.device_presets import DevicePresets
+from app.gui.file_dialogs import choose_recording, choose_recordings_folder, export_history, export_view
 from app.gui.menu import Entries
+from app.gui.preferences import PreferencesDialog
 from app.results.view_analysis import Quantity
 
 if TYPE_CHECKING:
@@ -24,7 +26,11 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
         window.wavefront_panel,
         window.messages,
     )
-    full = Qt.WindowState.WindowFullScreen
+    full, settings = Qt.WindowState.WindowFullScreen, window.benches.remembered
+    presets = preferences = None  # of a window that remembers nothing
+    if settings is not None:
+        presets = DevicePresets(lambda: window.controller.status, controls, settings, window)
+        preferences = PreferencesDialog(settings, window)
     return {
         "&File": (
             ("Start or stop recording", "W", window.recording_panel.record),
@@ -35,6 +41,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Choose the recordings folder", "", partial(choose_recordings_folder, window)),
             None,
             ("Export the shown wavefronts", "Ctrl+E", partial(export_view, window)),
+            ("Export the history", "", partial(export_history, window)),
             ("Save a screenshot", "Ctrl+P", window.save_screenshot),
             None,
             ("Quit", "Ctrl+Q", window.quit),
@@ -50,6 +57,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Start or stop the camera", "Space", controls.start),
             ("Light on", "L", controls.light),
             ("Sample in", "S", controls.sample),
+            *(() if presets is None else (("Presets of exposure and mask", "", presets.show),)),
             ("Edit the exposure", "E", controls.exposure.edit),
             ("Edit the current", "C", controls.current.edit),
             ("Choose the sensor region", "P", controls.sensor_region),
@@ -85,6 +93,7 @@ def window_menus(window: MainWindow) -> Mapping[str, Entries]:
             ("Panels", "", window.docks.menu()),
             ("Plots", "I", window.docks.toggle_analysis),
             ("Restore default layout", "", window.docks.restore_default),
+            *(() if preferences is None else (("Preferences", "", preferences.show),)),
             ("Full screen", "F11", lambda: window.setWindowState(window.windowState() ^ full)),
         ),
     }

@@ -80,6 +80,7 @@ def _parts(window: MainWindow) -> Mapping[str, QObject | None]:
         "view/grid": menu.grids[0].actionGroup(),
         "coefficients/basis": tabs.coefficients.basis,
         "history/minutes": tabs.history.minutes,
+        "history/samples": tabs.history.samples,
         **{f"history/chart {index}": toggle for index, toggle in enumerate(tabs.history.toggles.values())},
     }
 

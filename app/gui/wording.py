@@ -25,6 +25,7 @@ LOST_REASONS = {
     Outcome.DIVERGED: "no match with the reference",
     Outcome.LEFT_CELL: "displaced into a neighbour's cell",
     Outcome.OFF_CAMERA: "cell not fully on the camera",
+    Outcome.EXCLUDED: "excluded by hand",
 }
 _SLOW_S = 1.0  # a frame shown for longer is explained
 _SATURATED = "saturated"  # in a problem of a frame
@@ -84,7 +85,7 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
         and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s
     ):
         return "slow method: still reconstructing a frame; your command waits until it is done"
-    return "F1 shows keys and conventions"
+    return status.mask_note or "F1 shows keys and conventions"
 
 
 def is_replay(status: Status | None) -> bool:
@@ -179,3 +180,9 @@ def lenslet_summary(displacement: Displacement) -> list[str]:
         *(f"{count} lost: {why}" for count, why in counts if count),
         f"{used} of the dynamic range used; at 100 % light reaches the edge of its cell",
     ]
+
+
+def as_sentence(text: str) -> str:
+    """Begin a message with a capital, unless it begins with the name of a file."""
+    first = text.partition(" ")[0].rstrip(":,;")
+    return text if "." in first else text[:1].upper() + text[1:]

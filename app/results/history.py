@@ -1,13 +1,35 @@
 """History of a running measurement: named series on a common time axis, bounded in memory."""
 
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
 import numpy as np
 
+from app.files import atomic_write
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront, rms
 
 RMS, FILL, DELAY, TEMPERATURE = "RMS", "Exposure", "Delay", "Temperature"
 UNITS = {FILL: "% of full scale", DELAY: "ms", TEMPERATURE: "\N{DEGREE SIGN}C"}  # the others are phases, rad
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Statistics of a series, in its unit; NaN without values."""
+
+    mean: float
+    sigma: float  # standard deviation
+    peak_to_peak: float
+
+    @classmethod
+    def of(cls, values: Floats) -> Self:
+        """Take the statistics of values (time,), without the gaps."""
+        known = values[np.isfinite(values)]
+        return cls(*(float(f(known)) for f in (np.mean, np.std, np.ptp))) if known.size else cls(*[math.nan] * 3)
 
 
 class History:
@@ -40,6 +62,24 @@ class History:
             return np.zeros(0), np.zeros(0)
         at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
         return self._time_s[at] - self._time_s[at[-1]], self._series[name][at]
+
+    def write_csv(self, path: Path) -> None:
+        """Write all series: seconds since the first sample, and a column for each; phases in rad, gaps empty.
+
+        Raises
+        ------
+        RunError
+            If the file cannot be written.
+        """
+        at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
+        time_s = self._time_s[at] - self._time_s[at[:1]]
+        columns = [time_s, *(series[at] for series in self._series.values())]
+        with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+            lines = csv.writer(file)
+            lines.writerow(["time (s)", *(f"{name} ({UNITS.get(name, 'rad')})" for name in self._series)])
+            lines.writerows(
+                [f"{value:.7g}" if np.isfinite(value) else "" for value in line] for line in np.c_[*columns]
+            )
 
     def forget(self, name: str) -> None:
         """Drop a series."""

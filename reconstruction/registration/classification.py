@@ -39,6 +39,7 @@ def classify_lenslets(
     contrast = np.where(np.isfinite(contrast), contrast, 0)
     outcome[~reference.lit | ~(contrast > DARK_CONTRAST * np.median(contrast[reference.lit]))] = Outcome.DARK
     outcome[reference.off_camera] = Outcome.OFF_CAMERA
+    outcome[reference.excluded] = Outcome.EXCLUDED
     lost = outcome != Outcome.CONVERGED
     far = outcome == Outcome.LEFT_CELL
 

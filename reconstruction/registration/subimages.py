@@ -1,5 +1,6 @@
 """The reference cut into subimages, one per lenslet."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -37,11 +38,12 @@ class ReferenceSubimages:
         noise: CameraNoise | None = None,
         reference_frames: float = np.inf,
         bad: Mask | None = None,
+        excluded: Iterable[tuple[int, int]] = (),
     ) -> None:
         """Cut `reference` (row, column), counts above the dark; raise `ReconstructionError` if it shows nothing.
 
         `noise` is that of a single frame; the reference is the mean of `reference_frames`. `bad` (row, column) marks
-        bad pixels.
+        bad pixels. `excluded` are lenslets (row, column) that are left out.
         """
         require({"reference_frames must be at least 1": reference_frames >= 1})
         self.noise, self.reference_frames = noise, reference_frames
@@ -88,9 +90,17 @@ class ReferenceSubimages:
         steepness = np.sum(self.gradient**2, axis=2)
         spoilt = np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
         dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera])) | spoilt
-        self.lit = ~dark & ~self.off_camera
+        self.excluded = self._at(excluded)  # (L,)
+        self.lit = ~dark & ~self.off_camera & ~self.excluded
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
+
+    def _at(self, lenslets: Iterable[tuple[int, int]]) -> Mask:
+        """True for some lenslets (row, column), (L,)."""
+        is_one = np.zeros(self.lenslets, np.bool_)
+        for row, column in lenslets:
+            is_one[row, column] = True
+        return is_one.ravel()
 
     def spline(self, light: Image, *, saturated: Mask | None = None, threads: int = 1) -> Image:
         """Spline coefficients of a frame (row, column), bad and saturated pixels repaired."""

@@ -48,6 +48,22 @@ def test_dark_lenslet_is_lost_and_does_not_affect_others(
     assert rms(wavefront.views[1, 1] - truth) < 0.03
 
 
+@pytest.mark.parametrize("method", ["gauss_newton", "correlation", "block_flow"])
+def test_excluded_lenslet_is_lost_whatever_it_shows(
+    small_bench: SmallBench, tilted: NDArray[np.float32], method: Any
+) -> None:
+    frame = tilted.copy()
+    frame[_cell(small_bench, 2, 5)] = np.roll(frame[_cell(small_bench, 2, 5)], 3, axis=1)  # a false displacement
+    settings = RegistrationSettings(method=method, warp="affine", excluded=((2, 5),))
+    reconstruct = small_bench.reconstructor(registration=settings)
+    wavefront = reconstruct(frame)
+    assert np.argwhere(~wavefront.displacement.valid).tolist() == [[2, 5]]
+    assert wavefront.displacement.outcome[2, 5] == Outcome.EXCLUDED
+    untouched = reconstruct(tilted)
+    np.testing.assert_allclose(wavefront.views, untouched.views, atol=1e-3)  # it goes on without it
+    assert np.isnan(wavefront.views[1, 1, 2, 5])
+
+
 def test_foreign_subimage_diverges(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     frame = tilted.copy()
     frame[_cell(small_bench, 3, 3)] = np.random.default_rng(2).uniform(0, tilted.max(), (30, 30))

@@ -19,6 +19,7 @@ _REASONS = {
     Outcome.DIVERGED: ("diverged", "#cc3311"),
     Outcome.LEFT_CELL: ("left its cell", "#0077bb"),
     Outcome.OFF_CAMERA: ("off the camera", "#aa4499"),
+    Outcome.EXCLUDED: ("excluded", "#44aa99"),
 }
 _VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
 
@@ -63,7 +64,7 @@ def _draw_trend(axis: Axes, summary: Summary, stats: Statistics) -> None:
     axis.set(title="RMS of the wavefront, mean over the views", xlabel="time since the first frame (s)", ylabel="rad")
     axis.ticklabel_format(useOffset=False)
     axis.margins(y=0.1)
-    axis.legend(fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
+    axis.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False)
 
 
 def _draw_lost(axis: Axes, stats: Statistics) -> None:

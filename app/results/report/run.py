@@ -7,7 +7,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 
 from app.errors import InputError
 from app.files import atomic_write, check_outputs
-from app.progress import Progress
+from app.progress import Progress, between, part
 from app.recording.folder import parts_of
 from app.recording.reader import Recording
 from app.results.replay.run import change_of
@@ -19,6 +19,7 @@ from app.results.report.residual import Residual, draw_comparison, residual_of
 from app.results.report.summary import Summary, summarise
 
 _PNG_DPI = 110
+_RECONSTRUCTED = 0.8  # share of the work that comes before the pages
 
 
 def report_pages(
@@ -41,20 +42,22 @@ def report_pages(
     folders = [folder, *([] if beside is None else [beside])]
     check_outputs([out], inputs=[part for each in folders for part in parts_of(each)], overwrite=overwrite)
     recordings = [Recording(each) for each in folders]
-    summary = summarise(recordings[0], frames, progress, change=change_of(None, settings))
-    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, progress))
-    write_pages(out, _pages(summary, residual))
+    parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
+    summary = summarise(recordings[0], frames, parts[0], change=change_of(None, settings))
+    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))
+    write_pages(out, _pages(summary, residual), between(progress, _RECONSTRUCTED, 1))
     return summary, residual
 
 
-def write_pages(out: Path, pages: list[Page]) -> None:
+def write_pages(out: Path, pages: list[Page], progress: Progress = lambda *_: None) -> None:
     """Write pages as PDF, or one below the other as PNG (atomic)."""
     with atomic_write(out) as temporary:
         if out.suffix.lower() == ".png":
             all_pages(pages).savefig(temporary, dpi=_PNG_DPI)
             return
         with PdfPages(temporary) as file:
-            for page in pages:
+            for index, page in enumerate(pages):
+                progress("drawing the pages", index / len(pages))
                 file.savefig(one_page(page))
 
 

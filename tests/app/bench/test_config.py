@@ -260,3 +260,12 @@ def test_nothing_in_the_working_directory_replaces_a_preset(tmp_path: Path, monk
     with pytest.raises(InputError, match=r"mine: no such preset.*or the file as \./mine"):
         load_bench("mine")
     assert load_bench("./mine") == load_bench("small_demo")
+
+
+def test_excluded_lenslets_are_written_and_must_exist() -> None:
+    bench = parse_bench(MINIMAL, "b").with_toggled((14, 3)).with_toggled((2, 5))
+    assert bench.registration.excluded == ((2, 5), (14, 3))
+    assert parse_bench(write_bench(bench), "again") == bench
+    assert bench.with_toggled((2, 5)).registration.excluded == ((14, 3),)
+    with pytest.raises(BenchError, match=r"no lenslet \[15, 3\] among 15 x 15"):
+        parse_bench(MINIMAL.replace("[registration]", "[registration]\nexcluded = [[15, 3]]"), "b")

@@ -206,6 +206,26 @@ def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: Qt
     qtbot.waitUntil(lambda: panel.reach_rad != reach_rad)
 
 
+def test_limit_of_a_frozen_scale_is_chosen_in_the_shown_unit(make_window: MakeWindow) -> None:
+    window = make_window()
+    panel = window.wavefront_panel
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    assert not panel.limit.isVisible()
+    panel.freeze_scale.click()
+    maps = panel.grid.maps
+    assert maps is not None
+    assert panel.limit.isVisible()
+    assert panel.limit.value() == maps.scale.high
+    panel.limit.setValue(2.5)
+    window.show_measurement(make_measurement(dim_frame(), 10 * views(2)))
+    assert panel.grid.maps is not None
+    assert (panel.grid.maps.scale.low, panel.grid.maps.scale.high) == (-2.5, 2.5)
+    panel.menu.units[1].trigger()  # waves have a limit of their own
+    assert panel.limit.value() == panel.grid.maps.scale.high != 2.5
+    panel.menu.units[0].trigger()
+    assert panel.limit.value() == 2.5
+
+
 def test_captions_shorten_in_narrow_tiles(make_window: MakeWindow) -> None:
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PyQt6.QtCore import QEvent, QPoint
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from app.gui.lattice_overlay import arrow_length_px
+from app.results.frame_statistics import FrameStatistics, frame_statistics
 from reconstruction.displacement import Outcome
 from reconstruction.geometry import Arrangement
 
@@ -100,7 +102,12 @@ def test_pointer_computes_no_statistics(make_window: MakeWindow, monkeypatch: py
     window = make_window()
     window.show_measurement(make_measurement(dim_frame(), views()))
     counted: list[object] = []
-    monkeypatch.setattr("app.gui.main_window.frame_statistics", lambda *_: counted.append(_))
+
+    def count(pixels: NDArray[np.uint16], full_scale: int) -> FrameStatistics:
+        counted.append(pixels)
+        return frame_statistics(pixels, full_scale)
+
+    monkeypatch.setattr("app.gui.main_window.frame_statistics", count)
     monkeypatch.setattr(window.camera_panel, "show_statistics", counted.append)
     panel = window.camera_panel
     for x in range(30):

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PyQt6.QtCore import QPoint, QPointF, Qt
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QApplication, QMenu, QWidget
 from pytestqt.qtbot import QtBot
 from support.gaussian_lenslets import inspected
-from support.gui_bench import BENCH, FULL_SCALE, LATTICE, SENSOR, make_measurement
+from support.gui_bench import BENCH, FULL_SCALE, LATTICE, SENSOR, FakeCamera, make_measurement
 from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
@@ -106,13 +108,13 @@ def test_click_on_a_lenslet_opens_its_inspector(window: MainWindow, qtbot: QtBot
     window.show_measurement(shown(inspected()))
     assert panel.wanted() is None
     click_lenslet(window.camera_panel, 4, 7)
-    assert panel.isVisible()
+    qtbot.waitUntil(panel.isVisible)  # a double click would have shown the whole frame
     assert not window.tabs.quality.isVisible()
     assert panel.numbers.text() == "computing \N{HORIZONTAL ELLIPSIS}"
     qtbot.waitUntil(lambda: bool(panel.quality.text()))
     assert panel.title.text() == "Lenslet row 4, column 7: converged"
     assert panel.numbers.text().startswith(
-        "displacement x +1.30 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
+        "displacement x +1.300 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
     )
     maps = {name: tile.maps for name, tile in panel.tiles.items()}
     for name in ("Reference", "Frame", "Frame, warped back", "Residual"):
@@ -146,4 +148,89 @@ def test_lenslet_without_reference_is_explained(window: MainWindow, qtbot: QtBot
     panel = window.tabs.lenslet
     qtbot.waitUntil(lambda: panel.numbers.text().startswith("nothing to inspect"))
     click_lenslet(window.camera_panel, 4, 4)
-    assert panel.title.text() == "Lenslet row 4, column 4"
+    qtbot.waitUntil(lambda: panel.title.text() == "Lenslet row 4, column 4")
+
+
+def test_double_or_right_click_inspects_nothing(window: MainWindow, qtbot: QtBot) -> None:
+    panel, camera = window.tabs.lenslet, window.camera_panel
+    window.show_measurement(shown(inspected()))
+    click_lenslet(camera, 4, 7)
+    camera._view.setRange(QRectF(100, 100, 50, 50))
+    viewport = camera._graphics.viewport()
+    QtBot.mouseDClick(viewport, Qt.MouseButton.LeftButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call]
+    QtBot.mouseClick(viewport, Qt.MouseButton.RightButton, pos=viewport.rect().center())  # type: ignore[no-untyped-call]
+    qtbot.wait(QApplication.doubleClickInterval() + 200)
+    assert panel.lenslet is None
+    assert camera._view.viewRect().width() >= 430
+
+
+def menu_at(widget: QWidget, at: QPoint) -> dict[str, QAction]:
+    """Open the context menu at a position, and return its entries."""
+    widget.customContextMenuRequested.emit(at)
+    (menu,) = [one for one in widget.findChildren(QMenu) if one.isVisible()]
+    entries = {action.text(): action for action in menu.actions()}
+    menu.close()
+    return entries
+
+
+def test_context_menus_copy_picture_and_numbers(window: MainWindow) -> None:
+    window.show_measurement(make_measurement(dim_frame(), views(3)))
+    QApplication.processEvents()
+    grid, clipboard = window.wavefront_panel.grid, QApplication.clipboard()
+    assert clipboard is not None
+    entries = menu_at(grid, grid.tile(1, 2).center())
+    entries["Copy numbers"].trigger()
+    np.testing.assert_allclose(np.loadtxt(StringIO(clipboard.text()), delimiter="\t"), views(3)[1, 2], rtol=1e-6)
+    entries["Copy picture"].trigger()
+    assert clipboard.pixmap().size() == grid.grab().size()
+    camera = window.camera_panel._graphics
+    menu_at(camera, camera.rect().center())["Copy numbers"].trigger()
+    heads, *rows = clipboard.text().splitlines()
+    assert heads.split("\t") == ["row", "column", "x (px)", "y (px)"]
+    assert len(rows) == np.prod(LENSLETS)
+    plot = window.tabs.quality.mtf
+    plot._curves[0].setData([0.0, 1.0], [1.0, 0.5])
+    menu_at(plot, QPoint(5, 5))["Copy numbers"].trigger()
+    assert clipboard.text().endswith("x\ty\n0\t1\n1\t0.5")
+
+
+def test_right_click_on_a_view_selects_nothing(window: MainWindow) -> None:
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    grid = window.wavefront_panel.grid
+    QApplication.processEvents()
+    selected: list[tuple[int, int]] = []
+    grid.selected.connect(lambda *view: selected.append(view))
+    QtBot.mouseClick(grid, Qt.MouseButton.RightButton, pos=grid.tile(0, 0).center())  # type: ignore[no-untyped-call]
+    assert not selected
+
+
+def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    camera, lenslet = window.camera_panel, window.tabs.lenslet
+    camera._view.setRange(camera._area(window._measurement.frame))  # type: ignore[union-attr] # live
+    x, y = LATTICE.lenslet_centers_px(*LENSLETS)[3, 5]
+    at = camera._graphics.mapFromScene(camera._view.mapViewToScene(QPointF(x, y)))
+    menu_at(camera._graphics, at)["Exclude lenslet row 3, column 5, or use it again"].trigger()
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "116 of 117")  # the wavefront goes on
+    assert window._status is not None
+    assert window._status.bench_in_force.registration.excluded == ((3, 5),)  # saved and recorded with the bench
+    assert "1 lost: excluded by hand" in window.status_line.valid.toolTip()
+    window.tabs.inspect(3, 5)
+    qtbot.waitUntil(lambda: lenslet.exclude.text() == "Use again")
+    assert lenslet.title.text() == "Lenslet row 3, column 5: lost, excluded by hand"
+    lenslet.exclude.click()
+    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: lenslet.exclude.text() == "Exclude")
+
+
+def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow) -> None:
+    camera, levels = window.camera_panel, window.tabs.histogram.levels
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    assert levels.getRegion() == camera._levels.levels
+    levels.lines[0].setValue(900.0)
+    levels.lines[1].setValue(1100.0)  # as a drag does
+    assert camera.contrast.currentText() == "frozen contrast"
+    assert camera._levels.levels == (900, 1100)
+    assert camera._image.pixels[0, 0] & 0xFF in range(126, 130)  # 1000 counts: middle grey
+    camera.contrast.setCurrentText("full range")
+    assert levels.getRegion() == (0, 65535)

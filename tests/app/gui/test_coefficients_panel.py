@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, make_measurement
 from support.wavefronts import modal
@@ -75,7 +76,7 @@ def test_click_on_a_bar_maps_and_records_it_until_the_next_click(window: MainWin
     assert panel.map.maps is not None
     np.testing.assert_allclose(panel.map.maps.values[0, 0, 5], np.linspace(-0.4, 0.4, 21), atol=1e-4)
     assert panel.name == "L2 P1(y), view"
-    assert panel.title.text().startswith("Coefficients (rad): L2 P1(y) ")
+    assert panel.title.text().endswith(" rad, L2 P1(y)")  # the numbers come first: a narrow panel cuts the name
     open_tab(window, "History")  # the pinned coefficient is still computed
     for defocus in (0.5, 0.6):
         before = panel._shown
@@ -119,6 +120,24 @@ def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, q
     assert len(edges) == 1  # a time is at the same place in all
     assert history.time_axis.axes["bottom"].range == pytest.approx([-2, 0])
     assert all(chart.value.width() >= chart.value.sizeHint().width() for chart in history.charts.values())
+
+
+def test_history_shows_the_drift_of_the_last_samples_and_exports_it(
+    window: MainWindow, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    history = window.tabs.history
+    open_tab(window, "History")
+    for index in range(120):
+        history.add(index / 5, {RMS: 100.0 if index < 20 else 2.0 + (index % 2)})
+    mean, peak_to_peak = (one.text() for one in history.charts[RMS].drift)
+    assert (mean, peak_to_peak) == ("mean 2.500  \N{GREEK SMALL LETTER SIGMA} 0.50", "peak to peak 1.0")
+    history.samples.setCurrentIndex(history.samples.findData(500))
+    assert history.charts[RMS].drift[1].text() == "peak to peak 98"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "drift"), ""))
+    history.export.click()
+    assert len((tmp_path / "drift.csv").read_text().splitlines()) == 121
+    window.update_text()
+    assert "drift.csv" in window.messages.text.text()
 
 
 def test_history_of_phases_follows_the_unit(window: MainWindow) -> None:

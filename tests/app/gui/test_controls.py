@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from PyQt6.QtCore import Qt
@@ -17,7 +17,9 @@ from support.window_tools import press
 from app.acquisition.validity import Validity
 from app.gui import theme
 from app.gui.main_window import MainWindow
+from app.gui.names import NAMES
 from app.measurement.routines.averages import AVERAGED_FRAMES
+from reconstruction.settings import Method, PupilBasis
 
 
 def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
@@ -170,6 +172,38 @@ def test_lamps_show_validity_of_dark_and_reference(live: tuple[MainWindow, FakeC
     assert lamps("doubtful", "missing") == (amber, off)
 
 
+def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    controls = window.controls
+    steps = (controls.lattice, controls.auto_exposure, controls.dark, controls.reference, controls.calibrate)
+    assert [one.text().split()[0] for one in steps] == ["1", "2", "3", "4", "Calibrate"]
+    places = [one.mapTo(window, one.rect().topLeft()) for one in steps]
+    assert [place.x() for place in places] == sorted(place.x() for place in places)
+    assert len({place.y() for place in places}) == 1
+    taken = window.controls.dark.toolTip().partition("20 frames at ")[2][:5]
+    assert controls.dark.text() == f"3 Dark  {taken}"
+    assert window._measurement is not None
+    share = window._measurement.frame.pixels.max() / 65535
+    window.update_text()
+    assert controls.auto_exposure.text() == f"2 Exposure  {100 * share:.0f} %"
+    assert "Good" in controls.auto_exposure.toolTip()
+    camera.light.set_on(False)
+    qtbot.waitUntil(lambda: "Doubtful" in controls.auto_exposure.toolTip())
+
+
+def test_method_has_a_human_name_and_keeps_its_word(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    choice = window.controls.registration
+    assert choice.currentText() == "Gauss-Newton"
+    sent: list[tuple[str, str, object]] = []
+    window.controls.setting_requested.connect(lambda *one: sent.append(one))
+    choice.setCurrentText("centroids")
+    choice.activated.emit(choice.currentIndex())
+    assert sent == [("registration", "method", "centroids")]
+    window.controls.basis.activated.emit(1)
+    assert sent[1] == ("reconstruction", "basis", "zernike")
+
+
 @pytest.mark.parametrize(
     ("changes", "is_used"),
     [
@@ -200,3 +234,9 @@ def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeC
     shown = window.status_line.shown
     qtbot.waitUntil(lambda: window.status_line.shown > shown + 3)
     assert camera.exposure_s == 0.02
+
+
+def test_no_method_is_shown_as_a_word_of_code() -> None:
+    for word in (*get_args(Method), *get_args(PupilBasis)):
+        assert "_" not in NAMES.get(word, word)
+    assert NAMES.keys() <= {*get_args(Method), *get_args(PupilBasis)}

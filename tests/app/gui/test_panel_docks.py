@@ -70,8 +70,7 @@ def choose(window: MainWindow, title: str, text: str) -> None:
 
 
 def test_closed_panels_leave_a_hint(window: MainWindow) -> None:
-    hint = window.centralWidget()
-    assert hint is not None
+    hint = window.docks._hint
     assert layout(window)["Camera"][2]
     assert not hint.isVisible()
     for one in window.docks.docks:

@@ -120,13 +120,32 @@ def test_report_and_export_run_beside_the_window(
     bar.exports.actions()[1].trigger()
     assert not bar.report.isEnabled()  # grey until it is written
     assert not bar.export.isEnabled()
-    qtbot.waitUntil(lambda: "The report is in" in window.log.text)
+    shown: set[str] = set()
+
+    def is_written() -> bool:
+        shown.add(bar.report.text())
+        return "The report is in" in window.log.text
+
+    qtbot.waitUntil(is_written)
+    assert "Report 80 %" in shown  # the pages are still to be drawn
+    assert bar.report.text() == "Report"
     assert bar.report.isEnabled()
     assert opened == [bar.folder / "report.pdf"]
     assert (bar.folder / "report.pdf").read_bytes().startswith(b"%PDF")
     qtbot.waitUntil(lambda: "Exported to" in window.log.text)
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 3
     qtbot.waitUntil(lambda: not bar.commands.findChildren(QProcess))
+
+
+def test_missing_viewer_is_named_in_the_window(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    record(qtbot, window, tmp_path, frames=2)
+    monkeypatch.setattr(QDesktopServices, "openUrl", lambda _: False)
+    window.recording_bar.open.click()
+    window.update_text()
+    assert window.messages.text.text().endswith("cannot be shown here: this desktop has no program for it")
 
 
 def test_failed_command_is_shown_until_dismissed(

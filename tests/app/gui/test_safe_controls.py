@@ -290,7 +290,7 @@ def test_wheel_changes_a_field_or_choice_only_with_focus(live: tuple[MainWindow,
     for widget in (controls.exposure, controls.registration, controls.mask_choice):
         scroll(widget)
     assert controls.exposure.value() == 20
-    assert controls.registration.currentText() == "gauss_newton"
+    assert controls.registration.currentText() == "Gauss-Newton"
     assert not requests
     assert controls.mask_choice.currentText() == "square"
     controls.exposure.setFocus()
@@ -317,7 +317,7 @@ def test_light_goes_off_while_a_frame_is_reconstructed(
     light = window.controls.light
     with blocked_reconstruction(monkeypatch):
         light.click()
-        assert light.text().startswith("Switching off")
+        assert light.text().startswith("Switching\noff")
         qtbot.waitUntil(lambda: not camera.light.shines)
         qtbot.waitUntil(lambda: light.text() == "Light off" and not light.isChecked())
     light.click()

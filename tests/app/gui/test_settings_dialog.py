@@ -56,7 +56,7 @@ def choose(dialog: SettingsDialog, path: str, text: str) -> None:
     choice = dialog.editors[path][1]
     assert isinstance(choice, QComboBox)
     choice.setCurrentText(text)
-    choice.textActivated.emit(text)
+    choice.activated.emit(choice.currentIndex())
 
 
 def test_changed_settings_are_opened(benches: BenchFiles, opened: list[Bench]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from PyQt6.QtGui import QPaintEvent
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_measurement
-from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture
+from support.wavefronts import bowl
+from support.window_tools import LENSLETS, MakeWindow, dim_frame, part, picture, views
 
 from app.gui.adaptive_scale import MAGNIFICATIONS, RANGES, AdaptiveScale
 from app.gui.colours import ColourScale, diverging
+from app.gui.presentation import NOTHING, with_error
 from app.gui.view_grid import Maps, ViewGrid
 from reconstruction.arrays import Floats
 
@@ -164,3 +167,45 @@ def test_color_bar_gives_way_to_small_maps(qtbot: QtBot) -> None:
         places = sorted(bar.top() + (1 - fraction) * bar.height() for fraction, _ in grid._ticks(scale, bar))
         assert len(places) in {2, 3}
         assert min(np.diff(places)) >= line - 1
+
+
+def test_small_views_stand_apart_so_that_positions_fit(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.resize(1440, 900)
+    window.wavefront_panel.menu.change(views=6)
+    window.show_measurement(replace(make_measurement(dim_frame(), views()), wavefront=bowl()))
+    window.update_text()
+    QApplication.processEvents()
+    grid = window.wavefront_panel.grid
+    assert grid.places.size.width() < 80
+    assert grid._wording(1) is not None
+    assert grid.tile(0, 5).right() + grid.places.bar_space < grid.width()
+    right = grid.tile(0, 5).center().x() + grid._caption_width // 2
+    assert grid.maps is not None
+    assert right < grid._bar(grid.maps).left()
+
+
+def test_colour_bar_stays_while_its_numbers_change(qtbot: QtBot) -> None:
+    grid = ViewGrid()
+    qtbot.addWidget(grid)
+    phase = np.zeros((1, 1, 9, 9))
+    grid.resize(150, 120)
+    show(grid, phase, 1000)
+    with_long_numbers = grid.places.bar_space, grid.tile(0, 0)
+    show(grid, phase, 2)
+    assert (grid.places.bar_space, grid.tile(0, 0)) == with_long_numbers
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "texts"),
+    [
+        (-1.0312, 0.0213, ("-1.031", "0.021")),
+        (1.3, 0.00996, ("+1.300", "0.010")),
+        (123.4, 5.21, ("+123.4", "5.2")),
+        (0.5, 0.0, ("+0.500", "0")),
+        (np.nan, 1.0, ("", "1.0")),
+    ],
+)
+def test_value_and_error_end_at_the_same_decimal(value: float, sigma: float, texts: tuple[str, str]) -> None:
+    found = with_error(value, sigma)
+    assert found == (texts[0].replace("-", "\N{MINUS SIGN}") or NOTHING, texts[1])

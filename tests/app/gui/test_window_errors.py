@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from PyQt6.QtCore import QPointF
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.optics import sensor_of
@@ -14,15 +13,10 @@ from app.acquisition.worker import Acquisition
 from app.gui.main_window import MainWindow
 
 
-class Click:
-    def __init__(self, position: QPointF) -> None:
-        self.scenePos = lambda: position
-
-
 def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     panel, lenslet = window.camera_panel, window.tabs.lenslet
-    panel._click(Click(panel._view.mapViewToScene(QPointF(215 + 6 * 31.25, 150.5 + 4 * 31.25))))
+    panel.picker.clicked.emit((8, 12))
     assert lenslet.lenslet == (8, 12)
     smaller = replace(BENCH, sensor=sensor_of(5, 7))
     window.open(lambda: Acquisition(smaller, opener(FakeCamera())))

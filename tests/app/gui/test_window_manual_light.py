@@ -29,7 +29,7 @@ def by_hand(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, ManualLi
     window = make_window()
     window.controller._make_acquisition = lambda: Acquisition(BENCH, opener(camera))
     window.connect_devices()
-    qtbot.waitUntil(lambda: window.controls.light.text() == "Light by hand")
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light\nby hand")
     qtbot.waitUntil(lambda: camera.is_running and window.controller.pending.is_empty)
     window.activateWindow()
     return window, light
@@ -51,7 +51,7 @@ def test_dark_and_reference_ask_for_the_light(by_hand: tuple[MainWindow, ManualL
     window.messages.accept.click()
     qtbot.waitUntil(lambda: says(window, "Switch the light on by hand"))  # after the dark
     assert not light.is_on
-    assert window.controls.light.text() == "Light noted off"
+    assert window.controls.light.text() == "Light\nnoted off"
     qtbot.waitUntil(lambda: window._status is not None and window._status.dark == "good")
     window.messages.discard.click()
     assert not light.is_on
@@ -60,13 +60,13 @@ def test_dark_and_reference_ask_for_the_light(by_hand: tuple[MainWindow, ManualL
     press(qtbot, window, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: window._status is not None and window._status.reference == "good")
     assert light.is_on
-    assert window.controls.light.text() == "Light by hand"
+    assert window.controls.light.text() == "Light\nby hand"
 
 
 def test_button_notes_only_what_was_confirmed(by_hand: tuple[MainWindow, ManualLight], qtbot: QtBot) -> None:
     window, light = by_hand
     window.controls.light.click()
-    assert window.controls.light.text() == "Light by hand"
+    assert window.controls.light.text() == "Light\nby hand"
     assert window.controls.light.isChecked()
     window.messages.discard.click()
     assert light.is_on

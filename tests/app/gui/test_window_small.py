@@ -26,15 +26,19 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views, wait_for_wavefront
 
+from app.acquisition.worker import Activity
 from app.gui.main_window import MainWindow
 from app.gui.number_field import NumberField
-from app.gui.status_line import FittingRow, StatusLine
+from app.gui.status_line import StatusLine
 from app.gui.theme import apply_theme
+from app.gui.wording import advice
 from app.measurement.live_solver import Assumptions, RefinementState
 from app.measurement.measurement import FrameTotals
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 
 LONG = "the recording ended early, 1203 frames are saved: the disk is full, free some space and start another recording"
+
+LAYER = AssumedSample((-0.975,), np.array([[0.005**2]]))
 
 
 @pytest.fixture
@@ -93,9 +97,9 @@ def test_long_texts_fit_at_every_size(make_window: MakeWindow, size: tuple[int, 
     assert (window.width(), window.height()) == size
     assert_nothing_overlaps(window)
     assert window.messages.text.toolTip() == LONG.capitalize()
-    for part in window.status_line.row._parts:
-        if part.name not in window.status_line.row.hidden_names:
-            assert part.value.width() >= part.value.fontMetrics().horizontalAdvance(part.value.text()), part.name
+    line = window.status_line
+    for value in (line.rate, line.delay, line.lost, line.valid, line.correction):
+        assert value.width() >= value.fontMetrics().horizontalAdvance(value.text())
 
 
 def room(control: QWidget) -> int:
@@ -162,46 +166,25 @@ def test_larger_font_widens_the_window(make_window: MakeWindow) -> None:
     assert_nothing_overlaps(window)
 
 
-def test_least_important_numbers_are_hidden_first(qtbot: QtBot) -> None:
+def test_numbers_keep_their_room_and_the_rest_is_told_in_a_tooltip(qtbot: QtBot) -> None:
     line = StatusLine()
     qtbot.addWidget(line)
+    line.resize(880, 40)
     line.show()
-    line.count(replace(make_measurement(dim_frame(), views()), counts=FrameTotals(1234567, 1204567, 30123)))
+    many = replace(make_measurement(dim_frame(), views()), counts=FrameTotals(1234567, 1204567, 30123))
+    line.count(many)
     line.update_text(None, None)
-    row = line.row
-    order = [
-        "shown",
-        "acquired",
-        "reconstructed",
-        "frame age",
-        "delay",
-        "sample",
-        "correction",
-        "lost",
-        "frames/s",
-        "valid",
-    ]
-    seen = set()
-    for width in range(1400, 100, -20):
-        line.resize(width, 40)
-        seen.add(len(row.hidden_names))
-        assert set(row.hidden_names) == set(order[: len(row.hidden_names)])
-        assert row._more.isHidden() == (not row.hidden_names)
-    assert {0, len(order) - 1} <= seen
-    assert "acquired 1234567" in row.toolTip()
-    assert "lost 30123" in row._more.toolTip()
-
-
-def test_room_of_a_number_never_shrinks(qtbot: QtBot) -> None:
-    row = FittingRow()
-    qtbot.addWidget(row)
-    value = row.add("count", "how many", widest="0", importance=0)
-    value.setText("123456789")
-    row.fit()
-    wide = value.minimumWidth()
-    value.setText("1")
-    row.fit()
-    assert value.minimumWidth() == wide
+    wide = line.lost.width()
+    assert wide >= line.lost.fontMetrics().horizontalAdvance("30123")
+    assert "1234567 acquired, 1204567 reconstructed, 1 shown" in line._counted.toolTip()
+    line.count(replace(many, counts=FrameTotals(1234568, 1204568, 30124), latency_s=0.9))
+    line.update_text(None, None)
+    assert line.lost.property("tone") == "red"  # it has grown
+    line.restart()
+    line.count(replace(many, counts=FrameTotals(1, 1, 1)))
+    line.update_text(None, None)
+    assert line.lost.width() == wide
+    assert line.lost.property("tone") == "text"
 
 
 @pytest.mark.usefixtures("large_font")
@@ -238,7 +221,7 @@ def test_tab_visits_the_controls_in_order(make_window: MakeWindow) -> None:
         widget = widget.nextInFocusChain()
     keyed = [stop for stop in stops if stop.focusPolicy() & Qt.FocusPolicy.TabFocus and stop.isVisible()]
     controls = window.controls
-    wanted = [window.camera_panel.lattice_toggle, window.wavefront_panel.freeze_scale, controls.start, controls.light]
+    wanted = [window.camera_panel.lattice_toggle, window.wavefront_panel.freeze_scale, controls.light, controls.start]
     wanted += [controls.dark, controls.refine, window.recording_panel.record]
     places = [keyed.index(each) for each in wanted]
     assert places == sorted(places)  # from left to right, from the top down
@@ -257,17 +240,51 @@ def test_escape_closes_only_the_help(make_window: MakeWindow, qtbot: QtBot) -> N
 
 
 @pytest.mark.parametrize(
-    ("sample", "text", "told"),
+    ("sample", "told"),
     [
-        (None, "searching", "any wavefront"),
-        (FREE, "any", "any wavefront"),
-        (AssumedSample((-0.975,), np.array([[0.005**2]])), "1 layer", "one layer 195 +- 1 mm in front of the lenslets"),
+        (None, "any wavefront (searching for layers)"),
+        (FREE, "any wavefront"),
+        (
+            AssumedSample((-0.975,), np.array([[0.005**2]])),
+            "one layer 195 \N{PLUS-MINUS SIGN} 1 mm in front of the lenslets",
+        ),
     ],
 )
-def test_assumed_sample_is_shown(qtbot: QtBot, sample: AssumedSample | None, text: str, told: str) -> None:
-    line = StatusLine()
-    qtbot.addWidget(line)
+def test_sample_and_mask_are_told_in_the_window(
+    live: tuple[MainWindow, FakeCamera], sample: AssumedSample | None, told: str
+) -> None:
+    window, line, note = live[0], live[0].status_line, "the mask shows 7 of 9 displacements"
+    assert window._status is not None
     line.count(replace(make_measurement(dim_frame(), views()), assumed=Assumptions(sample)))
-    line.update_text(None, None)
-    assert line.sample.text() == text
-    assert f"Assumed: {told}" in line.sample.toolTip()
+    window._status = status = replace(window._status, mask_note=note)
+    line.update_text(status, None)
+    assert line.assumed.text() == f"Sample: {told}"
+    assert line.assumed.isVisible()
+    assert advice(status, Activity(), window._measurement) == note  # while there is nothing to do
+    assert not line._of_correction.isVisible()
+
+
+def test_window_with_recording_bar_fits_a_full_hd_screen_at_scale_2(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window(FakeCamera())
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    for chart in window.tabs.history.toggles.values():
+        chart.setChecked(True)
+    window.docks.show_panel(window.tabs.history)
+    window.recording_bar.prepare()
+    cut_texts(window)  # makes it as small as it can be
+    assert window.width() <= 960
+    assert window.height() <= 1080 / 2 - 40  # 40 px for the frame of a window manager
+
+
+def test_recording_bar_leaves_the_controls_in_place(make_window: MakeWindow) -> None:
+    window = make_window()
+    window.resize(1280, 800)
+    QApplication.processEvents()
+    before = place(window.controls, window)
+    window.recording_bar.prepare()
+    for _ in range(3):  # one layout triggers others
+        QApplication.processEvents()
+    assert window.recording_bar.isVisible()
+    assert place(window.controls, window) == before
+    assert place(window.recording_bar, window).bottom() < before.top()

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
+
 import numpy as np
 import pytest
 from support.gui_bench import make_frame
 from support.wavefronts import bowl
 
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, History, sample
+from app.errors import RunError
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, Drift, History, sample
 from reconstruction.wavefront import rms
 
 
@@ -51,3 +55,24 @@ def test_sample_of_a_frame() -> None:
     expected = np.nanmean([rms(view) for view in wavefront.views.reshape(9, *wavefront.views.shape[2:])[1:]])
     assert found == pytest.approx({RMS: expected, FILL: 75.0, DELAY: 12.3, TEMPERATURE: -65.0})
     assert sample(make_frame(pixels), None, full_scale=0, delay_s=0.01, temperature_c=None) == {DELAY: 10.0}
+
+
+def test_drift_is_that_of_the_known_values() -> None:
+    found = Drift.of(np.array([1.0, np.nan, 3.0, 5.0]))
+    assert (found.mean, found.sigma, found.peak_to_peak) == pytest.approx((3, np.sqrt(8 / 3), 4))
+    assert np.isnan(Drift.of(np.full(3, np.nan)).mean)
+
+
+def test_exported_table_holds_all_series_with_units_and_gaps(tmp_path: Path) -> None:
+    history = History(capacity=3)
+    history.add(0.0, {"Z04": 9.0})
+    history.add(10.0, {RMS: 1.5})
+    history.add(10.5, {RMS: 2.0, DELAY: 4.0})
+    history.add(11.0, {DELAY: 5.0})
+    history.write_csv(tmp_path / "drift.csv")
+    with (tmp_path / "drift.csv").open(encoding="utf-8", newline="") as file:
+        heads, *rows = csv.reader(file)
+    assert heads == ["time (s)", "Z04 (rad)", "RMS (rad)", "Delay (ms)"]
+    assert rows == [["0", "", "1.5", ""], ["0.5", "", "2", "4"], ["1", "", "", "5"]]
+    with pytest.raises(RunError, match="drift"):
+        history.write_csv(tmp_path / "drift.csv" / "again.csv")

@@ -367,3 +367,10 @@ def test_command_compares_with_another_method(
     assert "--overwrite replaces it" in capsys.readouterr().err
     assert run(monkeypatch, "report", "--help") == 0
     assert "--beside" in capsys.readouterr().out
+
+
+def test_longest_legend_stays_on_the_page(summary: Summary) -> None:
+    lines = [replace(line, lost=1, problem="the light is off") for line in summary.lines]
+    figure = certainty(replace(summary, lines=lines))
+    assert "no live wavefront" in said(figure)
+    assert_legible(figure)

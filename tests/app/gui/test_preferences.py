@@ -1,0 +1,96 @@
+"""Preferences of the window, and presets of the devices: kept between starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import QSettings
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import MakeWindow, wait_for_wavefront
+
+from app.gui import theme
+from app.gui.device_presets import DevicePresets
+from app.gui.main_window import MainWindow
+from app.gui.preferences import PreferencesDialog, apply_preferences
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> QSettings:
+    return QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
+
+
+@pytest.mark.usefixtures("restored_theme")
+def test_theme_changes_at_once_and_is_kept(qapp: QApplication, qtbot: QtBot, settings: QSettings) -> None:
+    theme.apply_theme(qapp)
+    parent = QWidget()
+    qtbot.addWidget(parent)
+    dialog = PreferencesDialog(settings, parent)
+    try:
+        for name, text in (("light", "#1b2026"), ("dark", "#dde2e8")):
+            dialog.theme.setCurrentIndex(dialog.theme.findData(name))
+            dialog.theme.activated.emit(dialog.theme.currentIndex())
+            assert theme.TEXT.name() == text
+        dialog.theme.setCurrentIndex(dialog.theme.findData("light"))
+        dialog.theme.activated.emit(2)
+        theme.use_theme(qapp, "dark")
+        apply_preferences(qapp, settings)  # the next start
+        assert theme.TEXT.name() == "#1b2026"
+        assert PreferencesDialog(settings, parent).theme.currentText() == "light"
+    finally:
+        qapp.setProperty("theme", None)
+
+
+@pytest.mark.usefixtures("restored_theme")
+def test_size_of_texts_changes_at_the_next_start(qapp: QApplication, qtbot: QtBot, settings: QSettings) -> None:
+    parent = QWidget()
+    qtbot.addWidget(parent)
+    dialog, usual = PreferencesDialog(settings, parent), qapp.font()
+    dialog.size_choice.setCurrentText("125 %")
+    dialog.size_choice.activated.emit(2)
+    assert qapp.font() == usual
+    try:
+        apply_preferences(qapp, settings)
+        assert qapp.font().pointSizeF() == pytest.approx(1.25 * usual.pointSizeF())
+        settings.setValue("preferences/text", "1e9")  # edited by hand
+        qapp.setFont(usual)
+        apply_preferences(qapp, settings)
+        assert qapp.font() == usual
+    finally:
+        qapp.setFont(usual)
+
+
+def presets_of(window: MainWindow) -> DevicePresets:
+    (action,) = [one for one in window.findChildren(QAction) if one.text() == "Presets of exposure and mask"]
+    action.trigger()
+    (dialog,) = window.findChildren(DevicePresets)
+    return dialog
+
+
+def test_preset_restores_exposure_and_mask_also_after_a_restart(
+    make_window: MakeWindow, qtbot: QtBot, settings: QSettings
+) -> None:
+    camera = FakeCamera()
+    window = make_window(camera, settings=settings)
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    dialog = presets_of(window)
+    dialog.save.click()  # without a name
+    assert not dialog.names.count()
+    dialog.name.setText("cells")
+    dialog.save.click()
+    for request, value in ((window.controls.exposure_requested, 0.03), (window.controls.mask_requested, "stars")):
+        request.emit(value)
+    qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and camera.stage.mask == "stars")
+    again = DevicePresets(lambda: window.controller.status, window.controls, settings, window)
+    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    again.names.setCurrentRow(0)
+    again.apply.click()
+    qtbot.waitUntil(lambda: camera.exposure_s == 0.02 and camera.stage.mask == "square")
+    again.delete.click()
+    assert not again.names.count()
+    settings.setValue("presets/devices", "no JSON")
+    assert not DevicePresets(lambda: None, window.controls, settings, window).names.count()

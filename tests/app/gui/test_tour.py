@@ -1,0 +1,76 @@
+"""The tour of the window, and its splash."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+from support.window_tools import MakeWindow, press
+
+from app.gui.main_window import MainWindow
+from app.gui.splash import show_splash
+from app.gui.tour import Tour
+
+
+@pytest.fixture
+def tour(make_window: MakeWindow) -> tuple[MainWindow, Tour]:
+    window = make_window()
+    window.activateWindow()
+    window.setFocus()
+    made = Tour(window)
+    made.begin()
+    QApplication.processEvents()
+    return window, made
+
+
+def place(widget: QWidget) -> QPoint:
+    return widget.mapToGlobal(QPoint())
+
+
+def test_button_stays_in_place_while_the_parts_are_outlined(tour: tuple[MainWindow, Tour]) -> None:
+    window, bubble = tour
+    at, outlined = place(bubble.next), list[QWidget]()
+    for part in (window.camera_panel, window.wavefront_panel, window.controls, window.messages, window.recording_panel):
+        QApplication.processEvents()
+        assert place(bubble.next) == at
+        assert bubble._outline.size() == part.size()
+        assert place(bubble._outline) == place(part)
+        assert bubble.text.height() >= bubble.text.heightForWidth(bubble.text.width())  # no text is cut
+        outlined.append(part)
+        bubble.next.click()
+    assert not bubble.isVisible()
+    assert not bubble._outline.isVisible()
+    assert len(outlined) == 5
+
+
+def test_escape_ends_the_tour_and_nothing_else(tour: tuple[MainWindow, Tour], qtbot: QtBot) -> None:
+    window, bubble = tour
+    cancelled: list[bool] = []
+    window.messages.cancel_requested.connect(lambda: cancelled.append(True))
+    press(qtbot, window, Qt.Key.Key_Escape)
+    assert not bubble.isVisible()
+    assert not cancelled
+    press(qtbot, window, Qt.Key.Key_Escape)
+    assert cancelled
+
+
+def test_no_panel_lies_over_the_bubble(tour: tuple[MainWindow, Tour], qtbot: QtBot) -> None:
+    window, bubble = tour
+    window.tabs.inspect(3, 3)
+    lenslet, corner = window.tabs.lenslet, bubble.mapTo(window, QPoint(8, bubble.height() - 8))
+    qtbot.waitUntil(lambda: lenslet.isVisible() and not window._unpainted)
+    assert lenslet.rect().contains(lenslet.mapFrom(window, corner))
+    qtbot.waitUntil(lambda: window.childAt(corner) in {bubble, *bubble.findChildren(QWidget)})
+
+
+def test_splash_gives_way_to_the_window(qtbot: QtBot) -> None:
+    splash = show_splash()
+    assert "svwfs" in splash.message()
+    assert not splash.isVisible()  # offscreen
+    window = QWidget()
+    qtbot.addWidget(window)
+    window.show()
+    splash.show()
+    splash.finish(window)
+    assert not splash.isVisible()
