@@ -136,7 +136,7 @@ class AcquisitionLoop:
                 one_blas_thread(),
                 short_turns(),
                 self._open_devices(self.bench, self._show_opening) as devices,
-                closing(Instrument(devices, self.bench, self.timings)) as instrument,
+                closing(Instrument(devices, self.bench, self.timings, self._show_preparation)) as instrument,
             ):
                 self._light_switch.attach(devices.light)
                 self.activity = Activity()
@@ -164,6 +164,11 @@ class AcquisitionLoop:
         if self._stopping.is_set():
             raise Cancelled
         self.activity = Activity("preparing the devices", fraction)
+
+    def _show_preparation(self, what: str) -> None:
+        """Show that the instrument prepares the reconstruction; this cannot be cancelled."""
+        self.activity = Activity(what, may_cancel=False)
+        self._path.note_work(what)
 
     def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
         execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)

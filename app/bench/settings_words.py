@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from app.bench.config import Bench
     from app.bench.settings_form import FormField
 
 _NUMBER = re.compile(r"(?<![\w.*+-])[+-]?\d+\.?\d*(?:e[+-]?\d+)?(?![\w.*]| ?pixel)")
@@ -38,3 +40,22 @@ def in_words(sentence: str, faulty: str, fields: Mapping[str, FormField]) -> str
         if "_" in key:  # others may be words of the sentence
             sentence = re.sub(rf"\b{key}\b", field.label, sentence)
     return sentence
+
+
+def changes_in_words(before: Bench, after: Bench) -> str:
+    """Name the settings of a bench that have changed, with their new values: "pupil modes 200"."""
+    return ", ".join(_changes(before, after)) or "the same settings"
+
+
+def _changes(before: object, after: object) -> Iterator[str]:
+    for field in fields(before) if is_dataclass(before) else ():
+        old, new = getattr(before, field.name), getattr(after, field.name)
+        name = field.name.replace("_", " ")
+        if old == new:
+            continue
+        if field.name == "lattice":
+            yield "another lattice"
+        elif is_dataclass(old) and type(old) is type(new):
+            yield from _changes(old, new)
+        else:
+            yield f"{name} {'automatic' if new is None else new}"

@@ -15,7 +15,8 @@ from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattic
 from app.gui.plot import Canvas
 from app.gui.presentation import percent
 from app.gui.segments import Segments
-from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
+from app.gui.situation import Liveness
+from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row, row_of, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics
 from drivers.interface import Frame
@@ -26,6 +27,7 @@ from reconstruction.lattice.search import Survey
 _AUTOMATIC, _FULL, _FROZEN = "auto contrast", "full range", "frozen contrast"
 _CLOSEST_PX = 8  # side of the smallest area that fills the view
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
+_DIMMED = 0.5  # opacity of a picture that may be over
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
 
 
@@ -96,15 +98,24 @@ class CameraPanel(QWidget):
         self.legend = label("", "on-image", self._graphics)
         self.legend.hide()
         self.caption = ElidedLabel("dim")
-        self._title = label("Camera", "title")
-        self.header = row_of((self._title, 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours)
+        self.header = row_of(
+            (label("Camera", "title"), 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours
+        )
         column(self.header, (self._graphics, 1), self.caption, parent=self)
         self._placeholder = label("no frame yet", "dim")
-        column(self._placeholder, parent=self._graphics).setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.badge = label("", "badge")
+        self.badge.hide()
+        self._placeholder.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        corner = row((QWidget(), 1), self.badge)  # at the right
+        column(corner, (self._placeholder, 1), parent=self._graphics).addStretch()
 
-    def show_running(self, *, is_running: bool) -> None:
-        """Show in the title whether the camera runs."""
-        self._title.setText("Camera" if is_running or self._frame is None else "Camera, stopped")
+    def show_liveness(self, shown: Liveness) -> None:
+        """Show a badge on a picture that is not live, and dim one that may be over."""
+        if shown.badge != self.badge.text():
+            self.badge.setText(shown.badge)
+            self.badge.setVisible(bool(shown.badge))
+            self._view.childGroup.setOpacity(_DIMMED if shown.is_grey else 1.0)
+        self.badge.setToolTip(shown.reason)
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
         """Set the lattice and the full scale of the next frames."""

@@ -73,6 +73,7 @@ class ReplayBar(QFrame):
         if player is None:
             self._timer.stop()
             return
+        self._controls.enable_devices(is_enabled=False)
         count = len(player.frames)
         self.slider.setRange(0, count - 1)
         self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {count} of {count}  "))

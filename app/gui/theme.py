@@ -51,6 +51,7 @@ QFrame[role="rule"] {{ background: {LINE.name()}; }}
 QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
 QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
 QFrame[role="bubble"] QLabel {{ border: none; }}
+*[wanted="true"] {{ color: {AMBER.name()}; font-style: italic; }}
 QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}

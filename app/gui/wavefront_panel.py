@@ -15,6 +15,7 @@ from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.display_menu import DisplayMenu
 from app.gui.enlarged_view import EnlargedView
 from app.gui.presentation import PRESENTATIONS, Presentation, number, place
+from app.gui.situation import Liveness
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, button, colour_text, column, label, row_of, toggle
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
@@ -84,12 +85,13 @@ class WavefrontPanel(QWidget):
         """Choose a quantity."""
         self.choice.setCurrentText(quantity)
 
-    def show_stale(self, reason: str) -> None:
-        """Show the maps in grey for this reason; empty if they are good."""
-        if reason != self.stale.text():
-            self.grid.show_stale(is_stale=bool(reason))
-            self.stale.setText(reason)
-            self.stale.setVisible(bool(reason))
+    def show_liveness(self, shown: Liveness) -> None:
+        """Say how the maps differ from live ones, and show those in grey that may be over."""
+        if shown.is_grey != self.grid.is_stale:
+            self.grid.show_stale(is_stale=shown.is_grey)
+        if shown.in_words != self.stale.text():
+            self.stale.setText(shown.in_words)
+            self.stale.setVisible(bool(shown.badge))
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
         """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""

@@ -45,6 +45,14 @@ def colour_text(shown: QLabel, colour: QColor) -> None:
         style.polish(shown)
 
 
+def mark_wanted(control: QWidget, *, is_wanted: bool) -> None:
+    """Show the value of a control in amber italics while it is wanted and not in force."""
+    if bool(control.property("wanted")) != is_wanted and (style := control.style()) is not None:
+        control.setProperty("wanted", is_wanted)
+        style.unpolish(control)
+        style.polish(control)
+
+
 class ElidedLabel(QLabel):
     """A line of text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
 
@@ -104,6 +112,16 @@ class Choice(QComboBox):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.currentTextChanged.connect(self.updateGeometry)
 
+    def show_choice(self, allowed: tuple[str, ...], chosen: str) -> None:
+        """Offer these texts and show the chosen one, without emitting `textActivated`."""
+        if tuple(self.itemText(index) for index in range(self.count())) != allowed:
+            self.clear()
+            self.addItems(allowed)
+            if (items := self.view()) is not None:
+                items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
+        self.setCurrentText(chosen)
+        self.setEnabled(len(allowed) > 1)
+
     def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
         """Return the size in which the chosen text is not cut."""
         size, option, style = super().minimumSizeHint(), QStyleOptionComboBox(), self.style()
@@ -130,9 +148,9 @@ class Choice(QComboBox):
             super().wheelEvent(event)
 
 
-def button(text: str, tool_tip: str, clicked: Slot) -> QPushButton:
+def button(text: str, tool_tip: str, clicked: Slot, kind: type[Button] = Button) -> QPushButton:
     """Make a button that does not take the focus when clicked."""
-    made = Button(text)
+    made = kind(text)
     made.setToolTip(tool_tip)
     made.setIconSize(QSize(14, 14))
     made.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -140,9 +158,9 @@ def button(text: str, tool_tip: str, clicked: Slot) -> QPushButton:
     return made
 
 
-def toggle(text: str, tool_tip: str, clicked: Slot | None = None) -> QPushButton:
+def toggle(text: str, tool_tip: str, clicked: Slot | None = None, kind: type[Button] = Button) -> QPushButton:
     """Make a checkable button."""
-    made = button(text, tool_tip, clicked or (lambda: None))
+    made = button(text, tool_tip, clicked or (lambda: None), kind)
     made.setCheckable(True)
     return made
 

@@ -14,12 +14,12 @@ import pytest
 from support.patience import HANG_S, own_time, wait_until
 
 from app.acquisition.devices import open_devices
-from app.acquisition.instrument import Instrument, Reconstruction, Status
+from app.acquisition.instrument import Instrument, Status
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.measurement.measurement import SKIPPED
+from app.measurement.measurement import SKIPPED, Reconstruction
 from app.measurement.routines.frames import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
 from reconstruction.quality.verdict import Fault

@@ -1,0 +1,33 @@
+"""Main window that times its painting."""
+
+import time
+
+from PyQt6.QtCore import QEvent
+
+from app.gui.neutral_focus import NeutralFocusWindow
+from app.measurement.measurement import Measurement
+from app.timing import Timings
+
+
+class TimedWindow(NeutralFocusWindow):
+    """Notes how long a measurement takes to be drawn, and from its exposure to the screen."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
+
+    def expect_painting(self, measurement: Measurement, timings: Timings, seconds: float) -> None:
+        """Note that a measurement will be painted, after `seconds` of preparations."""
+        self._unpainted = measurement, timings, seconds
+
+    def event(self, event: QEvent | None) -> bool:
+        """Time the painting, which Qt does for the whole window at its event UpdateRequest."""
+        if event is None or event.type() != QEvent.Type.UpdateRequest or self._unpainted is None:
+            return super().event(event)
+        (measurement, timings, seconds), self._unpainted = self._unpainted, None
+        start_s = time.perf_counter()
+        is_handled = super().event(event)
+        end_s = time.perf_counter()
+        timings.note("draw", seconds + end_s - start_s)
+        timings.note("to_screen", end_s - measurement.exposure_end_s)
+        return is_handled
