@@ -282,8 +282,10 @@ class Controller:
             self.pending.add(self._starting)
             if self.status is not None and not self.status.is_light_on:
                 self._messages.warn("recording with the light off: L switches it on, W ends the recording")
-        elif self._starting is not None and not self._starting.cancel():
-            self._starting.add_done_callback(lambda _: acquisition.stop_recording())  # at once if it is done
+        elif self._starting is None:  # begun elsewhere
+            acquisition.stop_recording()
+        elif not self._starting.cancel():
+            self._starting.add_done_callback(lambda _: acquisition.stop_recording())  # at once if it has begun
 
     def _new_folder(self, suffix: str = "") -> Path:
         return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"
