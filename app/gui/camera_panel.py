@@ -102,12 +102,10 @@ class CameraPanel(QWidget):
             (label("Camera", "title"), 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours
         )
         column(self.header, (self._graphics, 1), self.caption, parent=self)
-        self._placeholder = label("no frame yet", "dim")
-        self.badge = label("", "badge")
+        self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
         self.badge.hide()
         self._placeholder.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        corner = row((QWidget(), 1), self.badge)  # at the right
-        column(corner, (self._placeholder, 1), parent=self._graphics).addStretch()
+        column(row((QWidget(), 1), self.badge), (self._placeholder, 1), parent=self._graphics).addStretch()
 
     def show_liveness(self, shown: Liveness) -> None:
         """Show a badge on a picture that is not live, and dim one that may be over."""

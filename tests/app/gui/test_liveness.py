@@ -23,14 +23,18 @@ def is_grey(window: MainWindow) -> bool:
     tiles = [window.wavefront_panel.grid, *window.tabs.lenslet.tiles.values()]
     states = {tile.is_stale for tile in tiles}
     assert len(states) == 1
-    is_dim = window.camera_panel._view.childGroup.opacity() < 1
+    is_dim: bool = window.camera_panel._view.childGroup.opacity() < 1
     assert states == {is_dim}
     return is_dim
 
 
 def badges(window: MainWindow) -> tuple[str, str, str]:
     camera, wavefront, lenslet = window.camera_panel.badge, window.wavefront_panel.stale, window.tabs.lenslet.title
-    return camera.text() if camera.isVisible() else "", wavefront.text() if wavefront.isVisible() else "", lenslet.text()
+    return (
+        camera.text() if camera.isVisible() else "",
+        wavefront.text() if wavefront.isVisible() else "",
+        lenslet.text(),
+    )
 
 
 def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:

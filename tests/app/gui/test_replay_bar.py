@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -218,6 +219,11 @@ def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
     assert "neglected propagation of light" in told
 
 
+def is_at(window: MainWindow, player: Player, position: int) -> bool:
+    """True if this frame is shown and no move is under way."""
+    return window.replay._wanted is None and window.replay._moving is None and player.position == position
+
+
 def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     window: MainWindow, qtbot: QtBot, own_recording: Recording
 ) -> None:
@@ -232,20 +238,19 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     qtbot.waitUntil(lambda: bar.play.text() == "Pause")
     bar.play.click()
     qtbot.waitUntil(lambda: bar.play.text() == "Play")
-    is_idle = lambda: bar._wanted is None and bar._moving is None  # noqa: E731 - short
     for start, step, end in ((2, bar.forth, 4), (4, bar.forth, 6), (6, bar.back, 4), (4, bar.back, 2)):
         bar.slider.setValue(start)
-        qtbot.waitUntil(lambda start=start: is_idle() and player.position == start)
+        qtbot.waitUntil(partial(is_at, window, player, start))
         bar.refresh()
         step.click()
-        qtbot.waitUntil(lambda end=end: is_idle() and player.position == end)
+        qtbot.waitUntil(partial(is_at, window, player, end))
         bar.refresh()
         assert bar.text.text() == f"frame {end + 1} of {FRAMES}"
     assert bar.slider.marked == {3, 5}
     assert "Frame 3 skipped: " in window.log.text
     assert "Frame 5 skipped: " in window.log.text
     bar.slider.setValue(3)  # a known one
-    qtbot.waitUntil(lambda: is_idle() and player.position == 4)
+    qtbot.waitUntil(partial(is_at, window, player, 4))
     assert (picture(bar.slider)[:, :, 0].astype(int) - picture(bar.slider)[:, :, 2] > 100).any()  # red
     before = window.status_line.shown
     bar.play.click()

@@ -62,7 +62,11 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
         assert [one.property("wanted") for one in (controls.pupil_modes, controls.basis)] == [True, True]
         assert not controls.registration.property("wanted")
         window.messages.warn("an old message")
-        qtbot.waitUntil(lambda: "Preparing the reconstruction with pupil modes 10" in window.messages.progress.toolTip().capitalize())
+        qtbot.waitUntil(
+            lambda: (
+                "Preparing the reconstruction with pupil modes 10" in window.messages.progress.toolTip().capitalize()
+            )
+        )
         assert window.messages.progress.isVisible()
     qtbot.waitUntil(lambda: not window.controller.settings.wanted)
     qtbot.waitUntil(lambda: window.controller.pending.is_empty)
