@@ -154,7 +154,9 @@ class AcquisitionLoop:
             self.error = error
         except Exception as error:
             self.error = error
-            raise
+            # At interpreter exit the worker pool ends before a worker that was given up: not a fault.
+            if not (isinstance(error, RuntimeError) and self._stopping.is_set()):
+                raise
         finally:
             self._commands.close(self.failure or "the acquisition has ended")
             self._recorder.close(self.failure)
@@ -166,7 +168,9 @@ class AcquisitionLoop:
         self.activity = Activity("preparing the devices", fraction)
 
     def _show_preparation(self, what: str) -> None:
-        """Show that the instrument prepares the reconstruction; this cannot be cancelled."""
+        """Show that the instrument prepares the reconstruction; this cannot be cancelled, but is not begun at the end."""
+        if self._stopping.is_set():
+            raise Cancelled
         self.activity = Activity(what, may_cancel=False)
         self._path.note_work(what)
 

@@ -16,7 +16,7 @@ from app.gui.plot import Canvas
 from app.gui.presentation import percent
 from app.gui.segments import Segments
 from app.gui.situation import Liveness
-from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row, row_of, toggle, unfocused
+from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics
 from drivers.interface import Frame
@@ -104,8 +104,7 @@ class CameraPanel(QWidget):
         column(self.header, (self._graphics, 1), self.caption, parent=self)
         self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
         self.badge.hide()
-        self._placeholder.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        column(row((QWidget(), 1), self.badge), (self._placeholder, 1), parent=self._graphics).addStretch()
+        _lay_over(self._graphics, self.badge, self._placeholder)
 
     def show_liveness(self, shown: Liveness) -> None:
         """Show a badge on a picture that is not live, and dim one that may be over."""
@@ -284,6 +283,12 @@ class CameraPanel(QWidget):
             return f"{text}    lenslet {name}"
         self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")
         return f"{text}    lenslet {name}: {reason}"
+
+
+def _lay_over(picture: QWidget, badge: QWidget, placeholder: QWidget) -> None:
+    over = column(badge, (placeholder, 1), parent=picture)
+    over.setAlignment(badge, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
+    over.setAlignment(placeholder, Qt.AlignmentFlag.AlignCenter)
 
 
 def _clipped_item() -> pg.ImageItem:
