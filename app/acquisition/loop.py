@@ -168,7 +168,7 @@ class AcquisitionLoop:
         self.activity = Activity("preparing the devices", fraction)
 
     def _show_preparation(self, what: str) -> None:
-        """Show that the instrument prepares the reconstruction; this cannot be cancelled, but is not begun at the end."""
+        """Show that the instrument prepares the reconstruction; this cannot be cancelled, and at the end not begun."""
         if self._stopping.is_set():
             raise Cancelled
         self.activity = Activity(what, may_cancel=False)

@@ -31,6 +31,7 @@ from app.gui.settings_control import SettingsControl
 from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
+from app.memory import release_memory
 from app.recording.recorder import Limit
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
@@ -109,7 +110,9 @@ class Controller:
         self.acquisition = self._make_acquisition()
         self.acquisition.start()
         self.settings.restart()
+        self._starting = None
         self.pending.restart(self._begin(self.acquisition))
+        release_memory()  # of the one before
 
     def close(self, meanwhile: Callable[[], object]) -> None:
         """Turn the light off at once and close the devices; wait for the worker, calling `meanwhile` at 25 Hz."""

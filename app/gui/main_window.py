@@ -155,9 +155,9 @@ class MainWindow(TimedWindow):
     def _forget_bench(self) -> None:
         self._guard.restart()
         self.camera_panel.forget()
-        self.wavefront_panel.show_wavefront(None)
+        self.wavefront_panel.forget_bench()
         self.tabs.forget_bench()
-        self._analysis.use_measurement(None)
+        self._analysis.forget_bench()
 
     def refresh(self) -> None:
         """Show what has changed in the acquisition."""

@@ -104,6 +104,13 @@ class WavefrontPanel(QWidget):
         elif self.quantity is Quantity.WAVEFRONT:
             self._show(self.shown.views, _describe_lenslet)
 
+    def forget_bench(self) -> None:
+        """Forget the wavefronts of another bench, also the one that is subtracted: its lenslets may be others."""
+        self.show_wavefront(None)
+        self._display.forget()
+        if self.menu.options.stored is not None:
+            self.menu.change(stored=None)
+
     def show_analysis(self, analysis: Analysis) -> None:
         """Show the maps of an analysis unless another quantity or other views were chosen meanwhile."""
         is_current = analysis.request.quantity is self.quantity is not Quantity.WAVEFRONT

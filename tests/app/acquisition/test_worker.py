@@ -472,7 +472,12 @@ def test_preparation_is_not_begun_after_the_request_to_end(running: Running, mon
     running.begin()
     entered, release, begun = threading.Event(), threading.Event(), list[Calibration]()
     monkeypatch.setattr(Calibration, "reconstructor", begun.append)
-    running.acquisition.submit(lambda _: entered.set() or release.wait(HANG_S))
+
+    def hold(_: Instrument) -> None:
+        entered.set()
+        release.wait(HANG_S)
+
+    running.acquisition.submit(hold)
     change = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
     assert entered.wait(HANG_S)
     running.acquisition.begin_close()
