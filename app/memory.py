@@ -5,20 +5,17 @@ import gc
 import sys
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any
 
-F = TypeVar("F", bound=Callable[..., object])
-
-_forget: list[Callable[[], None]] = []
+_caches: list[Any] = []
 
 
-def kept_for_bench(maxsize: int) -> Callable[[F], F]:
+def kept_for_bench(maxsize: int) -> Callable[[Any], Any]:
     """Cache the last results of a function as `lru_cache` does, until `release_memory`."""
 
-    def decorate(function: F) -> F:
-        cached = lru_cache(maxsize)(function)
-        _forget.append(cached.cache_clear)
-        return cached  # type: ignore[return-value] # it is called in the same way
+    def decorate(function: Callable[..., Any]) -> Any:
+        _caches.append(lru_cache(maxsize)(function))
+        return _caches[-1]
 
     return decorate
 
@@ -26,13 +23,11 @@ def kept_for_bench(maxsize: int) -> Callable[[F], F]:
 def release_memory() -> None:
     """Free what nobody refers to any more, and return it to the system; takes some tenths of a second.
 
-    An acquisition refers to itself, and Python seldom looks for such objects. The C library of Linux keeps freed memory
-    that lies between pieces in use, and needs ever more.
+    An acquisition refers to itself, and Python seldom looks for such objects. The GNU library keeps freed memory that
+    lies between pieces in use.
     """
-    for forget in _forget:
-        forget()
+    for cached in _caches:
+        cached.cache_clear()
     gc.collect()
-    if sys.platform == "linux":
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # only the GNU library has it
-        if trim is not None:
-            trim(0)
+    if sys.platform == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)):
+        trim(0)

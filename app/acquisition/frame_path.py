@@ -32,18 +32,13 @@ class FramePath:
         self._next_index = 0
         self._counted_s: float | None = None  # arrival of the last counted frame
         self._gap: Gap | None = None  # before that frame
-        self._causes: list[str] = []  # of the next gap
+        self.gap_cause = ""  # last work that kept the worker from taking frames
         self._clock_lag_s = math.inf  # this computer's clock minus the camera's
         self._updated_s = -math.inf
 
     def acquire(self, instrument: Instrument, light: LightState | None) -> None:
         """Read one frame, reconstruct it and pass it on; `Cancelled` if the wait was stopped."""
         self.process(self._newest_frame(instrument, light), instrument, light)
-
-    def note_work(self, what: str) -> None:
-        """Note work that keeps the worker from taking frames; it is the cause of the next gap, if there is one."""
-        if what not in self._causes:
-            self._causes.append(what)
 
     def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str) -> None:
         """Reconstruct a frame from a `file` or elsewhere, as if its exposure ended when it was read, and pass it on."""
@@ -119,8 +114,8 @@ class FramePath:
         self._gap = None
         if was_restarted and self._counted_s is not None:
             seconds = max(frame.host_time_s - self._counted_s - frame.exposure_s, 0.0)
-            self._gap = Gap(seconds, "; ".join(self._causes) or "the camera was stopped")
-        self._causes.clear()
+            self._gap = Gap(seconds, self.gap_cause or "the camera was stopped")
+        self.gap_cause = ""
         self._counted_s = frame.host_time_s
         self._update_clock(frame)
 

@@ -172,7 +172,7 @@ class AcquisitionLoop:
         if self._stopping.is_set():
             raise Cancelled
         self.activity = Activity(what, may_cancel=False)
-        self._path.note_work(what)
+        self._path.gap_cause = what
 
     def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
         execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)

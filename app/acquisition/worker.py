@@ -145,7 +145,7 @@ class Acquisition(AcquisitionLoop):
             self._cancelling.clear()
             self._status_due_s = -math.inf
             self.activity = Activity(text)
-            self._path.note_work(text)
+            self._path.gap_cause = text
             return routine(instrument, *arguments, progress=show_progress, should_stop=should_stop)
 
         return self.submit(command)

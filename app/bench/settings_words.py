@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -43,19 +43,11 @@ def in_words(sentence: str, faulty: str, fields: Mapping[str, FormField]) -> str
 
 
 def changes_in_words(before: Bench, after: Bench) -> str:
-    """Name the settings of a bench that have changed, with their new values: "pupil modes 200"."""
-    return ", ".join(_changes(before, after)) or "the same settings"
-
-
-def _changes(before: object, after: object) -> Iterator[str]:
-    for field in fields(before) if is_dataclass(before) else ():
-        old, new = getattr(before, field.name), getattr(after, field.name)
-        name = field.name.replace("_", " ")
-        if old == new:
-            continue
-        if field.name == "lattice":
-            yield "another lattice"
-        elif is_dataclass(old) and type(old) is type(new):
-            yield from _changes(old, new)
-        else:
-            yield f"{name} {'automatic' if new is None else new}"
+    """Name the settings of registration and reconstruction that differ, with their new values: "pupil modes 200"."""
+    texts = [
+        f"{name.replace('_', ' ')} {'automatic' if value is None else value}"
+        for old, new in ((before.registration, after.registration), (before.reconstruction, after.reconstruction))
+        for name, value in asdict(new).items()
+        if value != getattr(old, name)
+    ]
+    return ", ".join(texts) or "the new lattice" * (before.lattice != after.lattice) or "the same settings"

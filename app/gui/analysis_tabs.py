@@ -12,7 +12,7 @@ from app.gui.layers_panel import LayersPanel
 from app.gui.lenslet_panel import LensletPanel
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
-from app.results.history import sample
+from app.results.history import History, sample
 from app.results.layers.answers import FoundLayers
 from app.results.view_analysis import Analysis
 
@@ -71,7 +71,7 @@ class AnalysisTabs(QObject):
         """Forget the inspected lenslet, the pinned coefficient and the history of another bench."""
         self.lenslet.select(None)
         self.coefficients.pin(None)
-        self.history.clear()
+        self.history.history = History()
         self._measurement = None
 
     def show_nothing(self) -> None:

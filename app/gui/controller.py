@@ -131,13 +131,8 @@ class Controller:
         state = None if self.acquisition is None else self.acquisition.recording
         if state is None or state.stage != "recording":
             return False
-
-        def end() -> None:
-            self._messages.inform(f"the recording {state.folder.name} ends, because another bench is opened")
-            then()
-
         question = f"the recording {state.folder.name} ends if another bench is opened"
-        self.ask(question, end, "End it and open", "Keep recording")
+        self.ask(question, then, "End it and open", "Keep recording")
         return True
 
     def check_background(self) -> None:

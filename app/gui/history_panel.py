@@ -85,11 +85,6 @@ class HistoryPanel(QWidget):
         column(header, (self._rows, 1), row(beside, (self.time_axis, 1)), spacing=2, parent=self)
         self._arrange()
 
-    def clear(self) -> None:
-        """Forget all samples."""
-        self.history = History()
-        self.refresh()
-
     def use_unit(self, unit: Unit, per_rad: float) -> None:
         """Set the unit of the phases."""
         self._unit, self._per_rad = unit, per_rad

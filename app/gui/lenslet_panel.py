@@ -54,11 +54,11 @@ class LensletPanel(QWidget):
             self._grey(shown.is_grey)
 
     def show_nothing(self) -> None:
-        """Show the last inspection in grey: the newest frame has no wavefront."""
+        """Show the last inspection in grey: the newest frame has no wavefront, or no reference."""
         if self.lenslet is not None:
             self._title("not measured")
             self._grey(True)
-            self._write(f"no wavefront: {self._problem}" if self._problem else "no wavefront")
+            self._write(f"nothing to inspect: {self._problem or 'there is no wavefront'}")
 
     def wanted(self) -> tuple[int, int] | None:
         """Return the lenslet to inspect; None while hidden."""
@@ -91,8 +91,7 @@ class LensletPanel(QWidget):
 
     def _grey(self, is_grey: bool) -> None:
         for tile in self.tiles.values():
-            if tile.is_stale != is_grey:
-                tile.show_stale(is_stale=is_grey)
+            tile.show_stale(is_stale=is_grey)
 
     def _write(self, numbers: str, quality: str = "") -> None:
         self.numbers.setText(numbers)

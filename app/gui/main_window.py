@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from PyQt6.QtCore import QEvent, QEventLoop, QSettings, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
@@ -71,7 +72,7 @@ class MainWindow(TimedWindow):
         self._failure, self._activity = "", Activity()
         self._is_closing, self._refreshes = False, 0
         self._late = LateMeasurements()
-        self._situation = Situation()
+        self._situation, self._wanted = Situation(), dict[str, Any]()  # settings as shown that are not in force yet
 
         self.camera_panel = CameraPanel()
         self.wavefront_panel = WavefrontPanel()
@@ -165,7 +166,7 @@ class MainWindow(TimedWindow):
         if acquisition is None:
             return
         controller = self.controller
-        if any([controller.pending.poll(), controller.light.poll(), controller.settings.poll()]):
+        if any([controller.pending.poll(), controller.light.poll(), self._wanted != controller.settings.wanted]):
             self._status = None  # shown again, so that a refused value gives way to the one in force
         self._failure = acquisition.failure  # read once: message and buttons must agree
         self._activity = acquisition.activity  # before the status, which is that after a routine as soon as it ends
@@ -209,9 +210,8 @@ class MainWindow(TimedWindow):
         self._status = status
         self._situation.follow(status)
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
-        self.controls.show_status(
-            status, is_settled=self.controller.pending.is_empty, wanted=self.controller.settings.wanted
-        )
+        self._wanted = dict(self.controller.settings.wanted)
+        self.controls.show_status(status, is_settled=self.controller.pending.is_empty, wanted=self._wanted)
         if self.controller.light.is_switching_off:
             self.controls.show_switching_off()
         self.replay.show_status(status)

@@ -1,6 +1,5 @@
 """The replay bar: play, step, position and speed of a recording that is shown in place of the devices."""
 
-from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
@@ -25,11 +24,6 @@ class _Slider(QSlider):
     def __init__(self) -> None:
         super().__init__(Qt.Orientation.Horizontal)
         self.marked: frozenset[int] = frozenset()
-
-    def mark(self, values: Iterable[int]) -> None:
-        """Mark these values only."""
-        self.marked = frozenset(values)
-        self.update()
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint the slider and its marks."""
@@ -93,7 +87,7 @@ class ReplayBar(QFrame):
         if self._player is not None and player is None:
             self._controls.enable_devices(is_enabled=True)
         self._player, self._wanted, self._moving = player, None, None
-        self.slider.mark(())
+        self.slider.marked = frozenset()
         self.setVisible(player is not None)
         for step in (self.back, self.forth):
             step.setEnabled(player is not None)
@@ -143,7 +137,8 @@ class ReplayBar(QFrame):
         if new := sorted(damaged.keys() - self.slider.marked):
             names = frames_in_words([player.frames[position] for position in new])
             self.failed.emit(f"{names} skipped: {damaged[new[-1]]}")
-            self.slider.mark(damaged)
+            self.slider.marked = frozenset(damaged)
+            self.slider.update()
 
     def _show_position(self, position: int) -> None:
         self.slider.blockSignals(True)

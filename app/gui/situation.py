@@ -16,11 +16,6 @@ class Liveness(NamedTuple):
     reason: str = ""
     is_grey: bool = False  # whether the bench may differ from what is shown by now
 
-    @property
-    def in_words(self) -> str:
-        """Badge and reason."""
-        return f"{self.badge}: {self.reason}" if self.badge else ""
-
 
 class Situation:
     """Follows status and failure of the acquisition."""

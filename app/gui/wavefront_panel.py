@@ -64,6 +64,9 @@ class WavefrontPanel(QWidget):
         self.grid = ViewGrid()
         self.stale = ElidedLabel()
         colour_text(self.stale, theme.AMBER)
+        place = self.stale.sizePolicy()
+        place.setRetainSizeWhenHidden(True)  # the maps stay where they are when a badge comes and goes
+        self.stale.setSizePolicy(place)
         self.stale.hide()
         self.grid.opened.connect(self.enlarge)
         self.header = row_of(
@@ -87,11 +90,9 @@ class WavefrontPanel(QWidget):
 
     def show_liveness(self, shown: Liveness) -> None:
         """Say how the maps differ from live ones, and show those in grey that may be over."""
-        if shown.is_grey != self.grid.is_stale:
-            self.grid.show_stale(is_stale=shown.is_grey)
-        if shown.in_words != self.stale.text():
-            self.stale.setText(shown.in_words)
-            self.stale.setVisible(bool(shown.badge))
+        self.grid.show_stale(is_stale=shown.is_grey)
+        self.stale.setText(f"{shown.badge}: {shown.reason}")
+        self.stale.setVisible(bool(shown.badge))
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
         """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""
@@ -107,9 +108,8 @@ class WavefrontPanel(QWidget):
     def forget_bench(self) -> None:
         """Forget the wavefronts of another bench, also the one that is subtracted: its lenslets may be others."""
         self.show_wavefront(None)
-        self._display.forget()
-        if self.menu.options.stored is not None:
-            self.menu.change(stored=None)
+        self._display = WavefrontDisplay()
+        self.menu.change(stored=None)
 
     def show_analysis(self, analysis: Analysis) -> None:
         """Show the maps of an analysis unless another quantity or other views were chosen meanwhile."""

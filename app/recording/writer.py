@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
 
@@ -159,7 +159,7 @@ class RecordingWriter:
             if record.coefficients is not None:
                 written += self._put(f"{results}/coefficients", index, record.coefficients)
         gap = record.gap if index else None  # one before the first frame is none of this recording
-        self._write_line(_line(record, index, calibration, bias, start, gap))
+        self._write_line(_line(replace(record, gap=gap), index, calibration, bias, start))
         if record.displacement is not None:
             self._registered = index, record.displacement
         self.frames += 1
@@ -254,10 +254,8 @@ def _create_lines(folder: Path) -> IO[bytes]:
     return lines
 
 
-def _line(
-    record: Record, index: int, calibration: int | None, bias: int | None, start: int | None, gap: Gap | None
-) -> FrameLine:
-    frame, light = record.frame, record.light
+def _line(record: Record, index: int, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
+    frame, light, gap = record.frame, record.light, record.gap
     return FrameLine(
         index=index,
         camera_index=frame.index,

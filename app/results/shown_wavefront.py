@@ -141,11 +141,6 @@ class WavefrontDisplay:
             shown = replace(shown, views=views)
         return shown
 
-    def forget(self) -> None:
-        """Begin another mean."""
-        self._recent.clear()
-        self._newest = None
-
     def store(self, wavefront: Wavefront, name: str) -> StoredWavefront:
         """Return the wavefront, averaged like the shown one, to be subtracted later."""
         by_mode = self._mean(wavefront)

@@ -47,8 +47,7 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     assert liveness(status, "", Activity("taking the dark", 0.5), now) == Liveness()
     old = replace(newest, exposure_end_s=newest.exposure_end_s - 200)
     preparing = liveness(status, "", Activity("preparing the reconstruction"), old)
-    assert preparing.in_words == "PAUSED, 3 min old: preparing the reconstruction"
-    assert preparing.is_grey
+    assert preparing == Liveness("PAUSED, 3 min old", "preparing the reconstruction", is_grey=True)
     assert liveness(status, "", Activity(), old).reason == "no newer frame has come yet"
 
 
@@ -95,7 +94,7 @@ def test_lenslet_without_wavefront_gives_the_reason(
     qtbot.waitUntil(lambda: window.wavefront_panel.shown is None)
     if not is_inspected:
         window.tabs.inspect(4, 6)
-    qtbot.waitUntil(lambda: panel.numbers.text() == "no wavefront: the light is off: switch it on (L)")
+    qtbot.waitUntil(lambda: panel.numbers.text() == "nothing to inspect: the light is off: switch it on (L)")
     assert panel.title.text() == "Lenslet row 4, column 6: not measured"
     assert all(tile.is_stale for tile in panel.tiles.values())
     window.controls.light.click()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import weakref
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -42,9 +43,7 @@ def alive(found: dict[str, weakref.ref[object]]) -> list[str]:
     return [name for name, each in found.items() if each() is not None]
 
 
-def test_closed_bench_dies_although_every_panel_has_shown_it(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
-) -> None:
+def test_closed_bench_dies_although_every_panel_has_shown_it(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
     lenslet, layers, corrector = window.tabs.lenslet, window.tabs.layers, window.tabs.corrector
     window.tabs.inspect(4, 6)
@@ -65,13 +64,11 @@ def test_closed_bench_dies_although_every_panel_has_shown_it(
 
 @pytest.mark.soak
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_memory_does_not_grow_over_twenty_openings(
-    make_window: MakeWindow, qtbot: QtBot, small_toml: Path
-) -> None:
+def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbot: QtBot, small_toml: Path) -> None:
     window, sizes = make_window(), list[float]()
     for index in range(22):
         bench = load_bench("live_demo" if index % 2 else small_toml)
-        window.open(lambda bench=bench: acquisition_of(bench))
+        window.open(partial(acquisition_of, bench))
         qtbot.waitUntil(lambda: window._measurement is not None and window._measurement.counts.reconstructed > 20)
         qtbot.waitUntil(lambda: window.controller.pending.is_empty)
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
