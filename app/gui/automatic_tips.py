@@ -1,15 +1,10 @@
 """Tool tips of the settings that can be automatic: what was chosen now."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from app.bench.config import AUTOMATIC
+from app.gui.number_field import NumberField
+from app.gui.widgets import Choice
 from reconstruction.settings import FIELD_MODES
-
-if TYPE_CHECKING:
-    from app.gui.controls_panel import ControlsPanel
-    from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront
 
 WARP_TIP = (
     "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
@@ -22,13 +17,13 @@ MODES_TIP = (
 )
 
 
-def show_automatic(controls: ControlsPanel, wavefront: Wavefront | None) -> None:
-    """Tell in the tool tips of warp and modes what was chosen automatically for a wavefront."""
-    warp, modes = WARP_TIP, MODES_TIP
-    if wavefront is not None and controls.warp.isEnabled() and controls.warp.currentText() == AUTOMATIC:
+def show_automatic(warp: Choice, modes: NumberField, wavefront: Wavefront | None) -> None:
+    """Tell in the tool tips what was chosen automatically for a wavefront."""
+    of_warp, of_modes = WARP_TIP, MODES_TIP
+    if wavefront is not None and warp.isEnabled() and warp.currentText() == AUTOMATIC:
         fields = wavefront.displacement.modes.count
-        warp += "".join(f"\n\nChosen now: {name}" for name, count in FIELD_MODES.items() if count == fields)
-    if wavefront is not None and controls.pupil_modes.isEnabled() and controls.pupil_modes.text() == AUTOMATIC:
-        modes += "" if wavefront.coefficients is None else f"\n\nChosen now: {len(wavefront.coefficients)}"
-    controls.warp.setToolTip(warp)
-    controls.pupil_modes.setToolTip(modes)
+        of_warp += "".join(f"\n\nChosen now: {name}" for name, count in FIELD_MODES.items() if count == fields)
+    if wavefront is not None and modes.isEnabled() and modes.text() == AUTOMATIC:
+        of_modes += "" if wavefront.coefficients is None else f"\n\nChosen now: {len(wavefront.coefficients)}"
+    warp.setToolTip(of_warp)
+    modes.setToolTip(of_modes)

@@ -185,7 +185,7 @@ class MainWindow(TimedWindow):
         if measurement is not None and is_new and not self._late.leave_out(measurement, self._measurement):
             start_s = time.perf_counter()
             self.show_measurement(measurement)
-            self.expect_painting(measurement, acquisition.timings, time.perf_counter() - start_s)
+            self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
         self._refreshes += 1
         if self._failure:
             self.update_text()
@@ -227,7 +227,7 @@ class MainWindow(TimedWindow):
             statistics = frame_statistics(measurement.frame.pixels, self.camera_panel.full_scale)
             self.camera_panel.show_statistics(statistics)
             self.tabs.histogram.show_statistics(statistics)
-            show_automatic(self.controls, measurement.wavefront)
+            show_automatic(self.controls.warp, self.controls.pupil_modes, measurement.wavefront)
         if measurement is not None and (now := self.controller.status) is not None:
             full_scale, temperature_c = now.capabilities.full_scale, now.temperature_c
             self.tabs.record(measurement, full_scale=full_scale, temperature_c=temperature_c)

@@ -21,9 +21,7 @@ _POLL_MS = 40
 class _Slider(QSlider):
     """Slider with red marks at some of its values."""
 
-    def __init__(self) -> None:
-        super().__init__(Qt.Orientation.Horizontal)
-        self.marked: frozenset[int] = frozenset()
+    marked: frozenset[int] = frozenset()
 
     def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         """Paint the slider and its marks."""
@@ -56,7 +54,7 @@ class ReplayBar(QFrame):
         self.play = button("Play", "Play or pause (Space)", controls.start.click)
         self.back = button("\N{LEFTWARDS ARROW}", "Previous frame (,)", lambda: self._step(-1))
         self.forth = button("\N{RIGHTWARDS ARROW}", "Next frame (.)", lambda: self._step(1))
-        self.slider = _Slider()
+        self.slider = _Slider(Qt.Orientation.Horizontal)
         self.slider.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.slider.setToolTip("Position in the recording")
         self.slider.valueChanged.connect(self._move)

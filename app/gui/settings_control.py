@@ -80,8 +80,7 @@ class SettingsControl:
         if kind not in self._next:
             self.wanted = {name: value for name, value in self.wanted.items() if self._kinds[name] != kind}
             return
-        if kind == _BENCH:
-            self._change = None
+        self._change = None if kind == _BENCH else self._change
         command, then = self._next.pop(kind)
         self._sent.add(kind)
         self._send(lambda to: to.submit(command), partial(self._end, kind, then), partial(self._end, kind, None))

@@ -39,8 +39,8 @@ class _Number(QLineEdit):
 
     def event(self, event: QEvent | None) -> bool:
         """Pass L to the shortcuts."""
-        is_shortcut = isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride
-        if isinstance(event, QKeyEvent) and is_shortcut and event.key() == Qt.Key.Key_L and not event.modifiers():
+        is_light = isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_L and not event.modifiers()
+        if event is not None and is_light and event.type() == QEvent.Type.ShortcutOverride:
             event.ignore()
             return False
         return super().event(event)

@@ -42,8 +42,10 @@ class Situation:
 def liveness(status: Status | None, failure: str, activity: Activity, measurement: Measurement | None) -> Liveness:
     """Return how the shown frame differs from a live one."""
     if status is None or measurement is None:
-        return Liveness()
-    age = _age(time.perf_counter() - measurement.exposure_end_s)
+        waits = activity.text or failure
+        return Liveness("WAITING" if waits else "", waits, is_grey=bool(waits))
+    age_s = time.perf_counter() - measurement.exposure_end_s
+    age = f"{age_s:.0f} s" if age_s < 100 else f"{age_s / 60:.0f} min"
     if measurement.file:
         return Liveness(f"FILE {measurement.file}", "Space returns to the camera")
     if is_replay(status):
@@ -51,14 +53,8 @@ def liveness(status: Status | None, failure: str, activity: Activity, measuremen
     if failure:
         return Liveness(f"DISCONNECTED, {age} old", failure, is_grey=True)
     is_stopped = not status.is_running and not activity.text
-    if is_stopped or is_old(measurement):
+    if is_stopped or (is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
         why = "the camera is stopped: Space starts it" if is_stopped else "no newer frame has come yet"
         return Liveness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
     reason = stale(status)
     return Liveness("STALE" if reason else "", reason, is_grey=bool(reason))
-
-
-def _age(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.0f} h"

@@ -14,17 +14,13 @@ class TimedWindow(NeutralFocusWindow):
 
     def __init__(self) -> None:
         super().__init__()
-        self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
-
-    def expect_painting(self, measurement: Measurement, timings: Timings, seconds: float) -> None:
-        """Note that a measurement will be painted, after `seconds` of preparations."""
-        self._unpainted = measurement, timings, seconds
+        self.unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
 
     def event(self, event: QEvent | None) -> bool:
         """Time the painting, which Qt does for the whole window at its event UpdateRequest."""
-        if event is None or event.type() != QEvent.Type.UpdateRequest or self._unpainted is None:
+        if event is None or event.type() != QEvent.Type.UpdateRequest or self.unpainted is None:
             return super().event(event)
-        (measurement, timings, seconds), self._unpainted = self._unpainted, None
+        (measurement, timings, seconds), self.unpainted = self.unpainted, None
         start_s = time.perf_counter()
         is_handled = super().event(event)
         end_s = time.perf_counter()

@@ -62,12 +62,8 @@ class WavefrontPanel(QWidget):
         self.display_button = button("Display", "Tilt, defocus, mean, unit, views", lambda: None)
         self.display_button.setMenu(self.menu)
         self.grid = ViewGrid()
-        self.stale = ElidedLabel()
+        self.stale = ElidedLabel()  # always there, so that the maps stay where they are
         colour_text(self.stale, theme.AMBER)
-        place = self.stale.sizePolicy()
-        place.setRetainSizeWhenHidden(True)  # the maps stay where they are when a badge comes and goes
-        self.stale.setSizePolicy(place)
-        self.stale.hide()
         self.grid.opened.connect(self.enlarge)
         self.header = row_of(
             self.choice, label("over the field", "title"), (self._summary, 1), self.display_button, self.freeze_scale
@@ -91,8 +87,7 @@ class WavefrontPanel(QWidget):
     def show_liveness(self, shown: Liveness) -> None:
         """Say how the maps differ from live ones, and show those in grey that may be over."""
         self.grid.show_stale(is_stale=shown.is_grey)
-        self.stale.setText(f"{shown.badge}: {shown.reason}")
-        self.stale.setVisible(bool(shown.badge))
+        self.stale.setText(f"{shown.badge}: {shown.reason}" if shown.badge else "")
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
         """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""

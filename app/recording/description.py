@@ -41,13 +41,11 @@ def describe(folder: Path, *, name: str, note: str) -> Path:
 
 def name_problem(name: str) -> str:
     """Return why a name cannot be given to a recording; empty if it can."""
-    name = name.strip()
     if found := _FORBIDDEN.search(name):
         return f"a name of a recording cannot contain {found[0] if found[0].isprintable() else 'control characters'}"
     if name.startswith("."):
         return "a name of a recording cannot begin with a point"
-    most = f"a name of a recording has at most {_LONGEST} letters"
-    return f"{most}, not {len(name)}" if len(name) > _LONGEST else ""
+    return f"a name of a recording has at most {_LONGEST} letters" if len(name) > _LONGEST else ""
 
 
 def _folder_name(present: str, name: str) -> str:

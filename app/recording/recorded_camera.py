@@ -56,7 +56,7 @@ class RecordedCamera(Camera):
         self._pixel_pitch_m = recording.bench.sensor.pixel_pitch_m
         self.line = recording.line(frames[0])  # of the recorded frame that was read last, or of the first
         self.is_lit = self.is_sample_in = False
-        self.damaged: dict[int, str] = {}  # reason by index in the recording, of the frames that were met
+        self.damaged: dict[int, str] = {}  # reason by position in the played range, of the frames that were met
         self.in_force: int | None = None  # number of the calibration in use; frames of another wait for theirs
         self.speed = 1.0  # times the recorded rate
 
@@ -143,7 +143,7 @@ class RecordedCamera(Camera):
         gap_s = min(max(gap_s, 0.0), after.exposure_s + _LONGEST_GAP_S)
         index, due_s = self._advance(gap_s, lost=after.lost if follows else 0)
         if damage is not None:
-            self.damaged[before.index] = str(damage)
+            self.damaged[self._frames.index(before.index)] = str(damage)
             raise FrameLost(str(damage)) from damage
         return replace(frame, index=index, camera_time_s=due_s, host_time_s=self._now())
 

@@ -80,7 +80,7 @@ class Player:
             try:
                 number = self._recording.line(self.frames[position]).calibration
             except InputError as error:
-                self._camera.damaged[self.frames[position]] = str(error)
+                self._camera.damaged[position] = str(error)
                 raise
             if number is not None and number != self._camera.in_force:
                 self._asked = number
@@ -97,8 +97,7 @@ class Player:
     @property
     def damaged(self) -> dict[int, str]:
         """Reason of each damaged frame that was met, by its position in `frames`."""
-        met = () if self._camera is None else tuple(self._camera.damaged.items())
-        return {self.frames.index(index): reason for index, reason in met}
+        return {} if self._camera is None else dict(self._camera.damaged)
 
     @property
     def speed(self) -> float:
