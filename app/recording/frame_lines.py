@@ -42,6 +42,8 @@ class FrameLine:
     rms_rad: float | None  # RMS of the wavefront, mean over the views
     valid: int | None  # lenslets that yield a slope
     sample: SampleLine | None = None  # None: any wavefront, because no sample was found yet
+    gap_s: float = 0.0  # for which the camera stood just before this frame
+    gap_cause: str = ""
 
     def to_json(self) -> str:
         """Return the line without its newline."""
