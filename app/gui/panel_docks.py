@@ -92,6 +92,7 @@ class PanelDocks:
         self._settle = QTimer(window)  # after all the signals of a change
         self._settle.setSingleShot(True)
         self._settle.timeout.connect(self._show_titles)
+        self.settled = self._settle.timeout
         self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
         self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         middle = QWidget()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from PyQt6.QtCore import QEvent, QObject, QPoint, QRect, QSettings, Qt, QTimer
+from PyQt6.QtCore import QEvent, QObject, QPoint, QRect, QSettings, Qt
 from PyQt6.QtGui import QCloseEvent, QKeyEvent
 from PyQt6.QtWidgets import QFrame, QLabel, QWidget
 
@@ -74,11 +74,7 @@ class Tour(QFrame):
         buttons = row((self.count, 1), self.end, self.next)
         column(self.title, self.text, buttons, spacing=8, parent=self).setContentsMargins(14, 12, 14, 12)
         window.installEventFilter(self)
-        self._raise = QTimer(self)  # after the panel that has come to the front
-        self._raise.setSingleShot(True)
-        self._raise.timeout.connect(self.raise_)
-        for dock in window.docks.docks:
-            dock.visibilityChanged.connect(lambda _, timer=self._raise: timer.start(0))
+        window.docks.settled.connect(self.raise_)  # above a panel that has come to the front
 
     def begin(self) -> None:
         """Show the first part."""

@@ -239,8 +239,7 @@ class ViewGrid(QWidget):
     @property
     def _caption_width(self) -> int:
         """Width of a view and half of the gaps beside it, without touching the colour bar."""
-        places = self.places
-        return min(places.step.width() - _BETWEEN, places.size.width() + 2 * (_BAR_MARGIN - _BETWEEN))
+        return min(self.places.step.width() - _BETWEEN, self.places.size.width() + 2 * (_BAR_MARGIN - _BETWEEN))
 
     def _wording(self, line: int) -> int | None:
         """Return the longest wording of a line that fits under all views, if any."""
