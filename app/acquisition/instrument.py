@@ -210,19 +210,19 @@ class Instrument:
             self._choose_averages("for the new region")
         return taken
 
-    def set_mask(self, mask: str) -> None:
-        """Change the mask; a reference that was taken with it is used again."""
-        self.devices.stage.set_mask(mask)
-        self._choose_averages(f"for the mask {mask}")
-
-    def change_settings(self, change: Callable[[Bench], Bench]) -> None:
-        """Replace the bench by `change(bench)`; only registration and reconstruction may differ."""
+    def change_settings(self, change: Callable[[Bench], Bench], mask: str | None = None) -> None:
+        """Change registration, reconstruction or lattice, and the mask, whose own reference is used again."""
         before = self.bench
         try:
             self.bench = change(before)
         except ValueError as error:  # inconsistent settings
             raise BadValue(str(error)) from error
-        self._prepare(f"with {changes_in_words(before, self.bench)}")
+        words = changes_in_words(before, self.bench)
+        if mask is None:
+            self._prepare(f"with {words}")
+        else:
+            self.devices.stage.set_mask(mask)
+            self._choose_averages(f"for the mask {mask}, with {words}")
 
     @property
     def prepares(self) -> bool:

@@ -17,6 +17,7 @@ from app.bench.config import Bench
 from app.gui.analysis_tabs import AnalysisTabs
 from app.gui.automatic_tips import show_automatic
 from app.gui.background_analysis import BackgroundAnalysis
+from app.gui.base_window import BaseWindow
 from app.gui.bench_files import BenchFiles
 from app.gui.camera_panel import CameraPanel
 from app.gui.controller import Begin, Controller
@@ -35,7 +36,6 @@ from app.gui.replay_bar import ReplayBar
 from app.gui.sensor_region_dialog import SensorRegionDialog
 from app.gui.situation import Situation, liveness
 from app.gui.status_line import StatusLine
-from app.gui.timed_window import TimedWindow
 from app.gui.wavefront_panel import WavefrontPanel
 from app.gui.window_layout import lay_out
 from app.gui.window_menus import window_menus
@@ -48,7 +48,7 @@ _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 
 
-class MainWindow(TimedWindow):
+class MainWindow(BaseWindow):
     """The window of `svwfs live`."""
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference

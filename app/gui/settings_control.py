@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
+
+from PyQt6.QtCore import QTimer
 
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench
@@ -12,7 +14,8 @@ from app.gui.device_commands import CameraModes, set_running
 from app.gui.message_strip import MessageStrip
 from drivers.interface import Devices
 
-_BENCH = "bench"  # kind of the commands that change registration, reconstruction or lattice
+_BENCH = "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
+_FRAMES_MS = 500  # between two of them: they stop the camera
 
 Command = Callable[[Instrument], Any]
 Then = Callable[[Any], object] | None  # receives the result
@@ -28,8 +31,9 @@ class SettingsControl:
         """`send` takes what submits a command to the acquisition, and what receives its result or error."""
         self._send = send
         self._sent: set[str] = set()  # kinds of the commands under way
-        self._next: dict[str, tuple[Command, Then]] = {}  # by kind
-        self._change: Callable[[Bench], Bench] | None = None  # of the next command
+        self._next: dict[str, tuple[Callable[[], Command], Then]] = {}  # by kind
+        self._changes: list[Callable[[Bench], Bench]] = []  # of the next command of the bench
+        self._mask: str | None = None  # likewise
         self._kinds: dict[str, str] = {}  # of the wanted settings
         self.wanted: dict[str, Any] = {}  # value of each setting that is not in force yet, by its name in the controls
         modes = CameraModes()
@@ -42,51 +46,58 @@ class SettingsControl:
             ("amplifier", controls.amplifier_requested, modes.set_amplifier, messages.warn),
             ("readout_speed", controls.readout_speed_requested, modes.set_readout_speed, messages.warn),
         ):
-            intent.connect(partial(self._want_of_devices, name, command, then))
-        controls.mask_requested.connect(lambda mask: self._want("mask", mask, lambda on: on.set_mask(mask)))
+            intent.connect(partial(self._want, name, command, then))
+        controls.mask_requested.connect(self._want_mask)
         controls.setting_requested.connect(self._want_of_bench)
 
     def restart(self) -> None:
         """Forget all commands: another acquisition begins."""
-        self._change = None
-        for each in (self._sent, self._next, self.wanted):
+        self._mask = None
+        for each in (self._sent, self._next, self.wanted, self._changes):
             each.clear()
 
     def change(self, change: Callable[[Bench], Bench], then: Then = None) -> None:
         """Change registration, reconstruction or lattice of the open bench; the devices stay open."""
-        if (earlier := self._change) is not None:
-            later, then = change, then or self._next[_BENCH][1]
-            change = lambda bench: later(earlier(bench))  # noqa: E731 - short
-        self._change = change
-        self._keep(_BENCH, lambda instrument: instrument.change_settings(change), then)
+        self._changes.append(change)
+        _, earlier = self._next.get(_BENCH, (None, None))
+        self._keep(_BENCH, self._change_bench, then or earlier)
 
-    def _want_of_devices(self, name: str, command: Callable[[Devices, Any], Any], then: Then, value: object) -> None:
-        self._want(name, value, lambda instrument: command(instrument.devices, value), then)
+    def _want(self, name: str, command: Callable[[Devices, Any], Any], then: Then, value: object) -> None:
+        self.wanted[name], self._kinds[name] = value, name
+        self._keep(name, lambda: lambda on: command(on.devices, value), then)
+
+    def _want_mask(self, mask: str) -> None:
+        self._mask, self.wanted["mask"], self._kinds["mask"] = mask, mask, _BENCH
+        self.change(lambda bench: bench)
 
     def _want_of_bench(self, section: str, key: str, value: object) -> None:
         self.wanted[f"{section}.{key}"], self._kinds[f"{section}.{key}"] = value, _BENCH
         self.change(lambda now: replace(now, **{section: replace(getattr(now, section), **{key: value})}))
 
-    def _want(self, name: str, value: object, command: Command, then: Then = None) -> None:
-        self.wanted[name], self._kinds[name] = value, name
-        self._keep(name, command, then)
+    def _change_bench(self) -> Command:
+        """Return one command for all changes of the bench, so that the reconstruction is prepared once."""
+        changes, mask, self._changes, self._mask = self._changes, self._mask, [], None
+        return lambda on: on.change_settings(lambda bench: reduce(lambda now, each: each(now), changes, bench), mask)
 
-    def _keep(self, kind: str, command: Command, then: Then) -> None:
-        self._next[kind] = command, then
+    def _keep(self, kind: str, make: Callable[[], Command], then: Then) -> None:
+        self._next[kind] = make, then
         if kind not in self._sent:
             self._send_next(kind)
 
     def _send_next(self, kind: str) -> None:
+        self._sent.discard(kind)
         if kind not in self._next:
             self.wanted = {name: value for name, value in self.wanted.items() if self._kinds[name] != kind}
             return
-        self._change = None if kind == _BENCH else self._change
-        command, then = self._next.pop(kind)
+        make, then = self._next.pop(kind)
+        command = make()
         self._sent.add(kind)
         self._send(lambda to: to.submit(command), partial(self._end, kind, then), partial(self._end, kind, None))
 
     def _end(self, kind: str, then: Then, result: object) -> None:
-        self._sent.discard(kind)
-        self._send_next(kind)
         if then is not None:
             then(result)
+        if kind == _BENCH and kind in self._next:
+            QTimer.singleShot(_FRAMES_MS, partial(self._send_next, kind))
+        else:
+            self._send_next(kind)

@@ -123,7 +123,7 @@ def test_changed_settings_reach_the_reconstruction(live: tuple[MainWindow, FakeC
         assert measurement is not None
         return measurement.wavefront is not None and measurement.wavefront.displacement.coefficients.shape[2] == 3
 
-    qtbot.waitUntil(lambda: window.controller.pending.is_empty)
+    qtbot.waitUntil(lambda: not window.controller.settings.wanted)
     qtbot.waitUntil(is_changed)
     assert window._status is not None
     assert window._status.bench.reconstruction.pupil_modes == 15

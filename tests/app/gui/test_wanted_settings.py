@@ -50,14 +50,16 @@ def held_up(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_last_of_many_choices_wins_and_the_others_are_not_built(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, made: list[int | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    window, _ = live
+    window, camera = live
     controls = window.controls
     with held_up(monkeypatch):
         for modes in (10, 15, 21, 6, 12):
             controls.setting_requested.emit("reconstruction", "pupil_modes", modes)
         for basis in ("zernike", "legendre", "zernike"):
             controls.setting_requested.emit("reconstruction", "basis", basis)
+        controls.mask_requested.emit("stars")
         window.refresh()
+        assert controls.mask_choice.currentText() == "stars"
         assert (controls.pupil_modes.value(), controls.basis.currentText()) == (12, "zernike")
         assert [one.property("wanted") for one in (controls.pupil_modes, controls.basis)] == [True, True]
         assert not controls.registration.property("wanted")
@@ -71,6 +73,7 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
     qtbot.waitUntil(lambda: not window.controller.settings.wanted)
     qtbot.waitUntil(lambda: window.controller.pending.is_empty)
     assert made == [10, 12]
+    assert camera.stage.mask == "stars"
     qtbot.waitUntil(lambda: not controls.pupil_modes.property("wanted"))
     status = window.controller.status
     assert status is not None
