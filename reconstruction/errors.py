@@ -1,4 +1,4 @@
-"""The package's exception."""
+"""The package's exceptions."""
 
 
 class ReconstructionError(ValueError):
@@ -10,3 +10,10 @@ class ReconstructionError(ValueError):
     def __init__(self, text: str, *, image: str = "") -> None:
         super().__init__(text)
         self.image = image
+
+
+class TooManyModes(ReconstructionError):
+    """More pupil modes than the lenslets can tell apart: dark and reference are not to blame."""
+
+    def __init__(self, lenslets: int, modes: int) -> None:
+        super().__init__(f"{lenslets} valid lenslets cannot tell {modes} pupil modes apart: take fewer, or automatic")

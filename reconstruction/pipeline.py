@@ -9,7 +9,7 @@ import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
-from reconstruction.errors import ReconstructionError
+from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.frame.above_dark import AboveDark
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.noise import CameraNoise
@@ -293,9 +293,7 @@ class Reconstructor:
         at_rest = self._at_rest
         lenslets = np.count_nonzero(at_rest.valid)
         if count is not None and 0 < lenslets < count:  # known before minutes of preparation
-            raise ReconstructionError(
-                f"{lenslets} valid lenslets cannot tell {count} pupil modes apart: lower pupil_modes, or leave it out"
-            )
+            raise TooManyModes(int(lenslets), count)
         own = self._own.basis if basis == self.reconstruction.basis else None
         modes = own(self.sensor, count) if own is not None else pupil_modes(self.sensor, basis, count)
         parameters = _parameters(self._register, at_rest)

@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from app.acquisition.instrument import Instrument, Reconstruction
-from app.measurement.measurement import FrameTotals, LightState, Measurement
+from app.acquisition.instrument import Instrument
+from app.measurement.measurement import FrameTotals, Gap, LightState, Measurement, Reconstruction
 from app.measurement.routines.frames import next_frame
 from app.timing import Timings
 from drivers.interface import DeviceTimeout, Frame, FrameLost
@@ -30,6 +30,9 @@ class FramePath:
         self.newest: Measurement | None = None  # the mailbox: written by one thread, read by all
         self.counts = FrameTotals()  # immutable: other threads read it
         self._next_index = 0
+        self._counted_s: float | None = None  # arrival of the last counted frame
+        self._gap: Gap | None = None  # before that frame
+        self.gap_cause = ""  # last work that kept the worker from taking frames
         self._clock_lag_s = math.inf  # this computer's clock minus the camera's
         self._updated_s = -math.inf
 
@@ -37,18 +40,19 @@ class FramePath:
         """Read one frame, reconstruct it and pass it on; `Cancelled` if the wait was stopped."""
         self.process(self._newest_frame(instrument, light), instrument, light)
 
-    def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None) -> None:
-        """Reconstruct a frame from elsewhere, as if its exposure ended when it was read, and pass it on."""
+    def process_single(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str) -> None:
+        """Reconstruct a frame from a `file` or elsewhere, as if its exposure ended when it was read, and pass it on."""
+        self._gap = None
         lag_s = self._clock_lag_s if math.isfinite(self._clock_lag_s) else 0.0
         self.counts = replace(self.counts, acquired=self.counts.acquired + 1)
-        self.process(replace(frame, camera_time_s=frame.host_time_s - lag_s), instrument, light)
+        self.process(replace(frame, camera_time_s=frame.host_time_s - lag_s), instrument, light, file)
 
-    def process(self, frame: Frame, instrument: Instrument, light: LightState | None) -> None:
+    def process(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str = "") -> None:
         """Reconstruct a frame and pass it on."""
         made = instrument.measure(frame)
         if made.wavefront is not None:
             self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)
-        measurement = self._measurement(frame, made, light)
+        measurement = self._measurement(frame, made, light, file)
         self._timings.note("to_result", measurement.latency_s)
         with self._timings.of("publish"):
             self._publish(measurement)
@@ -82,7 +86,7 @@ class FramePath:
         for sink in self._sinks:
             sink(measurement)
 
-    def _measurement(self, frame: Frame, made: Reconstruction, light: LightState | None) -> Measurement:
+    def _measurement(self, frame: Frame, made: Reconstruction, light: LightState | None, file: str = "") -> Measurement:
         exposure_end_s = self._exposure_end_s(frame)
         return Measurement(
             frame,
@@ -97,14 +101,22 @@ class FramePath:
             registered=made.registered,
             light=light,
             quality=made.quality,
+            gap=self._gap,
+            file=file,
         )
 
     def _count(self, frame: Frame) -> None:
-        """Count a frame and those lost before it."""
+        """Count a frame and those lost before it; note a gap if the camera was restarted."""
         was_restarted = frame.index < self._next_index
         lost = frame.index if was_restarted else frame.index - self._next_index
         self._next_index = frame.index + 1
         self.counts = replace(self.counts, acquired=self.counts.acquired + 1, lost=self.counts.lost + lost)
+        self._gap = None
+        if was_restarted and self._counted_s is not None:
+            seconds = max(frame.host_time_s - self._counted_s - frame.exposure_s, 0.0)
+            self._gap = Gap(seconds, self.gap_cause or "the camera was stopped")
+        self.gap_cause = ""
+        self._counted_s = frame.host_time_s
         self._update_clock(frame)
 
     def _update_clock(self, frame: Frame) -> None:

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field, replace
 from app.acquisition.kept_averages import KeptAverages
 from app.acquisition.validity import Validity
 from app.bench.config import Bench, with_known
+from app.bench.settings_words import changes_in_words
 from app.measurement.assumptions import mask_sentence
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.live_solver import Assumptions, LiveSolver
-from app.measurement.measurement import SKIPPED
+from app.measurement.measurement import SKIPPED, Reconstruction
 from app.measurement.routines.auto_exposure import AutoExposure, auto_expose
 from app.measurement.routines.averages import Average, take_dark, take_reference
 from app.measurement.routines.background import BackgroundCheck, check_background
@@ -22,14 +23,13 @@ from app.measurement.sensor_region import SensorArea, moved_bench, moved_lattice
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
-from reconstruction.errors import ReconstructionError
+from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.frame_quality import FrameJudge
 from reconstruction.quality.sequence import sequence_quality
 from reconstruction.quality.verdict import Fault, Quality
-from reconstruction.wavefront import Wavefront
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,24 +78,18 @@ class Status:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reconstruction:
-    """Result for one frame, and everything needed to reproduce it."""
-
-    wavefront: Wavefront | None
-    problem: str  # why there is no wavefront; empty if there is one
-    calibration: Calibration | None = None
-    start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
-    registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
-    assumed: Assumptions = Assumptions()
-    quality: Quality = Quality()
-
-
 class Instrument:
     """Devices with their dark, reference and reconstructor."""
 
-    def __init__(self, devices: Devices, bench: Bench, timings: Timings | None = None) -> None:
-        self.devices = devices
+    def __init__(
+        self,
+        devices: Devices,
+        bench: Bench,
+        timings: Timings | None = None,
+        show_preparation: Callable[[str], object] = lambda _: None,
+    ) -> None:
+        """`show_preparation` receives what is prepared, and why, before that takes seconds."""
+        self.devices, self._show_preparation = devices, show_preparation
         self._timings = timings or Timings()
         self.bench = bench  # with the current settings
         self.darks, self.references = KeptAverages("dark", is_lit=False), KeptAverages("reference", is_lit=True)
@@ -106,6 +100,7 @@ class Instrument:
         self._judge: FrameJudge | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
+        self._is_of_modes = False  # whether the problem is their number, and neither dark nor reference
         self._problem = "no reference yet: take the sample out and take one"
 
     def properties(self) -> dict[str, dict[str, Property]]:
@@ -121,6 +116,7 @@ class Instrument:
         of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
         judged = Quality() if self._judge is None else self._judge.of_reference
         of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
+        blamed = "" if self._is_of_modes else problem
         return Status(
             bench=self.bench,
             camera_name=camera.name,
@@ -139,9 +135,9 @@ class Instrument:
             mask=stage.mask,
             is_sample_in=stage.is_sample_in,
             dark=self.darks.validity(of_dark),
-            reference=self.references.validity(problem or of_reference),
+            reference=self.references.validity(blamed or of_reference),
             dark_note=self.darks.note(of_dark),
-            reference_note=self.references.note(problem or of_reference),
+            reference_note=self.references.note(blamed or of_reference),
             lattice=self._lattice,
             warning=problem or of_dark or of_reference or judged.sentence,
             mask_note="" if self._reconstructor is None else mask_sentence(self._reconstructor),
@@ -151,20 +147,20 @@ class Instrument:
     def take_dark(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
         """Average frames with the light off, and use them as dark from now on."""
         self.darks.keep(take_dark(self.devices, frames, progress=progress, should_stop=should_stop), self._now())
-        self._prepare()
+        self._prepare("with the new dark")
 
     def take_reference(self, frames: int, *, progress: FrameProgress, should_stop: ShouldStop) -> None:
         """Average frames without the sample, use them as reference from now on, and find the lattice if unknown."""
         reference = take_reference(self.devices, frames, progress=progress, should_stop=should_stop)
         self.references.keep(reference, self._now())
-        self._prepare()
+        self._prepare("with the new reference; after an installation, its compilation takes half a minute")
 
     def use(self, calibration: Calibration) -> None:
         """Replace bench, dark and reference, for example by recorded ones."""
         self.bench, now = calibration.bench, self._now()
         self.darks.use_recorded(calibration.dark, now)
         self.references.use_recorded(calibration.reference, now)
-        self._prepare()
+        self._prepare("with the recorded calibration")
 
     def auto_expose(self, *, progress: FrameProgress, should_stop: ShouldStop) -> AutoExposure:
         """Find and set exposure and current for what is in the beam."""
@@ -211,21 +207,22 @@ class Instrument:
                 raise
         if taken != before:
             self.bench, self._lattice = bench, lattice
-            self._choose_averages()
+            self._choose_averages("for the new region")
         return taken
 
-    def set_mask(self, mask: str) -> None:
-        """Change the mask; a reference that was taken with it is used again."""
-        self.devices.stage.set_mask(mask)
-        self._choose_averages()
-
-    def change_settings(self, change: Callable[[Bench], Bench]) -> None:
-        """Replace the bench by `change(bench)`; only registration and reconstruction may differ."""
+    def change_settings(self, change: Callable[[Bench], Bench], mask: str | None = None) -> None:
+        """Change registration, reconstruction or lattice, and the mask, whose own reference is used again."""
+        before = self.bench
         try:
-            self.bench = change(self.bench)
+            self.bench = change(before)
         except ValueError as error:  # inconsistent settings
             raise BadValue(str(error)) from error
-        self._prepare()
+        words = changes_in_words(before, self.bench)
+        if mask is None:
+            self._prepare(f"with {words}")
+        else:
+            self.devices.stage.set_mask(mask)
+            self._choose_averages(f"for the mask {mask}, with {words}")
 
     @property
     def prepares(self) -> bool:
@@ -264,12 +261,12 @@ class Instrument:
     def _now(self) -> Circumstances:
         return Circumstances.of(self.devices)
 
-    def _choose_averages(self) -> None:
+    def _choose_averages(self, cause: str) -> None:
         for averages in (self.darks, self.references):
             averages.choose(self._now())
-        self._prepare()
+        self._prepare(cause)
 
-    def _prepare(self) -> None:
+    def _prepare(self, cause: str) -> None:
         """Rebuild the reconstructor, the camera paused; a failure becomes the warning in the status."""
         self.calibration = self._reconstructor = self._judge = self._before = None
         self.close()
@@ -278,9 +275,10 @@ class Instrument:
             return
         camera, bench, now = self.devices.camera, self.bench, self._now()
         if self.references.fitting(now) is None:
-            self._problem = self.references.doubt(now)
+            self._problem, self._is_of_modes = self.references.doubt(now), False
             return
         dark = self.darks.fitting(now)
+        self._show_preparation(f"preparing the reconstruction {cause}")
         try:
             with camera.paused():
                 calibration = Calibration.of(bench, dark, reference, camera.capabilities.full_scale)
@@ -290,7 +288,7 @@ class Instrument:
                 self._solver = LiveSolver(bench, self._reconstructor)
                 self.calibration = calibration
         except ReconstructionError as error:
-            self._problem = str(error)
+            self._problem, self._is_of_modes = str(error), isinstance(error, TooManyModes)
 
 
 def _beside(previous: Frame | None, frame: Frame) -> Quality:

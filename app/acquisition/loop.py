@@ -136,7 +136,7 @@ class AcquisitionLoop:
                 one_blas_thread(),
                 short_turns(),
                 self._open_devices(self.bench, self._show_opening) as devices,
-                closing(Instrument(devices, self.bench, self.timings)) as instrument,
+                closing(Instrument(devices, self.bench, self.timings, self._show_preparation)) as instrument,
             ):
                 self._light_switch.attach(devices.light)
                 self.activity = Activity()
@@ -154,7 +154,9 @@ class AcquisitionLoop:
             self.error = error
         except Exception as error:
             self.error = error
-            raise
+            # At interpreter exit the worker pool ends before a worker that was given up: not a fault.
+            if not (isinstance(error, RuntimeError) and self._stopping.is_set()):
+                raise
         finally:
             self._commands.close(self.failure or "the acquisition has ended")
             self._recorder.close(self.failure)
@@ -164,6 +166,13 @@ class AcquisitionLoop:
         if self._stopping.is_set():
             raise Cancelled
         self.activity = Activity("preparing the devices", fraction)
+
+    def _show_preparation(self, what: str) -> None:
+        """Show that the instrument prepares the reconstruction; this cannot be cancelled, and at the end not begun."""
+        if self._stopping.is_set():
+            raise Cancelled
+        self.activity = Activity(what, may_cancel=False)
+        self._path.gap_cause = what
 
     def _execute_commands(self, instrument: Instrument, *, wait: bool) -> None:
         execute = self._commands.next(WAIT_SLICE_S if wait else 0.0)

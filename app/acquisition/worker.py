@@ -23,8 +23,6 @@ T = TypeVar("T")
 
 __all__ = ["Acquisition", "Activity", "FrameTotals", "Measurement"]
 
-_PREPARING = "preparing the reconstruction: after an installation, its compilation takes half a minute"
-
 
 class Acquisition(AcquisitionLoop):
     """The acquisition loop with its routines and its recorder.
@@ -39,7 +37,7 @@ class Acquisition(AcquisitionLoop):
     def take_reference(self, frames: int) -> Future[None]:
         """Average `frames` frames into the reference."""
         text = f"taking the reference, {counted(frames)}"
-        return self._routine(text, Instrument.take_reference, frames, afterwards=_PREPARING)
+        return self._routine(text, Instrument.take_reference, frames)
 
     def auto_expose(self) -> Future[AutoExposure]:
         """Find and set exposure and current; a `RoutineError` says why there are none."""
@@ -73,13 +71,16 @@ class Acquisition(AcquisitionLoop):
 
         return self.submit(command)
 
-    def show_single(self, choose: Callable[[Instrument], Frame]) -> Future[None]:
-        """Stop the camera, and reconstruct and publish the frame that `choose` returns, as if it came from there."""
+    def show_single(self, choose: Callable[[Instrument], Frame], file: str = "") -> Future[None]:
+        """Stop the camera, and reconstruct and publish the frame that `choose` returns, as if it came from there.
+
+        `file` names the file that it is read from, if that is no recording.
+        """
 
         def command(instrument: Instrument) -> None:
             frame = choose(instrument)  # may refuse: the camera goes on
             instrument.devices.camera.stop()
-            self._path.process_single(frame, instrument, self._light())
+            self._path.process_single(frame, instrument, self._light(), file)
 
         return self.submit(command)
 
@@ -131,12 +132,9 @@ class Acquisition(AcquisitionLoop):
         """State of the recording that `keep_recent` writes or wrote last."""
         return self._recorder.kept_state
 
-    def _routine(self, text: str, routine: Callable[..., T], *arguments: int, afterwards: str = "") -> Future[T]:
-        """Submit a routine; `afterwards` names what it does after its last frame, which cannot be cancelled."""
-
+    def _routine(self, text: str, routine: Callable[..., T], *arguments: int) -> Future[T]:
         def show_progress(frame: Frame, fraction: float) -> None:
-            is_over = bool(afterwards) and fraction >= 1
-            self.activity = Activity(afterwards, may_cancel=False) if is_over else Activity(text, fraction)
+            self.activity = Activity(text, fraction)
             self._path.show(frame, text, self._light())
 
         def command(instrument: Instrument) -> T:
@@ -147,6 +145,7 @@ class Acquisition(AcquisitionLoop):
             self._cancelling.clear()
             self._status_due_s = -math.inf
             self.activity = Activity(text)
+            self._path.gap_cause = text
             return routine(instrument, *arguments, progress=show_progress, should_stop=should_stop)
 
         return self.submit(command)

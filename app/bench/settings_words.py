@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from app.bench.config import Bench
     from app.bench.settings_form import FormField
 
 _NUMBER = re.compile(r"(?<![\w.*+-])[+-]?\d+\.?\d*(?:e[+-]?\d+)?(?![\w.*]| ?pixel)")
@@ -38,3 +40,14 @@ def in_words(sentence: str, faulty: str, fields: Mapping[str, FormField]) -> str
         if "_" in key:  # others may be words of the sentence
             sentence = re.sub(rf"\b{key}\b", field.label, sentence)
     return sentence
+
+
+def changes_in_words(before: Bench, after: Bench) -> str:
+    """Name the settings of registration and reconstruction that differ, with their new values: "pupil modes 200"."""
+    texts = [
+        f"{name.replace('_', ' ')} {'automatic' if value is None else value}"
+        for old, new in ((before.registration, after.registration), (before.reconstruction, after.reconstruction))
+        for name, value in asdict(new).items()
+        if value != getattr(old, name)
+    ]
+    return ", ".join(texts) or "the new lattice" * (before.lattice != after.lattice) or "the same settings"

@@ -12,7 +12,7 @@ from app.gui.layers_panel import LayersPanel
 from app.gui.lenslet_panel import LensletPanel
 from app.gui.wavefront_panel import WavefrontPanel
 from app.measurement.measurement import Measurement
-from app.results.history import sample
+from app.results.history import History, sample
 from app.results.layers.answers import FoundLayers
 from app.results.view_analysis import Analysis
 
@@ -67,11 +67,19 @@ class AnalysisTabs(QObject):
         self.lenslet.select((row, column))
         self.panel_requested.emit(self.lenslet)
 
+    def forget_bench(self) -> None:
+        """Forget the inspected lenslet, the pinned coefficient and the history of another bench."""
+        self.lenslet.select(None)
+        self.coefficients.pin(None)
+        self.history.history = History()
+        self._measurement = None
+
     def show_nothing(self) -> None:
         """Clear the tabs: there is no wavefront."""
         self.quality.show_nothing()
         self.coefficients.show_coefficients(None)
         self.layers.show_stale()
+        self.lenslet.show_nothing()
 
     def record(self, measurement: Measurement, *, full_scale: float, temperature_c: float | None) -> None:
         """Add a measurement to the history."""

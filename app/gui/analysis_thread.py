@@ -61,6 +61,10 @@ class AnalysisThread(Generic[R, A]):
         future, self._future = self._future, None
         return future.result()
 
+    def forget(self) -> None:
+        """Drop the last request, and its answer."""
+        self._request = self._future = None
+
     def close(self) -> None:
         """Wait for the current analysis and end the thread."""
         self._executor.shutdown(cancel_futures=True)

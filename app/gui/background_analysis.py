@@ -45,9 +45,15 @@ class BackgroundAnalysis(QObject):
         """Set how the wavefronts are reconstructed."""
         self._settings = settings
 
-    def use_measurement(self, measurement: Measurement | None) -> None:
-        """Set the newest measurement, or none of a new bench."""
+    def use_measurement(self, measurement: Measurement) -> None:
+        """Set the newest measurement."""
         self._measurement = measurement
+
+    def forget_bench(self) -> None:
+        """Forget the measurements of another bench."""
+        self._measurement = None
+        for thread in (self._thread, self._layers, self._correctors):
+            thread.forget()
 
     @property
     def _wavefront(self) -> Wavefront | None:

@@ -3,16 +3,18 @@
 pyqtgraph's own converts a frame twice, Qt's part in threads that wait for a core.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
-from PyQt6.QtCore import QRectF
-from PyQt6.QtGui import QImage, QPainter
+from PyQt6.QtCore import QEvent, QRectF
+from PyQt6.QtGui import QImage, QMouseEvent, QPainter
 
 from app.gui import theme
 from app.gui.colours import colour_table
+from app.gui.plot import Canvas
 from app.results.frame_statistics import FrameStatistics
 from app.results.shades import Pixels, shaded
 from drivers.interface import Frame
@@ -72,3 +74,21 @@ class ClippedPixels(pg.ImageItem):  # type: ignore[misc] # ships no types
             clipped = frame.pixels >= known.clip_level
             self.setImage(clipped.view(np.uint8), autoLevels=False, levels=(0, 1))
             self.setRect(QRectF(-0.5, -0.5, *clipped.shape[::-1]))
+
+
+class Picture(Canvas):
+    """The view of the camera image; tells of double clicks, and that the pointer has left."""
+
+    def __init__(self, double_clicked: Callable[[], None], left: Callable[[], None]) -> None:
+        super().__init__()
+        self._double_clicked, self._left = double_clicked, left
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Tell of a double click."""
+        super().mouseDoubleClickEvent(event)
+        self._double_clicked()
+
+    def leaveEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Tell that the pointer has left."""
+        super().leaveEvent(event)
+        self._left()

@@ -1,22 +1,19 @@
 """The camera panel: the newest frame with lattice, lost lenslets and mean displacement drawn over it."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, QPoint, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QMouseEvent
+from PyQt6.QtCore import QPoint, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
 from app.gui import theme
 from app.gui.adaptive_scale import MAGNIFICATIONS, AdaptiveScale, ContrastLevels
-from app.gui.camera_image import CameraImage, ClippedPixels
+from app.gui.camera_image import CameraImage, ClippedPixels, Picture
 from app.gui.copy_menu import add_copy_menu, as_table
 from app.gui.lattice_overlay import arrow_length_px, arrows, cell_border, lattice_lines, lenslet_at, lost_boxes
 from app.gui.lenslet_picker import LensletPicker
-from app.gui.plot import Canvas
 from app.gui.presentation import percent
 from app.gui.segments import Segments
+from app.gui.situation import Liveness
 from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
 from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics
@@ -32,21 +29,8 @@ _HINT = (
     "Wheel: zoom; drag: move; double click or 0: whole frame\n"
     "Click: inspect the lenslet; right click: exclude it, copy picture or displacements"
 )
+_DIMMED = 0.5  # opacity of a picture that may be over
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
-
-
-class _Picture(Canvas):
-    def __init__(self, double_clicked: Callable[[], None], left: Callable[[], None]) -> None:
-        super().__init__()
-        self._double_clicked, self._left = double_clicked, left
-
-    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        super().mouseDoubleClickEvent(event)
-        self._double_clicked()
-
-    def leaveEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
-        super().leaveEvent(event)
-        self._left()
 
 
 class CameraPanel(QWidget):
@@ -81,7 +65,7 @@ class CameraPanel(QWidget):
         self.colours.setToolTip("Colours of the camera image")
         self.colours.currentTextChanged.connect(self._show_colours)
 
-        self._graphics = _Picture(self._zoom_out, self._point_at)
+        self._graphics = Picture(self._zoom_out, self._point_at)
         self._view = pg.ViewBox(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
         self._graphics.setMinimumSize(220, 70)
@@ -103,15 +87,21 @@ class CameraPanel(QWidget):
         self.legend = label("", "on-image", self._graphics)
         self.legend.hide()
         self.caption = ElidedLabel("dim")
-        self._title = label("Camera", "title")
-        self.header = row_of((self._title, 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours)
+        self.header = row_of(
+            (label("Camera", "title"), 1), self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours
+        )
         column(self.header, (self._graphics, 1), self.caption, parent=self)
-        self._placeholder = label("no frame yet", "dim")
-        column(self._placeholder, parent=self._graphics).setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
+        self.badge.hide()
+        _lay_over(self._graphics, self.badge, self._placeholder)
 
-    def show_running(self, *, is_running: bool) -> None:
-        """Show in the title whether the camera runs."""
-        self._title.setText("Camera" if is_running or self._frame is None else "Camera, stopped")
+    def show_liveness(self, shown: Liveness) -> None:
+        """Show a badge on a picture that is not live, and dim one that may be over."""
+        if shown.badge != self.badge.text():
+            self.badge.setText(shown.badge)
+            self.badge.setVisible(bool(shown.badge))
+            self._view.childGroup.setOpacity(_DIMMED if shown.is_grey else 1.0)
+        self.badge.setToolTip(shown.reason)
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
         """Set the lattice and the full scale of the next frames."""
@@ -295,3 +285,9 @@ class CameraPanel(QWidget):
             return f"{text}    lenslet {name}"
         self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")
         return f"{text}    lenslet {name}: {reason}"
+
+
+def _lay_over(picture: QWidget, badge: QWidget, placeholder: QWidget) -> None:
+    over = column(badge, (placeholder, 1), parent=picture)
+    over.setAlignment(badge, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
+    over.setAlignment(placeholder, Qt.AlignmentFlag.AlignCenter)

@@ -10,29 +10,29 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from PyQt6.QtCore import QStandardPaths, pyqtBoundSignal
+from PyQt6.QtCore import QStandardPaths
 from PyQt6.QtGui import QPixmap
 
 from app.acquisition.instrument import Instrument, Status
 from app.acquisition.worker import Acquisition
-from app.bench.config import Bench, write_bench
+from app.bench.config import write_bench
 from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui.calibration_guide import CalibrationGuide
 from app.gui.camera_panel import CameraPanel
 from app.gui.controls_panel import ControlsPanel
-from app.gui.device_commands import CameraModes, set_running
 from app.gui.light_control import LightControl
 from app.gui.message_strip import MessageStrip
 from app.gui.pending_commands import PendingCommands
 from app.gui.picture_file import default_picture, write_picture
 from app.gui.recording_panel import RecordingPanel
 from app.gui.sensor_region_dialog import SensorRegionDialog
+from app.gui.settings_control import SettingsControl
 from app.gui.wording import area_taken, exposure_found, lattice_found, recording_ended
 from app.measurement.routines.background import BackgroundCheck
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
+from app.memory import release_memory
 from app.recording.recorder import Limit
-from drivers.interface import Devices
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
@@ -72,10 +72,11 @@ class Controller:
         self.limit: Callable[[], Limit] = Limit  # of the next recording
         self.is_stuck = False  # whether the worker did not end on `close`
         self._on_accept: Callable[[], object] | None = None  # what an accepted question leads to
+        self._starting: Future[None] | None = None  # the last start of a recording
         self._reported: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
         self.light = LightControl(lambda: self.acquisition, self._send, self.ask, controls=controls, messages=messages)
-        self._connect_settings(controls)
+        self.settings = SettingsControl(self._send, controls=controls, messages=messages)
         self._connect_routines(controls)
 
     @property
@@ -108,7 +109,10 @@ class Controller:
         self._propose(None)
         self.acquisition = self._make_acquisition()
         self.acquisition.start()
+        self.settings.restart()
+        self._starting = None
         self.pending.restart(self._begin(self.acquisition))
+        release_memory()  # of the one before
 
     def close(self, meanwhile: Callable[[], object]) -> None:
         """Turn the light off at once and close the devices; wait for the worker, calling `meanwhile` at 25 Hz."""
@@ -120,6 +124,16 @@ class Controller:
             self.acquisition.close(timeout_s=_CLOSING_POLL_S)
             meanwhile()
         self.is_stuck = self.acquisition.is_alive
+        self.show_recordings()  # the end of one that was under way
+
+    def ask_to_end_recording(self, then: Callable[[], object]) -> bool:
+        """Return whether a recording is under way; then ask whether to end it, and call `then` if so."""
+        state = None if self.acquisition is None else self.acquisition.recording
+        if state is None or state.stage != "recording":
+            return False
+        question = f"the recording {state.folder.name} ends if another bench is opened"
+        self.ask(question, then, "End it and open", "Keep recording")
+        return True
 
     def check_background(self) -> None:
         """Compare the background with the dark."""
@@ -168,28 +182,13 @@ class Controller:
                 self._free_minutes = acquisition.free_minutes(self.recordings_folder)
             except OSError:  # the start of a recording reports it
                 self._free_minutes = math.inf
-        self._recording_panel.show_state(acquisition.recording, self._free_minutes)
+        is_starting = self._starting is not None and not self._starting.done()
+        self._recording_panel.show_state(acquisition.recording, self._free_minutes, is_starting=is_starting)
         for state in (acquisition.recording, acquisition.kept):
             if state is not None and state.stage in {"finished", "ended early"} and state.folder not in self._reported:
                 self._reported.add(state.folder)
                 show = self._messages.alarm if state.stage == "ended early" else self._messages.inform
                 show(recording_ended(state))
-
-    def _connect_settings(self, controls: ControlsPanel) -> None:
-        commands: tuple[tuple[pyqtBoundSignal, Callable[[Devices, Any], object]], ...] = (
-            (controls.running_requested, set_running),
-            (controls.exposure_requested, lambda devices, exposure_s: devices.camera.set_exposure(exposure_s)),
-            (controls.em_gain_requested, lambda devices, em_gain: devices.camera.set_em_gain(em_gain)),
-            (controls.current_requested, lambda devices, current_a: devices.light.set_current(current_a)),
-            (controls.sample_requested, lambda devices, sample_in: devices.stage.note_sample(sample_in)),
-        )
-        for intent, command in commands:
-            intent.connect(self._device_command(command))
-        modes = CameraModes()
-        controls.amplifier_requested.connect(self._device_command(modes.set_amplifier, self._messages.warn))
-        controls.readout_speed_requested.connect(self._device_command(modes.set_readout_speed, self._messages.warn))
-        controls.mask_requested.connect(lambda mask: self._send(lambda to: to.submit(lambda on: on.set_mask(mask))))
-        controls.setting_requested.connect(self._change_setting)
 
     def _connect_routines(self, controls: ControlsPanel) -> None:
         controls.auto_exposure_requested.connect(
@@ -224,21 +223,6 @@ class Controller:
         if self.acquisition is not None:
             self.pending.add(submit(self.acquisition), then, otherwise)
 
-    def _device_command(
-        self, command: Callable[[Devices, Any], T], then: Callable[[T], object] | None = None
-    ) -> Callable[[Any], None]:
-        """Return a slot that sends a command with the requested value; `then` receives its result."""
-        return lambda value: self._send(
-            lambda to: to.submit(lambda instrument: command(instrument.devices, value)), then
-        )
-
-    def _change_setting(self, section: str, key: str, value: object) -> None:
-        self.change_settings(lambda now: replace(now, **{section: replace(getattr(now, section), **{key: value})}))
-
-    def change_settings(self, change: Callable[[Bench], Bench], then: Callable[[object], object] | None = None) -> None:
-        """Change registration, reconstruction or lattice of the open bench; the devices stay open."""
-        self._send(lambda to: to.submit(lambda instrument: instrument.change_settings(change)), then)
-
     def _cancel(self) -> None:
         if self.acquisition is not None:
             self.acquisition.cancel()
@@ -260,7 +244,7 @@ class Controller:
             act()
 
     def _use_lattice(self, lattice: Lattice) -> None:
-        self.change_settings(
+        self.settings.change(
             lambda bench: replace(bench, lattice=lattice),
             lambda _: self._messages.inform("the lattice is in use; Ctrl+S saves it"),
         )
@@ -287,13 +271,19 @@ class Controller:
             (self._messages.inform if is_whole else self._messages.warn)(text)
 
     def _record(self, on: bool) -> None:
+        acquisition = self.acquisition
+        if acquisition is None:
+            return
         if on:
             self._messages.alarm("")
-            self._send(lambda to: to.start_recording(self._new_folder(), limit=self.limit(), may_rename=True))
+            self._starting = acquisition.start_recording(self._new_folder(), limit=self.limit(), may_rename=True)
+            self.pending.add(self._starting)
             if self.status is not None and not self.status.is_light_on:
                 self._messages.warn("recording with the light off: L switches it on, W ends the recording")
-        elif self.acquisition is not None:
-            self.acquisition.stop_recording()
+        elif self._starting is None:  # begun elsewhere
+            acquisition.stop_recording()
+        elif not self._starting.cancel():
+            self._starting.add_done_callback(lambda _: acquisition.stop_recording())  # at once if it has begun
 
     def _new_folder(self, suffix: str = "") -> Path:
         return self.recordings_folder / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}{suffix}"

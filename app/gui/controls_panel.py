@@ -1,6 +1,8 @@
 """The controls panel: the light; devices, calibration in its order, and reconstruction; all values are in SI units."""
 
-from typing import get_args
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, get_args
 
 from PyQt6.QtCore import QSize, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy, QWidget
@@ -8,35 +10,24 @@ from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame
 from app.acquisition.calibration_steps import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.acquisition.instrument import Status
 from app.acquisition.validity import Validity, taken_at
-from app.bench.config import AUTOMATIC
+from app.bench.config import AUTOMATIC, Bench
 from app.gui import theme
-from app.gui.names import NAMES
+from app.gui.automatic_tips import MODES_TIP, WARP_TIP
 from app.gui.number_field import NumberField
 from app.gui.presentation import percent
 from app.gui.step_button import StepButton
-from app.gui.widgets import Choice, Item, Slot, button, column, label, row, toggle
+from app.gui.widgets import Button, Choice, Item, Slot, button, column, label, mark_wanted, row, toggle
 from app.measurement.routines.averages import AVERAGED_FRAMES
 from app.results.frame_statistics import FrameStatistics
 from drivers.interface import Range
 from reconstruction.settings import FIELD_MODES, PUPIL_MODES, Method, PupilBasis, RegistrationSettings
-from reconstruction.wavefront import Wavefront
 
 _FRAMES_RANGE = Range(AVERAGED_FRAMES.start, AVERAGED_FRAMES[-1])
 _GAP, _GROUP_GAP = 4, 8  # px between controls, and between groups of them
 _LIGHT_WIDTH, _LIGHT_LAMP = 96, 20  # px
-_PUPIL_MODES_RANGE = Range(PUPIL_MODES.start - 1, PUPIL_MODES[-1])  # the lowest stands for automatic
 _DARK_TIP = "Average frames with the light off: the background of all frames (D)"
 _DIM = 0.3  # share of full scale below which noise matters
 _REFERENCE_TIP = "Average frames without the sample: spot positions that count as zero (R)"
-_WARP_TIP = (
-    "Allowed distortion of a subimage: shift (translation), affine, quadratic, cubic or quartic.\n"
-    "Subimages rotate only if the bench says registration.rotation = true.\n"
-    "More freedom resolves finer changes over the field. Most other methods ignore this"
-)
-_MODES_TIP = (
-    "Number of pupil modes that the modal method fits;\n"
-    "automatic: as many as the lattice supports, smoothed according to the noise"
-)
 
 
 class ControlsPanel(QFrame):
@@ -113,7 +104,7 @@ class ControlsPanel(QFrame):
         )
 
     def _make_bench(self) -> None:
-        self.light = toggle("Light off", "Switch the light (L)", self.light_requested)
+        self.light = toggle("Light off", "Switch the light (L)", self.light_requested, kind=_LightButton)
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(_LIGHT_LAMP, _LIGHT_LAMP))
         self.light.setMinimumWidth(_LIGHT_WIDTH)
@@ -155,7 +146,7 @@ class ControlsPanel(QFrame):
             "Matching of the subimages with the reference: Gauss-Newton is this instrument's own method;\n"
             "the others come from the paper and related software, and some are too slow for live use",
         )
-        self.warp = self._setting("registration.warp", _WARP_TIP)
+        self.warp = self._setting("registration.warp", WARP_TIP)
         self.method = self._setting(
             "reconstruction.method", "Wavefront from the slopes: lenslet by lenslet (zonal) or as polynomials (modal)"
         )
@@ -163,7 +154,7 @@ class ControlsPanel(QFrame):
             "reconstruction.basis",
             "Polynomials of the modal method: Legendre for a square pupil, Zernike for a circular one",
         )
-        self.pupil_modes = NumberField(name="Modes", tool_tip=_MODES_TIP, lowest=AUTOMATIC)
+        self.pupil_modes = NumberField(name="Modes", tool_tip=MODES_TIP, lowest=AUTOMATIC)
         self.pupil_modes.entered.connect(
             lambda value: self._request("reconstruction.pupil_modes", round(value) if value in PUPIL_MODES else None)
         )
@@ -198,34 +189,46 @@ class ControlsPanel(QFrame):
             if control not in {*reconstruction, self.start}:
                 control.setEnabled(is_enabled)
 
-    def show_status(self, status: Status, *, is_settled: bool) -> None:
-        """Show the status; a focused field changes only when all commands are finished (`is_settled`)."""
+    def show_status(
+        self, status: Status, *, is_settled: bool, wanted: Mapping[str, Any] = MappingProxyType({})
+    ) -> None:
+        """Show the status, and settings that are `wanted` (see `SettingsControl`) in place of those in force.
+
+        A focused field changes only when all commands are finished (`is_settled`).
+        """
         allowed = status.capabilities
         self.start.setText("Stop" if status.is_running else "Start")
         self.start.setIcon(theme.start_or_stop(is_running=status.is_running))
         self._is_running = status.is_running
-        for field, value, interval in (
-            (self.exposure, status.exposure_s, allowed.exposure_range_s),
-            (self.em_gain, status.em_gain, allowed.em_gain_range),
-            (self.current, status.current_a, status.current_range_a),
-            (self.pupil_modes, status.bench.reconstruction.pupil_modes or 0, _PUPIL_MODES_RANGE),
+        registration, reconstruction = status.bench.registration, status.bench.reconstruction
+        for name, field, value, interval in (
+            ("exposure", self.exposure, status.exposure_s, allowed.exposure_range_s),
+            ("em_gain", self.em_gain, status.em_gain, allowed.em_gain_range),
+            ("current", self.current, status.current_a, status.current_range_a),
+            ("reconstruction.pupil_modes", self.pupil_modes, reconstruction.pupil_modes, _modes_range(status.bench)),
         ):
+            mark_wanted(field, is_wanted=name in wanted)
             if is_settled or not field.hasFocus():
-                field.show_value(value, interval)
+                field.show_value(wanted.get(name, value) or 0, interval)
         self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
-        _show_choice(self.amplifier, allowed.amplifiers, status.amplifier)
-        _show_choice(self.readout_speed, tuple(map(str, allowed.readout_speeds)), str(status.readout_speed))
-        _show_choice(self.mask_choice, status.masks, status.mask)
-        registration, reconstruction = status.bench.registration, status.bench.reconstruction
-        _show_choice(self.registration, get_args(Method), registration.method)
-        _show_choice(self.warp, (AUTOMATIC, *FIELD_MODES), registration.warp or AUTOMATIC)
-        _show_choice(self.method, ("zonal", "modal"), reconstruction.method)
-        _show_choice(self.basis, get_args(PupilBasis), reconstruction.basis)
+        speeds = tuple(map(str, allowed.readout_speeds))
+        for name, choice, texts, chosen in (
+            ("amplifier", self.amplifier, allowed.amplifiers, status.amplifier),
+            ("readout_speed", self.readout_speed, speeds, str(status.readout_speed)),
+            ("mask", self.mask_choice, status.masks, status.mask),
+            ("registration.method", self.registration, get_args(Method), registration.method),
+            ("registration.warp", self.warp, (AUTOMATIC, *FIELD_MODES), registration.warp),
+            ("reconstruction.method", self.method, ("zonal", "modal"), reconstruction.method),
+            ("reconstruction.basis", self.basis, get_args(PupilBasis), reconstruction.basis),
+        ):
+            mark_wanted(choice, is_wanted=name in wanted)
+            choice.show_choice(texts, str(wanted.get(name, chosen) or AUTOMATIC))
+        self.refine.setChecked(wanted.get("reconstruction.refine", reconstruction.refine))
+        mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
         self.warp.setEnabled(_uses_warp(registration))
-        self.refine.setChecked(reconstruction.refine)
-        for choice in (self.basis, self.pupil_modes):
-            choice.setEnabled(reconstruction.method == "modal")
+        for control in (self.basis, self.pupil_modes):
+            control.setEnabled(reconstruction.method == "modal")
         for shown, texts, is_on, colour in (
             (self.light, _light_texts(status), status.is_light_on, theme.LIT),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
@@ -241,19 +244,28 @@ class ControlsPanel(QFrame):
             "missing" if lattice is None else "good", "", "" if lattice is None else f"pitch {lattice.pitch_px:.3f} px"
         )
 
-    def show_measured(self, wavefront: Wavefront | None, statistics: FrameStatistics) -> None:
-        """Show how bright a frame is, and in the tool tips what was chosen automatically for its wavefront."""
+    def show_brightness(self, statistics: FrameStatistics) -> None:
+        """Show how bright a frame is."""
         share = statistics.peak / statistics.clip_level
         state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
         self.auto_exposure.show_step(state, percent(share), "brightest pixel beside full scale; 70 % is best")
-        warp, modes = _WARP_TIP, _MODES_TIP
-        if wavefront is not None and self.warp.isEnabled() and self.warp.currentText() == AUTOMATIC:
-            fields = wavefront.displacement.modes.count
-            warp += "".join(f"\n\nChosen now: {name}" for name, count in FIELD_MODES.items() if count == fields)
-        if wavefront is not None and self.pupil_modes.isEnabled() and self.pupil_modes.text() == AUTOMATIC:
-            modes += "" if wavefront.coefficients is None else f"\n\nChosen now: {len(wavefront.coefficients)}"
-        self.warp.setToolTip(warp)
-        self.pupil_modes.setToolTip(modes)
+
+
+class _LightButton(Button):
+    """A button that also asks for darkness while its panel is disabled: a bench is opened."""
+
+    def click(self) -> None:
+        """Press the button."""
+        if self.isEnabled():
+            super().click()
+        elif self.isEnabledTo(self.parentWidget()):  # it is not disabled itself, as by a replay
+            self.clicked.emit(False)
+
+
+def _modes_range(bench: Bench) -> Range:
+    """Numbers of pupil modes: at most one for each lenslet, or what is in force; the lowest stands for automatic."""
+    lenslets = bench.sensor.lenslet_rows * bench.sensor.lenslet_columns
+    return Range(PUPIL_MODES.start - 1, max(min(lenslets, PUPIL_MODES[-1]), bench.reconstruction.pupil_modes or 0))
 
 
 def _light_texts(status: Status) -> tuple[str, str]:
@@ -277,14 +289,3 @@ def _choice(tool_tip: str, chosen: Slot) -> Choice:
     choice.setToolTip(tool_tip)
     choice.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
     return choice
-
-
-def _show_choice(choice: Choice, allowed: tuple[str, ...], chosen: str) -> None:
-    if tuple(choice.itemData(index) for index in range(choice.count())) != allowed:
-        choice.clear()
-        for value in allowed:
-            choice.addItem(NAMES.get(value, value), value)
-        if (items := choice.view()) is not None:
-            items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
-    choice.setCurrentIndex(choice.findData(chosen))  # does not emit `activated`
-    choice.setEnabled(len(allowed) > 1)

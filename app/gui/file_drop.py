@@ -59,7 +59,7 @@ class FileDrop(QObject):
         if acquisition.recording is not None and acquisition.recording.stage == "recording":
             self._window.messages.warn(f"{path.name}: is not shown during a recording, of which it would be part")
             return
-        shown = acquisition.show_single(lambda instrument: read_frame(path, instrument.devices.camera))
+        shown = acquisition.show_single(lambda instrument: read_frame(path, instrument.devices.camera), path.name)
         text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
         self._window.controller.pending.add(shown, lambda _: self._window.messages.inform(text))
 

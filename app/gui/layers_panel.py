@@ -121,8 +121,7 @@ class LayersPanel(QWidget):
 
     def show_stale(self) -> None:
         """Show the maps in grey: they are not those of the newest frame."""
-        if not self.map.is_stale:
-            self.map.show_stale(is_stale=True)
+        self.map.show_stale(is_stale=True)
 
     def _show_curve(self, found: FoundLayers, search: LayerSearch) -> None:
         order = np.argsort(found.curve_m)[: np.count_nonzero(np.isfinite(found.curve_m))]  # NaN comes last

@@ -7,6 +7,7 @@ from PyQt6.QtWidgets import QWidget
 from app.gui.adaptive_scale import RANGES, AdaptiveScale
 from app.gui.colours import ColourScale, diverging
 from app.gui.presentation import number, percent, with_error
+from app.gui.situation import Liveness
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, button, column, label, row
 from app.gui.wording import LOST_REASONS
@@ -26,6 +27,8 @@ class LensletPanel(QWidget):
         super().__init__(parent)
         self.lenslet: tuple[int, int] | None = None  # row and column
         self._top, self._most = AdaptiveScale(RANGES), AdaptiveScale(RANGES)  # of light and residual, counts
+        self._state = "Click a lenslet in the camera image"  # of the lenslet
+        self._liveness, self._problem = Liveness(), ""
         self.title = ElidedLabel("title")
         self.numbers, self.quality = ElidedLabel(), ElidedLabel()
         self.tiles = {name: ViewGrid() for name in ("Reference", "Frame", "Frame, warped back", "Residual")}
@@ -48,13 +51,26 @@ class LensletPanel(QWidget):
     def select(self, lenslet: tuple[int, int] | None) -> None:
         """Wait for the inspection of another lenslet."""
         self.lenslet = lenslet
-        self.title.setText(
-            "Click a lenslet in the camera image" if lenslet is None else "Lenslet row {}, column {}".format(*lenslet)
-        )
         self.exclude.setEnabled(lenslet is not None)
+        self._title("Click a lenslet in the camera image" if lenslet is None else "")
         self._write("" if lenslet is None else "computing \N{HORIZONTAL ELLIPSIS}")
         for tile in self.tiles.values():
             tile.show_maps(None)
+
+    def show_liveness(self, shown: Liveness, problem: str) -> None:
+        """Say how the lenslet differs from a live one; `problem` says why there may be no wavefront to inspect."""
+        self._problem = problem
+        if shown != self._liveness:
+            self._liveness = shown
+            self._title(self._state)
+            self._grey(shown.is_grey)
+
+    def show_nothing(self) -> None:
+        """Show the last inspection in grey: the newest frame has no wavefront, or no reference."""
+        if self.lenslet is not None:
+            self._title("not measured")
+            self._grey(True)
+            self._write(f"nothing to inspect: {self._problem or 'there is no wavefront'}")
 
     def wanted(self) -> tuple[int, int] | None:
         """Return the lenslet to inspect; None while hidden."""
@@ -63,14 +79,13 @@ class LensletPanel(QWidget):
     def show_inspection(self, found: LensletInspection | None) -> None:
         """Show an inspection unless another lenslet was selected meanwhile; None without a reference."""
         if found is None:
-            self._write("nothing to inspect: there is no reference, or no wavefront")
+            self.show_nothing()
             return
         if (found.row, found.column) != self.lenslet:
             return
         reason = LOST_REASONS[found.outcome]
-        self.title.setText(
-            f"Lenslet row {found.row}, column {found.column}: {'lost, ' + reason if reason else 'converged'}"
-        )
+        self._title(f"lost, {reason}" if reason else "converged")
+        self._grey(self._liveness.is_grey)
         self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
         light = ColourScale("inferno", 0.0, self._top.follow(top), "", _LIGHT)
@@ -86,6 +101,17 @@ class LensletPanel(QWidget):
     def _exclude(self) -> None:
         if self.lenslet is not None:
             self.exclusion_requested.emit(*self.lenslet)
+
+    def _title(self, state: str) -> None:
+        """Show the lenslet and its state; without a lenslet only that."""
+        self._state = state
+        name = "" if self.lenslet is None else "Lenslet row {}, column {}".format(*self.lenslet)
+        parts = (": ".join(filter(None, (name, state))), self._liveness.badge)
+        self.title.setText("    ".join(filter(None, parts)))
+
+    def _grey(self, is_grey: bool) -> None:
+        for tile in self.tiles.values():
+            tile.show_stale(is_stale=is_grey)
 
     def _write(self, numbers: str, quality: str = "") -> None:
         self.numbers.setText(numbers)

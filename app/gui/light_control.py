@@ -63,13 +63,13 @@ class LightControl:
     def _switch(self, on: bool) -> None:
         """Switch the light; during a sequence, which switches it on and off, always off and the sequence ends."""
         acquisition = self._acquisition()
-        if acquisition is None or acquisition.status is None:
+        if acquisition is None or not acquisition.is_alive:
             return
-        has_ended = self.end_sequence()
-        if acquisition.status.bench.has_manual_light:
+        has_ended, status = self.end_sequence(), acquisition.status
+        if status is not None and status.bench.has_manual_light:
             if has_ended:
                 acquisition.cancel()
-            self._controls.light.setChecked(acquisition.status.is_light_on)  # until it is confirmed
+            self._controls.light.setChecked(status.is_light_on)  # until it is confirmed
             self._ask_by_hand(on=on, then=lambda: None)
         elif on and not has_ended and not acquisition.activity.text:
             self._send(lambda to: to.submit(lambda instrument: instrument.devices.light.set_on(True)), None)

@@ -1,10 +1,10 @@
 """The main window: lays out the views and refreshes them from the acquisition up to 25 times a second."""
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from PyQt6.QtCore import QEvent, QEventLoop, QSettings, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
@@ -15,7 +15,9 @@ from app.acquisition.start_up import FRAMES, acquisition_of, start_up
 from app.acquisition.worker import Acquisition, Activity, Measurement
 from app.bench.config import Bench
 from app.gui.analysis_tabs import AnalysisTabs
+from app.gui.automatic_tips import show_automatic
 from app.gui.background_analysis import BackgroundAnalysis
+from app.gui.base_window import BaseWindow
 from app.gui.bench_files import BenchFiles
 from app.gui.camera_panel import CameraPanel
 from app.gui.controller import Begin, Controller
@@ -27,27 +29,26 @@ from app.gui.late_measurements import LateMeasurements
 from app.gui.menu import fill_menus
 from app.gui.message_log import MessageLog
 from app.gui.message_strip import MessageStrip
-from app.gui.neutral_focus import NeutralFocusWindow
 from app.gui.number_field import NumberField
 from app.gui.recording_bar import RecordingBar
 from app.gui.recording_panel import RecordingPanel
 from app.gui.replay_bar import ReplayBar
 from app.gui.sensor_region_dialog import SensorRegionDialog
+from app.gui.situation import Situation, liveness
 from app.gui.status_line import StatusLine
 from app.gui.wavefront_panel import WavefrontPanel
 from app.gui.window_layout import lay_out
 from app.gui.window_menus import window_menus
 from app.gui.window_state import fit_to_screen, restore_state, save_state
-from app.gui.wording import advice, conditions_of, is_replay, light_when_closing, stale, warning, way_out
+from app.gui.wording import advice, is_replay, light_when_closing, way_out
 from app.results.frame_statistics import frame_statistics
 from app.results.replay.player import Player
-from app.timing import Timings
 
 _REFRESH_INTERVAL_MS = 40
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 
 
-class MainWindow(NeutralFocusWindow):
+class MainWindow(BaseWindow):
     """The window of `svwfs live`."""
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
@@ -70,9 +71,7 @@ class MainWindow(NeutralFocusWindow):
         self._status: Status | None = None
         self._failure, self._activity = "", Activity()
         self._late = LateMeasurements()
-        self._conditions: tuple[object, ...] = ()  # of the frames
-        self._changed_s = -math.inf  # time of their last change
-        self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
+        self._situation, self._wanted = Situation(), dict[str, Any]()  # settings as shown that are not in force yet
 
         self.camera_panel = CameraPanel()
         self.wavefront_panel = WavefrontPanel()
@@ -131,33 +130,41 @@ class MainWindow(NeutralFocusWindow):
     def open(
         self, make_acquisition: Callable[[], Acquisition], begin: Begin = start_up, player: Player | None = None
     ) -> None:
-        """Close the devices and connect others, also those of a `player`; `begin` sends the first commands."""
+        """Close the devices and connect others, also those of a `player`; `begin` sends the first commands.
+
+        The user is asked first if a recording is under way, or the light must be switched off by hand.
+        """
 
         def connect() -> None:
             self._timer.stop()
             self._text_timer.stop()
             self.controller.use(make_acquisition, begin, self._show_closing)
+            self.recording_bar.refresh()  # the recording has ended
             self._forget_bench()
             self.replay.use(player)
             self.connect_devices()
 
-        if not self.controller.light.ask_off(connect):
-            connect()
+        def ask_light_off() -> None:
+            if not self.controller.light.ask_off(connect):
+                connect()
+
+        if not self.controller.ask_to_end_recording(ask_light_off):
+            ask_light_off()
 
     def _forget_bench(self) -> None:
         self._guard.restart()
         self.camera_panel.forget()
-        self.wavefront_panel.show_wavefront(None)
-        self.tabs.lenslet.select(None)
-        self._analysis.use_measurement(None)
+        self.wavefront_panel.forget_bench()
+        self.tabs.forget_bench()
+        self._analysis.forget_bench()
 
     def refresh(self) -> None:
         """Show what has changed in the acquisition."""
         acquisition = self.controller.acquisition
         if acquisition is None:
             return
-        has_answers, has_switched = self.controller.pending.poll(), self.controller.light.poll()
-        if has_answers or has_switched:
+        controller = self.controller
+        if any([controller.pending.poll(), controller.light.poll(), self._wanted != controller.settings.wanted]):
             self._status = None  # shown again, so that a refused value gives way to the one in force
         self._failure = acquisition.failure  # read once: message and buttons must agree
         self._activity = acquisition.activity  # before the status, which is that after a routine as soon as it ends
@@ -176,7 +183,7 @@ class MainWindow(NeutralFocusWindow):
         if measurement is not None and is_new and not self._late.leave_out(measurement, self._measurement):
             start_s = time.perf_counter()
             self.show_measurement(measurement)
-            self._unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
+            self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
         self._refreshes += 1
         if self._failure:
             self.update_text()
@@ -199,17 +206,15 @@ class MainWindow(NeutralFocusWindow):
     def show_status(self, status: Status) -> None:
         """Show the state of the instrument."""
         self._status = status
-        if (conditions := conditions_of(status)) != self._conditions:
-            self._conditions, self._changed_s = conditions, time.perf_counter()
+        self._situation.follow(status)
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}")
-        self.controls.show_status(status, is_settled=self.controller.pending.is_empty)
+        self._wanted = dict(self.controller.settings.wanted)
+        self.controls.show_status(status, is_settled=self.controller.pending.is_empty, wanted=self._wanted)
         if self.controller.light.is_switching_off:
             self.controls.show_switching_off()
         self.replay.show_status(status)
         self.region_dialog.show_status(status)
-        self.wavefront_panel.show_stale(stale(status))
         self._analysis.use_settings(status.bench.reconstruction)
-        self.camera_panel.show_running(is_running=status.is_running)
         self.camera_panel.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
 
     def update_text(self) -> None:
@@ -220,19 +225,19 @@ class MainWindow(NeutralFocusWindow):
             statistics = frame_statistics(measurement.frame.pixels, self.camera_panel.full_scale)
             self.camera_panel.show_statistics(statistics)
             self.tabs.histogram.show_statistics(statistics)
-            self.controls.show_measured(measurement.wavefront, statistics)
+            self.controls.show_brightness(statistics)
+            show_automatic(self.controls.warp, self.controls.pupil_modes, measurement.wavefront)
         if measurement is not None and (now := self.controller.status) is not None:
             full_scale, temperature_c = now.capabilities.full_scale, now.temperature_c
             self.tabs.record(measurement, full_scale=full_scale, temperature_c=temperature_c)
         self.controller.show_recordings()
         self.recording_bar.refresh()
         self.status_line.update_text(status, acquisition.timings if acquisition else None)
-        is_live = status is not None and status.is_running and not self._activity.text
-        is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
-        live = measurement if is_live and is_present else None  # what is wrong with earlier frames is over
-        alarm = ""
-        if status is not None and not self._activity.text:
-            alarm = warning(status) if live is None else warning(status, live.problem, live.wavefront, live.quality)
+        alarm = self._situation.alarm(status, self._activity, measurement)
+        shown = liveness(status, self._failure, self._activity, measurement)
+        self.camera_panel.show_liveness(shown)
+        self.wavefront_panel.show_liveness(shown)
+        self.tabs.lenslet.show_liveness(shown, self._failure or self._activity.text or alarm)
         self.messages.show_state(
             failure=self._failure,
             way_out=way_out(status),
@@ -245,19 +250,11 @@ class MainWindow(NeutralFocusWindow):
         """Save a picture of the window, by default in the user's picture folder; return whether that succeeded."""
         return self.controller.save_screenshot(self.grab(), path)
 
-    def event(self, event: QEvent | None) -> bool:
-        """Time the painting, which Qt does for the whole window at its event UpdateRequest."""
+    def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Draw the icons again in another theme."""
+        super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._status = None  # the theme has changed: draw the icons again
-        if event is None or event.type() != QEvent.Type.UpdateRequest or self._unpainted is None:
-            return super().event(event)
-        (measurement, timings, seconds), self._unpainted = self._unpainted, None
-        start_s = time.perf_counter()
-        is_handled = super().event(event)
-        end_s = time.perf_counter()
-        timings.note("draw", seconds + end_s - start_s)
-        timings.note("to_screen", end_s - measurement.exposure_end_s)
-        return is_handled
+            self._status = None
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off at once; the window shows that it waits until the devices are closed."""
@@ -275,6 +272,7 @@ class MainWindow(NeutralFocusWindow):
         self.recording_bar.commands.close()
         self.region_dialog.close()
         self.controller.close(self._show_closing)
+        self.recording_bar.refresh()  # name and note of a recording that was under way
         self._is_closing = False
         super().closeEvent(event)
 

@@ -13,6 +13,7 @@ from drivers.interface import Range
 
 _BUTTONS_WIDTH = 26  # px, with the frame
 _NUMBER = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\D*)")
+_LETTERS = 4  # of a word that may be shortened
 _PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "\N{MICRO SIGN}": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6}
 _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
 
@@ -135,7 +136,7 @@ class NumberField(QDoubleSpinBox):
     def _parse(self, text: str) -> float | None:
         """Return a typed value in the shown unit; None if it is no number with this unit."""
         text = self._typed(text)
-        if self.specialValueText() and text == self.specialValueText():
+        if self._is_word(text):
             return self.minimum()
         match = _NUMBER.fullmatch(text)
         if match is None:
@@ -155,18 +156,25 @@ class NumberField(QDoubleSpinBox):
         """Return why what is typed cannot be used; empty if it can."""
         text = self.text() if text is None else text
         value = self._parse(text)
-        allowed = f"{self._worded(self.minimum())} ... {self._worded(self.maximum())}{self.suffix()}"
+        word, lowest = self.specialValueText(), self.minimum() + bool(self.specialValueText())
+        allowed = (
+            f"{self._worded(lowest)} ... {self._worded(self.maximum())}{self.suffix()}{f', or {word}' * bool(word)}"
+        )
         about = f"{self._name} {self._typed(text)}".strip()
         if value is None:
             return f"{about}: type a number {f'in {self._unit}, ' if self._unit else ''}{allowed}"
         if not self.decimals() and value != round(value):
             return f"{about}: only whole numbers {allowed} are allowed"
         rounding = 0.5001 * 10.0 ** -self.decimals()
-        is_word = bool(self.specialValueText()) and value == self.minimum() != 0  # 0 is another way to say it
-        is_beyond = not self.minimum() - rounding <= value <= self.maximum() + rounding
-        if is_beyond or (is_word and self._typed(text) != self.specialValueText()):
+        is_beyond = not lowest - rounding <= value <= self.maximum() + rounding
+        if is_beyond and not self._is_word(self._typed(text)):
             return f"{about} is outside the allowed range {allowed}: not changed"
         return ""
+
+    def _is_word(self, text: str) -> bool:
+        """True for the word of the lowest value, its first letters, and 0."""
+        word = self.specialValueText()
+        return bool(word) and (text == "0" or (len(text) >= _LETTERS and word.startswith(text.lower())))
 
     def _worded(self, value: float) -> str:
         if self.specialValueText() and math.isclose(value, self.minimum()):

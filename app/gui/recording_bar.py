@@ -9,6 +9,7 @@ from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QWidget
 
 from app.errors import InputError, RunError
+from app.gui import theme
 from app.gui.background_commands import BackgroundCommands
 from app.gui.controller import Controller
 from app.gui.message_strip import MessageStrip
@@ -17,12 +18,13 @@ from app.gui.recent_files import RecentFiles
 from app.gui.text_field import TextField
 from app.gui.widgets import Choice, ElidedLabel, button, label, row
 from app.progress import counted
-from app.recording.description import describe
+from app.recording.description import describe, name_problem
 from app.recording.recorder import Limit, RecordingState
 from drivers.interface import Range
 
 _FRAMES, _SECONDS = "frames", "s"
 _MOST = Range(0, 1e6)
+_NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _EXPORTS = {  # suffix and what is written
     "tiff": ("tif", "Frames as TIFF"),
     "csv": ("csv", "RMS and coefficients as CSV"),
@@ -50,11 +52,13 @@ class RecordingBar(QFrame):
         self.folder: Path | None = None  # with its name, once it is finished
         self._kept: Path | None = None
         self.text = ElidedLabel()
-        self.name = TextField(tool_tip="Appended to the name of the folder when the recording is finished", hint="name")
+        self._name_problem = ""
+        self.name = TextField(tool_tip=_NAME_TIP, hint="name")
         self.note = TextField(tool_tip="Kept in run.json and shown in the report", hint="note")
         for field in (self.name, self.note):
             field.setMinimumWidth(90)
             field.entered.connect(lambda _: self._describe())
+        self.name.textChanged.connect(self._check_name)
         self.stop_after = NumberField(name="Stop after", tool_tip="The recording ends by itself", lowest="never")
         self.stop_after.show_value(0, _MOST)
         self.unit = Choice()
@@ -173,6 +177,15 @@ class RecordingBar(QFrame):
         acquisition = self._controller.acquisition
         if acquisition is not None:
             acquisition.limit_recording(self.limit)
+
+    def _check_name(self, name: str) -> None:
+        """Show in red, and say, why a name that is being typed cannot be used."""
+        problem = name_problem(name)
+        self.name.setStyleSheet(f"color: {theme.RED.name()};" if problem else "")
+        self.name.setToolTip(problem or _NAME_TIP)
+        if problem != self._name_problem:
+            self._name_problem = problem
+            self._messages.refuse(problem)
 
     def _describe(self) -> None:
         if self.folder is None:  # not finished

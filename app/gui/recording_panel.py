@@ -7,6 +7,7 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from app.gui import theme
 from app.gui.widgets import ElidedLabel, button, row, toggle
+from app.gui.wording import gaps_in_words
 from app.progress import counted
 from app.recording.recorder import RECENT_S, RecordingState
 
@@ -41,9 +42,11 @@ class RecordingPanel(QWidget):
         self._show_button(is_recording=False)
         self.show_state(None)
 
-    def show_state(self, state: RecordingState | None, free_minutes: float = math.inf) -> None:
+    def show_state(
+        self, state: RecordingState | None, free_minutes: float = math.inf, *, is_starting: bool = False
+    ) -> None:
         """Show the current or last recording and the recording time that the disk has space for."""
-        is_recording = state is not None and state.stage == "recording"
+        is_recording = is_starting or (state is not None and state.stage == "recording")
         self.record.setChecked(is_recording)
         if (self.record.text() == _STOP) != is_recording:
             self._show_button(is_recording=is_recording)
@@ -73,7 +76,8 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
         return ()
     minutes, seconds = divmod(round(state.seconds), 60)
     behind = (f"{state.waiting} waiting for the disk",) if state.waiting > _BEHIND else ()
-    return (counted(state.frames), f"{minutes}:{seconds:02d}", *behind)
+    gap = (gaps_in_words(state.gaps),) if state.gaps else ()
+    return (counted(state.frames), f"{minutes}:{seconds:02d}", *gap, *behind)
 
 
 def _duration(minutes: float) -> str:

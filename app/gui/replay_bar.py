@@ -3,17 +3,34 @@
 from concurrent.futures import CancelledError, Future
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QSlider, QWidget
+from PyQt6.QtGui import QPainter, QPaintEvent
+from PyQt6.QtWidgets import QFrame, QSlider, QStyle, QWidget
 
 from app.acquisition.instrument import Status
 from app.gui import theme
 from app.gui.controls_panel import ControlsPanel
 from app.gui.widgets import Choice, button, label, row
+from app.recording.recover import frames_in_words
 from app.results.replay.player import Player
 
 _SPEEDS = {"\N{VULGAR FRACTION ONE QUARTER}": 0.25, "\N{VULGAR FRACTION ONE HALF}": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 _TIMES = "\N{MULTIPLICATION SIGN} "
 _POLL_MS = 40
+
+
+class _Slider(QSlider):
+    """Slider with red marks at some of its values."""
+
+    marked: frozenset[int] = frozenset()
+
+    def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Paint the slider and its marks."""
+        super().paintEvent(event)
+        painter, style = QPainter(self), self.style()
+        handle = 0 if style is None else style.pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self)
+        for value in self.marked:
+            x = QStyle.sliderPositionFromValue(self.minimum(), self.maximum(), value, self.width() - handle)
+            painter.fillRect(x + handle // 2 - 1, 0, 2, self.height(), theme.RED)
 
 
 class ReplayBar(QFrame):
@@ -31,12 +48,13 @@ class ReplayBar(QFrame):
         self._player: Player | None = None
         self._controls = controls
         self._wanted: int | None = None
+        self._target, self._direction = 0, 1  # of the last move
         self._moving: Future[None] | None = None
         self.badge = label("REPLAY", "badge")
         self.play = button("Play", "Play or pause (Space)", controls.start.click)
         self.back = button("\N{LEFTWARDS ARROW}", "Previous frame (,)", lambda: self._step(-1))
         self.forth = button("\N{RIGHTWARDS ARROW}", "Next frame (.)", lambda: self._step(1))
-        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider = _Slider(Qt.Orientation.Horizontal)
         self.slider.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.slider.setToolTip("Position in the recording")
         self.slider.valueChanged.connect(self._move)
@@ -72,12 +90,14 @@ class ReplayBar(QFrame):
         if self._player is not None and player is None:
             self._controls.enable_devices(is_enabled=True)
         self._player, self._wanted, self._moving = player, None, None
+        self.slider.marked = frozenset()
         self.setVisible(player is not None)
         for step in (self.back, self.forth):
             step.setEnabled(player is not None)
         if player is None:
             self._timer.stop()
             return
+        self._controls.enable_devices(is_enabled=False)
         count = len(player.frames)
         self.slider.setRange(0, count - 1)
         self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {count} of {count}  "))
@@ -95,6 +115,7 @@ class ReplayBar(QFrame):
         player = self._player
         if player is None:
             return
+        self._mark_damaged(player)
         if self._moving is not None:
             if not self._moving.done():
                 return
@@ -102,12 +123,25 @@ class ReplayBar(QFrame):
             try:
                 moved.result()
             except (CancelledError, Exception) as error:  # noqa: BLE001 - every error is shown
-                self.failed.emit(str(error))
+                self._mark_damaged(player)
+                if self._target not in self.slider.marked:
+                    self.failed.emit(str(error))
+                elif self._wanted is None:
+                    self._wanted = self._sound(self._target)
         if self._wanted is not None:
-            wanted, self._wanted = self._wanted, None
-            self._moving = player.show_frame(wanted)
+            self._target, self._wanted = self._wanted, None
+            self._moving = player.show_frame(self._target)
         elif player.position is not None and not self.slider.isSliderDown():
             self._show_position(player.position)
+
+    def _mark_damaged(self, player: Player) -> None:
+        """Say which frames were found damaged, and mark them on the slider."""
+        damaged = player.damaged
+        if new := sorted(damaged.keys() - self.slider.marked):
+            names = frames_in_words([player.frames[position] for position in new])
+            self.failed.emit(f"{names} skipped: {damaged[new[-1]]}")
+            self.slider.marked = frozenset(damaged)
+            self.slider.update()
 
     def _show_position(self, position: int) -> None:
         self.slider.blockSignals(True)
@@ -123,8 +157,15 @@ class ReplayBar(QFrame):
 
     def _move(self, position: int) -> None:
         if self._player is not None and self._player.position is not None:
-            self._wanted = position
+            self._direction = 1 if position >= self._player.position else -1
+            self._wanted = self._sound(position)
             self._write(position)
+
+    def _sound(self, position: int) -> int | None:
+        """Return this position, or the next one in the direction of the move whose frame is not known as damaged."""
+        while position in self.slider.marked:
+            position += self._direction
+        return position if self.slider.minimum() <= position <= self.slider.maximum() else None
 
     def _step(self, by: int) -> None:
         self.slider.setValue(self.slider.value() + by)

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtCore import QEvent, Qt, QTimer
+from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import (
     QCheckBox,
     QDialog,
@@ -31,6 +32,18 @@ from drivers.discovery import DiscoveredDevice
 _POLL_MS = 100
 _SIZE = (720, 560)  # px
 _NO_DEVICE = "Other, or simulated: choose the driver below"
+
+
+class _Number(QLineEdit):
+    """A line for a number, which leaves the key of the light alone."""
+
+    def event(self, event: QEvent | None) -> bool:
+        """Pass L to the shortcuts."""
+        is_light = isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_L and not event.modifiers()
+        if event is not None and is_light and event.type() == QEvent.Type.ShortcutOverride:
+            event.ignore()
+            return False
+        return super().event(event)
 
 
 class SettingsDialog(QDialog):
@@ -141,6 +154,7 @@ class SettingsDialog(QDialog):
     def _build(self, shown: str) -> None:
         """Make the widgets of all fields; show one section."""
         self.editors = {}
+        self.sections.setFocus()  # else Qt would give it from a removed editor to any other
         self.sections.clear()
         while (page := self.pages.widget(0)) is not None:
             self.pages.removeWidget(page)
@@ -178,8 +192,7 @@ class SettingsDialog(QDialog):
             choice.setCurrentIndex(choice.findData(field.text))
             choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
             return choice
-        line = QLineEdit(field.text)
-        line.setFocusPolicy(Qt.FocusPolicy.ClickFocus)  # else it might swallow the key of the light
+        line = _Number(field.text) if field.kind in {"number", "integer"} else QLineEdit(field.text)
         line.setPlaceholderText(f"for example {field.example}" if field.example else "automatic" * field.is_optional)
         line.textEdited.connect(lambda text: self._enter(field, line, text))
         return line

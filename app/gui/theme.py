@@ -54,6 +54,7 @@ QFrame[role="strip"] {{ background: {SURFACE.name()}; }}
 QFrame[role="bubble"] {{ background: {RAISED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 6px; }}
 QFrame[role="outline"] {{ border: 2px solid {ACCENT.name()}; }}
 QFrame[role="bubble"] QLabel {{ border: none; }}
+*[wanted="true"] {{ color: {AMBER.name()}; font-style: italic; }}
 QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QPushButton[role="step"] {{ padding: 3px 4px; }}

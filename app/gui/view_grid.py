@@ -81,8 +81,9 @@ class ViewGrid(QWidget):
 
     def show_stale(self, *, is_stale: bool) -> None:
         """Show the maps in grey, or in colours."""
-        self.is_stale = is_stale
-        self.show_maps(self.maps)
+        if is_stale != self.is_stale:
+            self.is_stale = is_stale
+            self.show_maps(self.maps)
 
     def select(self, view: tuple[int, int] | None) -> None:
         """Frame the view (view_row, view_column), or none."""

@@ -16,6 +16,7 @@ from app.gui.display_menu import DisplayMenu
 from app.gui.enlarged_view import EnlargedView
 from app.gui.number_field import NumberField
 from app.gui.presentation import PRESENTATIONS, Presentation, number, place
+from app.gui.situation import Liveness
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import Choice, ElidedLabel, button, colour_text, column, label, row_of, toggle
 from app.results.shown_wavefront import StoredWavefront, Unit, WavefrontDisplay
@@ -68,9 +69,8 @@ class WavefrontPanel(QWidget):
         self.display_button = button("Display", "Tilt, defocus, mean, unit, views", lambda: None)
         self.display_button.setMenu(self.menu)
         self.grid = ViewGrid()
-        self.stale = ElidedLabel()
+        self.stale = ElidedLabel()  # always there, so that the maps stay where they are
         colour_text(self.stale, theme.AMBER)
-        self.stale.hide()
         self.grid.opened.connect(self.enlarge)
         scale = (self.display_button, self.freeze_scale, self.limit)
         self.header = row_of(self.choice, label("over the field", "title"), (self._summary, 1), *scale)
@@ -90,12 +90,10 @@ class WavefrontPanel(QWidget):
         """Choose a quantity."""
         self.choice.setCurrentText(quantity)
 
-    def show_stale(self, reason: str) -> None:
-        """Show the maps in grey for this reason; empty if they are good."""
-        if reason != self.stale.text():
-            self.grid.show_stale(is_stale=bool(reason))
-            self.stale.setText(reason)
-            self.stale.setVisible(bool(reason))
+    def show_liveness(self, shown: Liveness) -> None:
+        """Say how the maps differ from live ones, and show those in grey that may be over."""
+        self.grid.show_stale(is_stale=shown.is_grey)
+        self.stale.setText(f"{shown.badge}: {shown.reason}" if shown.badge else "")
 
     def show_wavefront(self, wavefront: Wavefront | None) -> None:
         """Show the views of a wavefront, or that there is none; `show_analysis` shows the other quantities."""
@@ -107,6 +105,12 @@ class WavefrontPanel(QWidget):
             self._show_nothing()
         elif self.quantity is Quantity.WAVEFRONT:
             self._show(self.shown.views, _describe_lenslet)
+
+    def forget_bench(self) -> None:
+        """Forget the wavefronts of another bench, also the one that is subtracted: its lenslets may be others."""
+        self.show_wavefront(None)
+        self._display = WavefrontDisplay()
+        self.menu.change(stored=None)
 
     def show_analysis(self, analysis: Analysis) -> None:
         """Show the maps of an analysis unless another quantity or other views were chosen meanwhile."""

@@ -21,6 +21,7 @@ from PyQt6.QtWidgets import (
 )
 
 from app.gui import theme
+from app.gui.names import NAMES
 
 Slot = Callable[..., object] | pyqtBoundSignal
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
@@ -43,6 +44,14 @@ def colour_text(shown: QLabel, colour: QColor) -> None:
         shown.setProperty("tone", tone)
         style.unpolish(shown)
         style.polish(shown)
+
+
+def mark_wanted(control: QWidget, *, is_wanted: bool) -> None:
+    """Show the value of a control in amber italics while it is wanted and not in force."""
+    if bool(control.property("wanted")) != is_wanted and (style := control.style()) is not None:
+        control.setProperty("wanted", is_wanted)
+        style.unpolish(control)
+        style.polish(control)
 
 
 class ElidedLabel(QLabel):
@@ -114,6 +123,17 @@ class Choice(QComboBox):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.currentTextChanged.connect(self.updateGeometry)
 
+    def show_choice(self, allowed: tuple[str, ...], chosen: str) -> None:
+        """Offer these values by their human names and show the chosen one, without emitting `activated`."""
+        if tuple(self.itemData(index) for index in range(self.count())) != allowed:
+            self.clear()
+            for value in allowed:
+                self.addItem(NAMES.get(value, value), value)
+            if (items := self.view()) is not None:
+                items.setMinimumWidth(items.sizeHintForColumn(0) + 8)  # no elided items below a narrow choice
+        self.setCurrentIndex(self.findData(chosen))
+        self.setEnabled(len(allowed) > 1)
+
     def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
         """Return the size in which the chosen text is not cut."""
         size, option, style = super().minimumSizeHint(), QStyleOptionComboBox(), self.style()
@@ -140,14 +160,14 @@ class Choice(QComboBox):
             super().wheelEvent(event)
 
 
-def button(text: str, tool_tip: str, clicked: Slot) -> QPushButton:
+def button(text: str, tool_tip: str, clicked: Slot, kind: type[Button] = Button) -> QPushButton:
     """Make a button."""
-    return Button(text, tool_tip, clicked)
+    return kind(text, tool_tip, clicked)
 
 
-def toggle(text: str, tool_tip: str, clicked: Slot | None = None) -> QPushButton:
+def toggle(text: str, tool_tip: str, clicked: Slot | None = None, kind: type[Button] = Button) -> QPushButton:
     """Make a checkable button."""
-    made = button(text, tool_tip, clicked or (lambda: None))
+    made = button(text, tool_tip, clicked or (lambda: None), kind)
     made.setCheckable(True)
     return made
 

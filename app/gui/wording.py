@@ -7,6 +7,7 @@ import numpy as np
 from app.acquisition.instrument import Status
 from app.acquisition.worker import Activity, Measurement
 from app.gui.presentation import percent
+from app.measurement.measurement import Gap
 from app.measurement.routines.auto_exposure import AutoExposure
 from app.measurement.sensor_region import SensorArea, lenslets_outside
 from app.progress import counted
@@ -69,7 +70,7 @@ def stale(status: Status) -> str:
     """Return why wavefronts are shown in grey; empty if dark and reference fit the frames."""
     notes = ((status.dark, status.dark_note), (status.reference, status.reference_note))
     reasons = [note.rpartition("\n")[2] for validity, note in notes if validity == "doubtful"]
-    return f"Stale: {'; '.join(reasons)}" if reasons else ""
+    return "; ".join(reasons)
 
 
 def advice(status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
@@ -80,12 +81,14 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
         return "no bench is open: open one (Ctrl+O), or a preset in the menu Bench"
     if not status.is_running:
         return "the replay is paused: Space plays it" if is_replay(status) else "the camera is stopped: Space starts it"
-    if (
-        measurement is not None
-        and time.perf_counter() - measurement.frame.host_time_s > _SLOW_S + 2 * status.exposure_s
-    ):
+    if measurement is not None and is_old(measurement):
         return "slow method: still reconstructing a frame; your command waits until it is done"
     return status.mask_note or "F1 shows keys and conventions"
+
+
+def is_old(measurement: Measurement) -> bool:
+    """True if a newer frame should have come by now."""
+    return time.perf_counter() - measurement.exposure_end_s > _SLOW_S + 2 * measurement.frame.exposure_s
 
 
 def is_replay(status: Status | None) -> bool:
@@ -169,7 +172,14 @@ def recording_ended(state: RecordingState) -> str:
     """Describe a finished recording."""
     if state.stage == "ended early":
         return f"the recording ended early, {counted(state.frames)} saved: {state.problem}"
-    return f"recorded {counted(state.frames)} in {state.folder}"
+    causes = "; ".join(dict.fromkeys(gap.cause for gap in state.gaps))
+    gaps = f", with {gaps_in_words(state.gaps)} ({causes})" if state.gaps else ""
+    return f"recorded {counted(state.frames)} in {state.folder}{gaps}"
+
+
+def gaps_in_words(gaps: tuple[Gap, ...]) -> str:
+    """Return number and total time of the gaps of a recording."""
+    return f"{counted(len(gaps), 'gap')} of {sum(gap.seconds for gap in gaps):.1f} s"
 
 
 def lenslet_summary(displacement: Displacement) -> list[str]:

@@ -7,11 +7,11 @@ all that its frames refer to.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 from app.bench.config import Bench
 from app.measurement.judging import frame_judge
 from app.measurement.routines.averages import Average
+from app.memory import kept_for_bench
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise, TransferCurve, photon_transfer
 from reconstruction.geometry import Lattice, Sensor
@@ -78,7 +78,7 @@ class Calibration:
         )
 
 
-@lru_cache(maxsize=4)  # another setting does not change it
+@kept_for_bench(maxsize=4)  # another setting does not change it
 def _shown_lattice(dark: Average | None, reference: Average, sensor: Sensor, full_scale: float) -> Lattice | None:
     """The lattice that the reference shows; None if it shows none."""
     try:

@@ -12,6 +12,19 @@ from reconstruction.wavefront import Wavefront
 SKIPPED = "passed over: the computer was behind, and a newer frame was there"  # stored in recordings
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """Result for one frame, and everything needed to reproduce it."""
+
+    wavefront: Wavefront | None
+    problem: str  # why there is no wavefront; empty if there is one
+    calibration: Calibration | None = None
+    start: Displacement | None = None  # initial guess of the registration: the previous frame's displacement
+    registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
+    assumed: Assumptions = Assumptions()
+    quality: Quality = Quality()
+
+
 @dataclass(frozen=True, slots=True)
 class FrameTotals:
     """Numbers of frames since the loop began."""
@@ -19,6 +32,14 @@ class FrameTotals:
     acquired: int = 0
     reconstructed: int = 0  # fewer if the computer is slower than the camera
     lost: int = 0  # overwritten in the camera before they were read
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Time in which the camera stood between two frames, because it was stopped, or a setting or routine needed it."""
+
+    seconds: float
+    cause: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,3 +66,5 @@ class Measurement:
     registered: Displacement | None = None  # as registered; the wavefront's displacement has the bias subtracted
     light: LightState | None = None  # as last polled
     quality: Quality = Quality()
+    gap: Gap | None = None  # just before the frame
+    file: str = ""  # name of the file that the frame was read from; empty: the camera

@@ -16,7 +16,8 @@ _LONGEST = 100
 def describe(folder: Path, *, name: str, note: str) -> Path:
     """Write a note into `run.json` and append a name to that of the folder; return the folder.
 
-    An empty name removes the one given before; the time in the folder's name stays.
+    An empty name removes the one given before; the time in the folder's name stays. The note is written first, so that
+    an impossible name does not lose it.
 
     Raises
     ------
@@ -26,22 +27,30 @@ def describe(folder: Path, *, name: str, note: str) -> Path:
     run = read_run(folder)
     if not run["complete"]:
         raise InputError(f"{folder}: is still being recorded: it gets its name afterwards")
-    wanted = folder.with_name(_folder_name(folder.name, name.strip()))
-    if wanted != folder and wanted.exists():
-        raise InputError(f"{wanted}: exists already: give another name")
+    wanted = folder
     try:
         if run.get("note", "") != note.strip():
             write_record(folder / RUN, {**run, "note": note.strip()})
+        wanted = folder.with_name(_folder_name(folder.name, name.strip()))
+        if wanted != folder and wanted.exists():
+            raise InputError(f"{wanted}: exists already: give another name")
         return folder if wanted == folder else folder.rename(wanted)
     except OSError as error:
         raise InputError(f"{wanted}: cannot be given: {in_words(error)}") from error
 
 
+def name_problem(name: str) -> str:
+    """Return why a name cannot be given to a recording; empty if it can."""
+    if found := _FORBIDDEN.search(name):
+        return f"a name of a recording cannot contain {found[0] if found[0].isprintable() else 'control characters'}"
+    if name.startswith("."):
+        return "a name of a recording cannot begin with a point"
+    return f"a name of a recording has at most {_LONGEST} letters" if len(name) > _LONGEST else ""
+
+
 def _folder_name(present: str, name: str) -> str:
-    if _FORBIDDEN.search(name) or name.startswith(".") or len(name) > _LONGEST:
-        raise InputError(
-            f'the name "{name}" cannot be used: leave out \\ / : * ? " < > | and use at most {_LONGEST} letters'
-        )
+    if problem := name_problem(name):
+        raise InputError(f"{problem}: {name}")
     stamp = _STAMP.match(present)
     if stamp is None:
         return name or present

@@ -47,6 +47,8 @@ class FrameLine:
     valid: int | None  # lenslets that yield a slope
     sample: SampleLine | None = None  # None: any wavefront, because no sample was found yet
     crc32: str | None = None  # `checksum` of the pixels; None before version 0.3
+    gap_s: float = 0.0  # for which the camera stood just before this frame
+    gap_cause: str = ""
 
     def to_json(self) -> str:
         """Return the line without its newline."""

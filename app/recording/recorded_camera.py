@@ -30,8 +30,8 @@ class RecordedCamera(Camera):
 
     After a stop it continues at the same frame. With the light on and the sample in it returns the recorded frames,
     else frames whose average is the dark or the reference of the next frame. At the fastest pace a frame comes as soon
-    as it is read, and its camera time is when it would have come. A frame with missing or damaged pixels counts as
-    lost; a folder that has become unreadable, for example on a lost network share, as an unplugged camera.
+    as it is read, and its camera time is when it would have come. A frame whose line or pixels are
+    damaged counts as lost; a folder that has become unreadable, as on a lost network share, as an unplugged camera.
     """
 
     def __init__(
@@ -56,6 +56,7 @@ class RecordedCamera(Camera):
         self._pixel_pitch_m = recording.bench.sensor.pixel_pitch_m
         self.line = recording.line(frames[0])  # of the recorded frame that was read last, or of the first
         self.is_lit = self.is_sample_in = False
+        self.damaged: dict[int, str] = {}  # reason by position in the played range, of the frames that were met
         self.in_force: int | None = None  # number of the calibration in use; frames of another wait for theirs
         self.speed = 1.0  # times the recorded rate
 
@@ -68,6 +69,11 @@ class RecordedCamera(Camera):
     def next_frame(self) -> int:
         """Index of the next frame in the recording; at the end, of the last."""
         return self._frames[min(self._position, len(self._frames) - 1)]
+
+    @property
+    def next_calibration(self) -> int | None:
+        """Number of the calibration of the next frame."""
+        return self._line().calibration
 
     def show(self, position: int) -> Frame:
         """Return the frame at a position in the played range at once, also while stopped; playing continues after it.
@@ -137,6 +143,7 @@ class RecordedCamera(Camera):
         gap_s = min(max(gap_s, 0.0), after.exposure_s + _LONGEST_GAP_S)
         index, due_s = self._advance(gap_s, lost=after.lost if follows else 0)
         if damage is not None:
+            self.damaged[self._frames.index(before.index)] = str(damage)
             raise FrameLost(str(damage)) from damage
         return replace(frame, index=index, camera_time_s=due_s, host_time_s=self._now())
 
@@ -182,11 +189,13 @@ class RecordedCamera(Camera):
             raise Disconnected(str(error)) from error
 
     def _line(self) -> FrameLine:
-        """The line of the next frame."""
+        """The line of the next frame; if it is damaged, the last one in its place."""
         try:
             return self._recording.line(self.next_frame)
         except InputError as error:
-            raise Disconnected(str(error)) from error
+            if isinstance(error.__cause__, OSError):
+                raise Disconnected(str(error)) from error
+            return replace(self.line, index=self.next_frame, lost=0)
 
     def _taken(self) -> Average | FrameLine:
         """Average or frame line that supplies exposure and gain."""

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from app.errors import InputError, RunError
 from app.files import nearest_existing
-from app.measurement.measurement import Measurement
+from app.measurement.measurement import Gap, Measurement
 from app.recording.folder import check_free, new_folder
 from app.recording.writer import Record, RecordingWriter
 from app.run_facts import timing_facts
@@ -50,6 +50,7 @@ class RecordingState:
     seconds: float  # duration of the recording so far
     free_minutes: float  # until the disk is full at this rate; infinite as long as the rate is unknown
     problem: str  # why it ended early; empty if it did not
+    gaps: tuple[Gap, ...] = ()  # in which the camera stood
 
 
 class BackgroundRecording:
@@ -76,7 +77,7 @@ class BackgroundRecording:
         self._first_s: float | None = None  # arrival of the first frame that was taken
         self._changed = threading.Condition()
         self._is_open, self._is_finished, self._problem = True, False, ""  # open for more frames
-        self._frames, self._free_minutes = 0, math.inf
+        self._frames, self._free_minutes, self._gaps = 0, math.inf, tuple[Gap, ...]()
         self._began_s = time.perf_counter()
         self._ended_s: float | None = None
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
@@ -118,8 +119,8 @@ class BackgroundRecording:
         if self._is_finished:
             stage = "ended early" if self._problem else "finished"
         seconds = (self._ended_s or time.perf_counter()) - self._began_s
-        waiting = len(self._waiting)
-        return RecordingState(self._folder, stage, self._frames, waiting, seconds, self._free_minutes, self._problem)
+        written = self._folder, stage, self._frames, len(self._waiting)
+        return RecordingState(*written, seconds, self._free_minutes, self._problem, self._gaps)
 
     def _is_beyond_limit(self, record: Record) -> bool:
         """Return whether a frame comes too late; the limit may have been lowered below what was taken."""
@@ -154,7 +155,7 @@ class BackgroundRecording:
                 for record in self._records():
                     with self._timings.of("record"):
                         writer.write(record)
-                    self._frames = writer.frames
+                    self._frames, self._gaps = writer.frames, tuple(writer.gaps)
                     if synced.done() and time.perf_counter() > synced_s + _SYNC_S:
                         synced = self._sync(writer, synced, syncing)
                         synced_s = time.perf_counter()

@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from app.errors import InputError, RunError
 from app.files import make_folder, sync
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import LightState, Measurement
+from app.measurement.measurement import Gap, LightState, Measurement
 from app.recording.assumed_samples import sample_line
 from app.recording.calibration_files import write_array, write_calibration
 from app.recording.folder import (
@@ -69,6 +69,7 @@ class Record:
     coefficients: Floats | None  # rad, (pupil_mode, field_mode)
     views: Floats | None  # rad, (view_row, view_column, lenslet_row, lenslet_column)
     valid: int | None
+    gap: Gap | None = None  # just before this frame
 
     @classmethod
     def of(cls, measurement: Measurement, lost: int) -> Record:
@@ -90,6 +91,7 @@ class Record:
             coefficients=solution.coefficients if isinstance(solution, ModalSolution) else None,
             views=None if wavefront is None else wavefront.views,
             valid=None if registered is None else int(np.count_nonzero(registered.valid)),
+            gap=measurement.gap,
         )
 
     @property
@@ -138,6 +140,7 @@ class RecordingWriter:
         self._biases = _Numbered[Floats](lambda number, bias: write_array(folder / BIAS.format(number), bias))
         self._registered: tuple[int, Floats] | None = None  # index and displacement of the last registered frame
         self._lines_bytes = 0
+        self.gaps: list[Gap] = []
         self.frames = self.reconstructed = self.lost = self.bytes = 0
 
     def write(self, record: Record) -> None:
@@ -155,12 +158,15 @@ class RecordingWriter:
                 written += self._put(f"{results}/displacement", index, record.displacement)
             if record.coefficients is not None:
                 written += self._put(f"{results}/coefficients", index, record.coefficients)
-        self._write_line(_line(record, index, calibration, bias, start))
+        gap = record.gap if index else None  # one before the first frame is none of this recording
+        self._write_line(_line(replace(record, gap=gap), index, calibration, bias, start))
         if record.displacement is not None:
             self._registered = index, record.displacement
         self.frames += 1
         self.reconstructed += not record.problem
         self.lost += record.lost
+        if gap is not None:
+            self.gaps.append(gap)
         self.bytes += written
 
     def sync(self) -> None:
@@ -249,7 +255,7 @@ def _create_lines(folder: Path) -> IO[bytes]:
 
 
 def _line(record: Record, index: int, calibration: int | None, bias: int | None, start: int | None) -> FrameLine:
-    frame, light = record.frame, record.light
+    frame, light, gap = record.frame, record.light, record.gap
     return FrameLine(
         index=index,
         camera_index=frame.index,
@@ -269,6 +275,8 @@ def _line(record: Record, index: int, calibration: int | None, bias: int | None,
         valid=record.valid,
         sample=None if record.sample is None else sample_line(record.sample),
         crc32=checksum(frame.pixels),
+        gap_s=0.0 if gap is None else gap.seconds,
+        gap_cause="" if gap is None else gap.cause,
     )
 
 

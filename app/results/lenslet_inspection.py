@@ -1,7 +1,6 @@
 """Everything known of one lenslet: its subimages, the fitted warp, the residual and the displacement."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
+from app.memory import kept_for_bench
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, Outcome
 from reconstruction.errors import ReconstructionError
@@ -81,7 +81,7 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
     )
 
 
-@lru_cache(maxsize=1)
+@kept_for_bench(maxsize=1)
 def _subimages(calibration: Calibration) -> ReferenceSubimages:
     dark, reference = calibration.dark, calibration.reference.mean
     return ReferenceSubimages(

@@ -31,9 +31,10 @@ def propagation_faults(
     `lit` (lenslet_row, lenslet_column) marks lit lenslets, `light` (lit lenslet,) is theirs over that in the reference.
     """
     known = displacement.valid[lit] & (light > 0)
-    if np.count_nonzero(known) < _LEAST_LENSLETS:
+    gradients = getattr(displacement.modes, "gradients", None)  # interpolation between stars has none
+    if gradients is None or np.count_nonzero(known) < _LEAST_LENSLETS:
         return
-    weights = displacement.modes.gradients(0.0, 0.0) / half_width_px  # (field_mode, xy)
+    weights = gradients(0.0, 0.0) / half_width_px  # (field_mode, xy)
     area = np.tensordot(displacement.coefficients[lit][known], weights, axes=2)
     area -= area.mean()
     size, count = float(area @ area), len(area)

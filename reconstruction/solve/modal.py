@@ -22,7 +22,7 @@ import numpy as np
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
-from reconstruction.errors import ReconstructionError
+from reconstruction.errors import TooManyModes
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.runtime.deferred import Deferred, Remembered
 from reconstruction.solve.evidence import FitQuality, fit_quality, maximize_evidence, prior_and_noise
@@ -212,7 +212,4 @@ class ModalSolver:
             variance = np.linalg.eigvalsh(flat.T @ flat)
             if variance[-1] <= _AMPLIFICATION * np.median(variance):
                 return
-        raise ReconstructionError(
-            f"{values.shape[1]} valid lenslets cannot tell {len(self._modes.degree)} pupil modes apart:"
-            " lower pupil_modes, or leave it out"
-        )
+        raise TooManyModes(values.shape[1], len(self._modes.degree))

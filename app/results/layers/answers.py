@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -11,6 +11,7 @@ import xarray as xr
 
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
+from app.memory import kept_for_bench
 from app.results.layers.correction import compare_correctors, correction_dataset
 from app.results.layers.dataset import Origin, centred, distance_m, distances_and_sigma_m, layer_maps, possible_origin
 from reconstruction.arrays import Floats
@@ -99,7 +100,7 @@ def _shown(request: LayersRequest, calibration: Calibration, fit: LayerFit) -> F
     )
 
 
-@lru_cache(maxsize=1)
+@kept_for_bench(maxsize=1)
 def _reconstructor(calibration: Calibration) -> Reconstructor:
     """Another reconstructor than that of the acquisition, because measurements do not carry it."""
     return calibration.reconstructor()

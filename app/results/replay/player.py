@@ -15,7 +15,7 @@ from app.recording.recorded_camera import RecordedCamera
 from app.recording.recorded_devices import recorded_devices
 from app.results.replay.run import change_of
 from app.results.source_bench import version_notice
-from drivers.interface import Devices, Frame, WrongState
+from drivers.interface import Devices, Frame, FrameLost, WrongState
 
 
 class Player:
@@ -66,26 +66,38 @@ class Player:
         if self._camera is None or self._acquisition is None:
             return
         self.position = self.frames.index(self._camera.line.index)
-        number = self._recording.line(self._camera.next_frame).calibration
+        number = self._camera.next_calibration
         if number is not None and number != self._asked:
             self._asked = number
             self._use(self._acquisition, number)
 
     def show_frame(self, position: int) -> Future[None]:
-        """Stop, and show the frame at a position in `frames`."""
+        """Stop, and show the frame at a position in `frames`; the future has an `InputError` if it is damaged."""
 
         def choose(instrument: Instrument) -> Frame:
-            number = self._recording.line(self.frames[position]).calibration
             if self._camera is None:
                 raise WrongState("the recording is not open")
+            try:
+                number = self._recording.line(self.frames[position]).calibration
+            except InputError as error:
+                self._camera.damaged[position] = str(error)
+                raise
             if number is not None and number != self._camera.in_force:
                 self._asked = number
                 self._set(instrument, number)
-            return self._camera.show(position)
+            try:
+                return self._camera.show(position)
+            except FrameLost as error:
+                raise InputError(str(error)) from error
 
         if self._acquisition is None:
             raise WrongState("the recording is not open")
         return self._acquisition.show_single(choose)
+
+    @property
+    def damaged(self) -> dict[int, str]:
+        """Reason of each damaged frame that was met, by its position in `frames`."""
+        return {} if self._camera is None else dict(self._camera.damaged)
 
     @property
     def speed(self) -> float:

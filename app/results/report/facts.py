@@ -73,10 +73,12 @@ def _counts(summary: Summary) -> str:
     lines, whole = summary.lines, len(summary.recording)
     acquired = _section(summary.recording.run, "frames").get("acquired")
     some = "" if len(lines) == whole else f"{lines[0].index} ... {lines[-1].index} of "
+    gap_s = sum(line.gap_s for line in lines)
     with_wavefront = 0 if summary.statistics is None else len(summary.statistics.frames)
     return (
         f"{some}{whole} recorded{'' if acquired is None else f' of {acquired} acquired'};"
         f" {sum(line.lost for line in lines)} lost by the camera;"
+        f"{f' it stood for {gap_s:.1f} s;' if gap_s else ''}"
         f" {with_wavefront} of {summary.sampled} reconstructed again have a wavefront"
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.acquisition.frame_path import FramePath
-from app.acquisition.instrument import Reconstruction
+from app.measurement.measurement import Reconstruction
 from app.timing import Timings
 from drivers.interface import Frame
 

@@ -12,12 +12,12 @@ from support.patience import HANG_S, wait_until
 from support.recording_crash import kill_one
 
 from app.acquisition.devices import open_devices
-from app.acquisition.instrument import Instrument, Reconstruction
+from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.measurement.measurement import SKIPPED, Measurement
+from app.measurement.measurement import SKIPPED, Measurement, Reconstruction
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingState
 from app.recording.recover import recover

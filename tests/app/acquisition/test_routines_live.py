@@ -246,11 +246,11 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     started(live)
     first = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert first is not None
-    live.do(lambda instrument: instrument.set_mask("circle"))
+    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "circle"))
     assert live.status.reference == "doubtful"  # none yet: that of the square stays in use
     live.acquisition.take_reference(4).result(HANG_S)
     assert live.status.warning == ""
-    live.do(lambda instrument: instrument.set_mask("square"))
+    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "square"))
     assert live.status.warning == ""
     assert "mask square" in live.status.reference_note
     assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
@@ -267,9 +267,9 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
 
 def test_reference_of_a_mask_is_stale_at_another_exposure(live: Live) -> None:
     started(live)
-    live.do(lambda instrument: instrument.set_mask("circle"))
+    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "circle"))
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
-    live.do(lambda instrument: instrument.set_mask("square"))
+    live.do(lambda instrument: instrument.change_settings(lambda bench: bench, "square"))
     assert live.status.reference == "doubtful"
     assert "at 20.0 ms" in live.status.warning
 

@@ -14,14 +14,16 @@ import pytest
 from support.patience import HANG_S, own_time, wait_until
 
 from app.acquisition.devices import open_devices
-from app.acquisition.instrument import Instrument, Reconstruction, Status
+from app.acquisition.instrument import Instrument, Status
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition, Measurement
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
-from app.measurement.measurement import SKIPPED
+from app.measurement.calibration import Calibration
+from app.measurement.measurement import SKIPPED, Reconstruction
 from app.measurement.routines.frames import Cancelled
 from drivers.interface import BadValue, Devices, DeviceTimeout, Disconnected, Frame, WrongState
+from reconstruction.pipeline import Reconstructor
 from reconstruction.quality.verdict import Fault
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light_and_stage import SimulatedLight
@@ -439,3 +441,46 @@ def test_camera_that_repeats_a_frame_is_reported(small_toml: Path) -> None:
         running.acquisition.close()
     assert frozen.quality.faults == Fault.FROZEN
     assert back.quality.faults == Fault.CLOCK
+
+
+def test_worker_that_was_given_up_ends_silently(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the exit of the interpreter the pools refuse work; nothing that waits is begun after the request to end."""
+    running.begin()
+    entered, release = threading.Event(), threading.Event()
+    begun = list[Calibration]()
+
+    def prepare_too_late(calibration: Calibration) -> Reconstructor:
+        begun.append(calibration)
+        entered.set()
+        release.wait(HANG_S)
+        raise RuntimeError("cannot schedule new futures after shutdown")
+
+    monkeypatch.setattr(Calibration, "reconstructor", prepare_too_late)
+    change = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
+    waiting = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
+    assert entered.wait(HANG_S)
+    running.acquisition.begin_close()
+    release.set()
+    running.acquisition.close(HANG_S)
+    assert not running.acquisition.is_alive
+    assert isinstance(change.exception(HANG_S), RuntimeError)
+    assert isinstance(waiting.exception(HANG_S), WrongState)
+    assert len(begun) == 1
+
+
+def test_preparation_is_not_begun_after_the_request_to_end(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    running.begin()
+    entered, release, begun = threading.Event(), threading.Event(), list[Calibration]()
+    monkeypatch.setattr(Calibration, "reconstructor", begun.append)
+
+    def hold(_: Instrument) -> None:
+        entered.set()
+        release.wait(HANG_S)
+
+    running.acquisition.submit(hold)
+    change = running.acquisition.submit(lambda instrument: instrument.change_settings(lambda bench: bench))
+    assert entered.wait(HANG_S)
+    running.acquisition.begin_close()
+    release.set()
+    assert isinstance(change.exception(HANG_S), Cancelled)
+    assert not begun

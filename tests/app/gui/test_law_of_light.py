@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QApplication, QDialog, QWidget
+from PyQt6.QtWidgets import QApplication, QDialog, QLineEdit, QWidget
 from pytestqt.qtbot import QtBot
-from support.gui_bench import FakeCamera
+from support.gui_bench import BENCH, FakeCamera, opener
+from support.patience import HANG_S
 from support.window_tools import MakeWindow, press, wait_for_wavefront
 from test_calibration_guide import ExposedCamera
 from test_window_small import open_help
 
+from app.acquisition.worker import Acquisition
+from app.bench.config import Bench
 from app.gui.main_window import MainWindow
+from drivers.interface import Devices
 
 
 def focused(window: QWidget) -> QWidget:
@@ -160,3 +165,47 @@ def test_space_stops_the_camera_although_nothing_was_clicked(live: tuple[MainWin
     qtbot.waitUntil(window.messages.accept.isVisible)
     press(qtbot, focused(window), Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: "lattice is in use" in window.log.text)
+
+
+def test_light_key_keeps_the_light_off_while_a_bench_opens(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = live
+    activate(window, qtbot)
+    camera, release = FakeCamera(), threading.Event()
+    lit: list[bool] = []
+    monkeypatch.setattr(camera.light, "_switch", lambda *, on: lit.append(on))
+
+    def open_slowly(bench: Bench, progress: Callable[[float], None]) -> Devices:
+        release.wait(HANG_S)
+        return opener(camera)(bench, progress)
+
+    window.open(lambda: Acquisition(BENCH, open_slowly))
+    window.refresh()
+    assert not window.controls.light.isEnabled()
+    press(qtbot, window, Qt.Key.Key_L)
+    release.set()
+    qtbot.waitUntil(lambda: window.controller.status is not None and window.controller.pending.is_empty)
+    assert camera.is_running
+    assert True not in lit
+
+
+def test_number_lines_of_the_settings_take_tab_and_leave_the_light_key_alone(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, camera = live
+    window.benches.edit()
+    dialog = window.benches.settings
+    assert dialog is not None
+    activate(dialog, qtbot)
+    for _ in range(50):
+        press(qtbot, focused(dialog), Qt.Key.Key_Tab)
+        if isinstance(focused(dialog), QLineEdit):
+            break
+    line = focused(dialog)
+    assert isinstance(line, QLineEdit)
+    before = line.text()
+    press(qtbot, line, Qt.Key.Key_L)
+    qtbot.waitUntil(lambda: not camera.light.shines)
+    assert line.text() == before
+    dialog.close()

@@ -16,14 +16,15 @@ from support.gui_bench import FakeCamera, make_measurement
 from support.patience import HANG_S, own_time, wait_until
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, press, views, wait_for_wavefront
 
-from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Activity
 from app.gui import theme
 from app.gui.main_window import MainWindow
+from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals
 from app.recording.recorder import RecordingState
 from drivers.interface import Disconnected, Frame
 from reconstruction.displacement import Outcome
+from reconstruction.pipeline import Reconstructor
 
 
 def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow) -> None:
@@ -186,16 +187,17 @@ def test_compilation_after_the_reference_is_explained(
 ) -> None:
     window, _ = live
     release = threading.Event()
-    prepare = Instrument._prepare
+    prepare = Calibration.reconstructor
 
-    def compile_slowly(instrument: Instrument) -> None:
+    def compile_slowly(calibration: Calibration) -> Reconstructor:
         release.wait(HANG_S)
-        prepare(instrument)
+        return prepare(calibration)
 
-    monkeypatch.setattr(Instrument, "_prepare", compile_slowly)
+    monkeypatch.setattr(Calibration, "reconstructor", compile_slowly)
     window.controls.reference.click()
     messages = window.messages
-    qtbot.waitUntil(lambda: messages.text.text().startswith("Preparing the reconstruction: after an installation"))
+    qtbot.waitUntil(lambda: messages.text.text().startswith("Preparing the reconstruction with the new reference;"))
+    assert "after an installation" in messages.text.text()
     assert "Esc" not in messages.text.text() + messages.progress.toolTip()
     assert messages.progress.isVisible()
     assert messages.progress.maximum() == 0  # busy, not 100 %

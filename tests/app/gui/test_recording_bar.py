@@ -90,8 +90,15 @@ def test_name_given_afterwards_renames_the_folder(
     window, camera = live
     record(qtbot, window, tmp_path, frames=2)
     bar = window.recording_bar
-    type_into(qtbot, bar.name, "a/b")
-    assert "cannot be used" in window.log.text
+    bar.note.setText("fed at noon")
+    bar.name.setFocus()
+    qtbot.keyClicks(bar.name, "a/b")  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
+    window.update_text()
+    assert window.messages.text.text() == "A name of a recording cannot contain /"  # while it is typed
+    assert "color" in bar.name.styleSheet()
+    press(qtbot, bar.name, Qt.Key.Key_Return)
+    assert "a name of a recording cannot contain /: a/b" in window.log.text.lower()
+    assert Recording(next(tmp_path.iterdir())).run["note"] == "fed at noon"
     type_into(qtbot, bar.name, "sl")  # letters that are commands outside the field
     assert [path.name[15:] for path in tmp_path.iterdir()] == ["-sl"]
     assert camera.light.shines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 from support.recordings import record
-from support.window_tools import press
+from support.window_tools import picture, press
 
 from app.acquisition.worker import Acquisition, FrameTotals
 from app.gui.main_window import MainWindow
@@ -217,3 +218,42 @@ def test_recording_of_an_earlier_version_says_that_propagation_was_neglected(
     window.deleteLater()
     qapp.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
     assert "neglected propagation of light" in told
+
+
+def is_at(window: MainWindow, player: Player, position: int) -> bool:
+    """True if this frame is shown and no move is under way."""
+    return window.replay._wanted is None and window.replay._moving is None and player.position == position
+
+
+def test_damaged_frames_are_skipped_with_a_notice_and_marked(
+    window: MainWindow, qtbot: QtBot, own_recording: Recording
+) -> None:
+    """Frame 3 has lost its pixels, frame 5 its line."""
+    shutil.rmtree(own_recording.folder / "frames.zarr" / "0" / "c" / "3")
+    lines = (own_recording.folder / "frames.jsonl").read_bytes().splitlines(keepends=True)
+    lines[5] = b"x" * (len(lines[5]) - 1) + b"\n"
+    (own_recording.folder / "frames.jsonl").write_bytes(b"".join(lines))
+    player = Player(own_recording.folder)
+    window.open(lambda: Acquisition(player.bench, player.open_devices, (player.take,)), player.begin, player)
+    bar = window.replay
+    qtbot.waitUntil(lambda: bar.play.text() == "Pause")
+    bar.play.click()
+    qtbot.waitUntil(lambda: bar.play.text() == "Play")
+    for start, step, end in ((2, bar.forth, 4), (4, bar.forth, 6), (6, bar.back, 4), (4, bar.back, 2)):
+        bar.slider.setValue(start)
+        qtbot.waitUntil(partial(is_at, window, player, start))
+        bar.refresh()
+        step.click()
+        qtbot.waitUntil(partial(is_at, window, player, end))
+        bar.refresh()
+        assert bar.text.text() == f"frame {end + 1} of {FRAMES}"
+    assert bar.slider.marked == {3, 5}
+    assert "Frame 3 skipped: " in window.log.text
+    assert "Frame 5 skipped: " in window.log.text
+    bar.slider.setValue(3)  # a known one
+    qtbot.waitUntil(partial(is_at, window, player, 4))
+    assert (picture(bar.slider)[:, :, 0].astype(int) - picture(bar.slider)[:, :, 2] > 100).any()  # red
+    before = window.status_line.shown
+    bar.play.click()
+    qtbot.waitUntil(lambda: window.status_line.shown > before + 2 * FRAMES)
+    assert not window.controller.failure

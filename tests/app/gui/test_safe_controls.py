@@ -18,11 +18,12 @@ from support.gui_bench import FakeCamera
 from support.patience import HANG_S
 from support.window_tools import part, picture, press
 
-from app.acquisition.instrument import Instrument, Reconstruction
+from app.acquisition.instrument import Instrument
 from app.gui import theme
 from app.gui.main_window import MainWindow
 from app.gui.number_field import NumberField
 from app.gui.wording import warning
+from app.measurement.measurement import Reconstruction
 from app.results.view_analysis import Quantity
 from drivers.interface import Range
 
@@ -154,7 +155,7 @@ def test_number_that_stands_for_automatic_is_refused(qtbot: QtBot) -> None:
     field.refused.connect(refused.append)
     type_text(qtbot, field, "2")
     press(qtbot, field, Qt.Key.Key_Return)
-    assert refused[-1] == "Modes 2 is outside the allowed range automatic ... 1000: not changed"
+    assert refused[-1] == "Modes 2 is outside the allowed range 3 ... 1000, or automatic: not changed"
     assert not sent
     field.edit()
     type_text(qtbot, field, "automatic")
@@ -461,11 +462,11 @@ def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWin
     assert "Good: 20 frames at" in controls.reference.toolTip()
     assert "exposure 20 ms" in controls.reference.toolTip()
     controls.exposure.setValue(30)
-    qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and panel.stale.isVisible())
-    assert panel.stale.text().startswith("Stale: the dark was taken at 20.0 ms")
+    qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and bool(panel.stale.text()))
+    assert panel.stale.text().startswith("STALE: the dark was taken at 20.0 ms")
     assert colourfulness() < 10  # a trace of the background
     assert lamp() != good  # another shape, whatever its colour
     assert "the reference was taken at 20.0 ms" in controls.reference.toolTip()
     controls.exposure.setValue(20)
-    qtbot.waitUntil(panel.stale.isHidden)
+    qtbot.waitUntil(lambda: not panel.stale.text())
     assert colourfulness() > 50

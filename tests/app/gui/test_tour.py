@@ -59,7 +59,7 @@ def test_no_panel_lies_over_the_bubble(tour: tuple[MainWindow, Tour], qtbot: QtB
     window, bubble = tour
     window.tabs.inspect(3, 3)
     lenslet, corner = window.tabs.lenslet, bubble.mapTo(window, QPoint(8, bubble.height() - 8))
-    qtbot.waitUntil(lambda: lenslet.isVisible() and not window._unpainted)
+    qtbot.waitUntil(lambda: lenslet.isVisible() and not window.unpainted)
     assert lenslet.rect().contains(lenslet.mapFrom(window, corner))
     qtbot.waitUntil(lambda: window.childAt(corner) in {bubble, *bubble.findChildren(QWidget)})
 

@@ -11,6 +11,7 @@ from support.optics import sensor_of
 
 from app.acquisition.worker import Acquisition
 from app.gui.main_window import MainWindow
+from app.results.history import RMS
 
 
 def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
@@ -50,3 +51,19 @@ def test_error_in_a_refresh_is_shown_once(
     window.messages.escape()
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
     assert window.log.text.count("display failed") == 1
+
+
+def test_history_and_pinned_coefficient_are_forgotten_with_their_bench(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
+    window, _ = live
+    coefficients, history = window.tabs.coefficients, window.tabs.history
+    coefficients.pin(4)
+    qtbot.waitUntil(lambda: len(history.history.series(coefficients.name)[0]) > 1)
+    name = coefficients.name
+    window.open(lambda: Acquisition(BENCH, opener(FakeCamera())))
+    assert coefficients.name == ""
+    assert not len(history.history.series(RMS)[0])
+    assert list(history.charts) == [RMS]
+    qtbot.waitUntil(lambda: len(history.history.series(RMS)[0]) > 1)
+    assert not len(history.history.series(name)[0])

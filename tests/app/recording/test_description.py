@@ -11,7 +11,7 @@ import pytest
 from support.records import make_record, write
 
 from app.errors import InputError
-from app.recording.description import describe
+from app.recording.description import describe, name_problem
 from app.recording.reader import Recording
 
 
@@ -60,9 +60,11 @@ def test_opened_recording_is_found_under_its_new_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a/b", "..", ".hidden", "a\\b", "x" * 101, 'a"b'])
 def test_impossible_name_is_refused(tmp_path: Path, name: str) -> None:
     folder = finished(tmp_path / "20261122-130100")
-    with pytest.raises(InputError, match="cannot be used"):
+    with pytest.raises(InputError, match="a name of a recording"):
         describe(folder, name=name, note="kept")
-    assert Recording(folder).run.get("note") is None
+    assert name_problem(name)
+    assert not name_problem("mouse 7")
+    assert Recording(folder).run["note"] == "kept"
 
 
 def test_taken_name_is_refused(tmp_path: Path) -> None:

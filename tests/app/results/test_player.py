@@ -15,11 +15,11 @@ from support.patience import HANG_S, wait_until
 from support.pictures import assert_drawn
 from support.recordings import record
 
-from app.acquisition.instrument import Instrument, Reconstruction
+from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import write_bench
 from app.errors import InputError
-from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
+from app.measurement.measurement import SKIPPED, FrameTotals, Measurement, Reconstruction
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from app.results.replay.player import Player

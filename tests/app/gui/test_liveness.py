@@ -1,0 +1,101 @@
+"""Badges and grey of what is not live."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from PyQt6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
+from support.window_tools import press
+
+from app.acquisition.worker import Activity
+from app.gui.main_window import MainWindow
+from app.gui.situation import Liveness, liveness
+from drivers.interface import Disconnected
+
+
+def is_grey(window: MainWindow) -> bool:
+    tiles = [window.wavefront_panel.grid, *window.tabs.lenslet.tiles.values()]
+    states = {tile.is_stale for tile in tiles}
+    assert len(states) == 1
+    is_dim: bool = window.camera_panel._view.childGroup.opacity() < 1
+    assert states == {is_dim}
+    return is_dim
+
+
+def badges(window: MainWindow) -> tuple[str, str, str]:
+    camera, wavefront, lenslet = window.camera_panel.badge, window.wavefront_panel.stale, window.tabs.lenslet.title
+    return camera.text() if camera.isVisible() else "", wavefront.text(), lenslet.text()
+
+
+def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    status, newest = window.controller.status, window._measurement
+    assert status is not None
+    assert newest is not None
+    now = replace(newest, exposure_end_s=1e18)  # not older than any test takes
+    assert liveness(status, "", Activity(), now) == Liveness()
+    assert liveness(status, "", Activity("taking the dark", 0.5), now) == Liveness()
+    old = replace(newest, exposure_end_s=newest.exposure_end_s - 200)
+    preparing = liveness(status, "", Activity("preparing the reconstruction"), old)
+    assert preparing == Liveness("PAUSED, 3 min old", "preparing the reconstruction", is_grey=True)
+    assert liveness(status, "", Activity(), old).reason == "no newer frame has come yet"
+    assert liveness(status, "", Activity(), replace(old, latency_s=150.0)) == Liveness()  # of a slow method
+    assert liveness(None, "", Activity(), None) == Liveness()
+    assert liveness(None, "", Activity("opening the devices"), None).is_grey  # a picture of another bench may be seen
+
+
+def test_paused_and_disconnected_frames_are_grey(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, camera = live
+    window.tabs.inspect(4, 6)
+    qtbot.waitUntil(lambda: window.tabs.lenslet.title.text() == "Lenslet row 4, column 6: converged")
+    assert not is_grey(window)
+    press(qtbot, window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: badges(window)[0].startswith("PAUSED, "))
+    assert is_grey(window)
+    for text in badges(window):
+        assert "PAUSED, " in text
+    assert "Space starts it" in badges(window)[1]
+    press(qtbot, window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: badges(window) == ("", "", "Lenslet row 4, column 6: converged"))
+    qtbot.waitUntil(lambda: not is_grey(window))
+    camera.fault = Disconnected("the camera was unplugged")
+    qtbot.waitUntil(lambda: badges(window)[0].startswith("DISCONNECTED, "))
+    assert is_grey(window)
+    assert "unplugged" in badges(window)[1]
+    assert "DISCONNECTED" in badges(window)[2]
+
+
+def test_frame_of_a_file_says_so(live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path) -> None:
+    window, camera = live
+    tifffile.imwrite(tmp_path / "flat.tif", np.rint(500 + 40000 * camera._images[0]).astype(np.uint16))
+    window.drop.open(tmp_path / "flat.tif")
+    qtbot.waitUntil(lambda: badges(window)[:2] == ("FILE flat.tif", "FILE flat.tif: Space returns to the camera"))
+    press(qtbot, window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: badges(window)[:2] == ("", ""))
+
+
+@pytest.mark.parametrize("is_inspected", [True, False])
+def test_lenslet_without_wavefront_gives_the_reason(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, is_inspected: bool
+) -> None:
+    window, _ = live
+    panel = window.tabs.lenslet
+    if is_inspected:
+        window.tabs.inspect(4, 6)
+        qtbot.waitUntil(lambda: panel.title.text().endswith("converged"))
+    window.controls.light.click()
+    qtbot.waitUntil(lambda: window.wavefront_panel.shown is None)
+    if not is_inspected:
+        window.tabs.inspect(4, 6)
+    qtbot.waitUntil(lambda: panel.numbers.text() == "nothing to inspect: the light is off: switch it on (L)")
+    assert panel.title.text() == "Lenslet row 4, column 6: not measured"
+    assert all(tile.is_stale for tile in panel.tiles.values())
+    window.controls.light.click()
+    qtbot.waitUntil(lambda: panel.title.text() == "Lenslet row 4, column 6: converged")
+    assert not any(tile.is_stale for tile in panel.tiles.values())
