@@ -83,7 +83,7 @@ class TransferCurve:
         slope, bend = inverse @ shot
         scatter = np.sum((shot - terms @ (slope, bend)) ** 2) / (len(terms) - _TERMS)
         error = math.sqrt(scatter * np.sum(inverse[1] ** 2))
-        return max(float(-(bend + _CHANCE * error) / slope), 0.0) if slope > 0 else 0.0
+        return float(np.clip(-(bend + _CHANCE * error) / slope, 0, 1)) if slope > 0 else 0.0
 
     @property
     def _bright(self) -> tuple[Floats, Floats]:
