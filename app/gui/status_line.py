@@ -22,7 +22,7 @@ from reconstruction.layers.layered_wavefront import FREE
 
 _VALID = "Lenslets whose subimage matches the reference"
 _CORRECTION = "Age of the correction of systematic errors by the model of the bench"
-_ASSUMED = "What is assumed of the sample, and what the mask shows; layers are searched for in the background"
+_ASSUMED = "What is assumed of the sample, and what the mask shows"
 _LOST = "Frames that the camera overwrote before they were read; red while they become more"
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
 _WINDOW_S = 1.0  # over which rate and delay are taken
