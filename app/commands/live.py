@@ -57,9 +57,9 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
 
     The window shows what is wrong with the file, and opens others; it may offer the one that was open last.
     """
-    from app.gui.splash import show_splash
+    from app.gui.splash import Splash
 
-    splash = show_splash()  # before the rest is loaded
+    splash = Splash()  # before the rest is loaded
     from app.gui.application import run_window
 
     with ExitStack() as streams:
@@ -79,9 +79,9 @@ def bench_window(source: str, overrides: tuple[str, ...], *, trust: bool, offers
 
 def replay_window(player: Player) -> int:
     """Run the window on a recording until it is closed, and return the exit status."""
-    from app.gui.splash import show_splash
+    from app.gui.splash import Splash
 
-    splash = show_splash()  # before the rest is loaded
+    splash = Splash()  # before the rest is loaded
     from app.gui.application import run_window
 
     def open_first(window: "MainWindow") -> None:

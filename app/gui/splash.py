@@ -10,20 +10,20 @@ from PyQt6.QtWidgets import QApplication, QSplashScreen
 _WIDTH, _HEIGHT, _ICON = 320, 150, 72  # px
 
 
-def show_splash() -> QSplashScreen:
-    """Show the picture at once; `finish` replaces it by a window."""
-    application = QApplication.instance() or QApplication(sys.argv[:1])
-    picture = QPixmap(_WIDTH, _HEIGHT)
-    picture.fill(QColor("#1c2026"))
-    painter = QPainter(picture)
-    icon = QIcon(str(Path(__file__).with_name("svwfs.svg"))).pixmap(_ICON, _ICON)
-    painter.drawPixmap((_WIDTH - icon.width()) // 2, 22, icon)
-    painter.end()
-    splash = QSplashScreen(picture)
-    splash.showMessage(
-        "svwfs is starting ...\n", Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignHCenter, QColor("#dde2e8")
-    )
-    if QApplication.platformName() != "offscreen":  # nobody would see it
-        splash.show()
-        application.processEvents()
-    return splash
+class Splash(QSplashScreen):
+    """The picture, shown at once; `finish` replaces it by a window."""
+
+    def __init__(self) -> None:
+        self._application = QApplication.instance() or QApplication(sys.argv[:1])  # held: it ends when nobody does
+        picture = QPixmap(_WIDTH, _HEIGHT)
+        picture.fill(QColor("#1c2026"))
+        painter = QPainter(picture)
+        icon = QIcon(str(Path(__file__).with_name("svwfs.svg"))).pixmap(_ICON, _ICON)
+        painter.drawPixmap((_WIDTH - icon.width()) // 2, 22, icon)
+        painter.end()
+        super().__init__(picture)
+        at_bottom = Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignHCenter
+        self.showMessage("svwfs is starting ...\n", at_bottom, QColor("#dde2e8"))
+        if QApplication.platformName() != "offscreen":  # nobody would see it
+            self.show()
+            self._application.processEvents()

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from PyQt6.QtWidgets import QWidget
 from support.command_line import run
 
 
+@pytest.mark.usefixtures("qapp")
 @pytest.mark.parametrize(
     ("arguments", "source", "offers_last"),
     [
@@ -28,7 +30,7 @@ def test_last_bench_is_offered_only_if_none_is_named(
         def offer_last(self) -> None:
             opened.append("last")
 
-    class Window:
+    class Window(QWidget):
         benches = Benches()
 
     def run_window(*_: Any, open_first: Any, **__: Any) -> int:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtWidgets import QApplication, QWidget
@@ -9,7 +12,7 @@ from pytestqt.qtbot import QtBot
 from support.window_tools import MakeWindow, press
 
 from app.gui.main_window import MainWindow
-from app.gui.splash import show_splash
+from app.gui.splash import Splash
 from app.gui.tour import Tour
 
 
@@ -65,7 +68,7 @@ def test_no_panel_lies_over_the_bubble(tour: tuple[MainWindow, Tour], qtbot: QtB
 
 
 def test_splash_gives_way_to_the_window(qtbot: QtBot) -> None:
-    splash = show_splash()
+    splash = Splash()
     assert "svwfs" in splash.message()
     assert not splash.isVisible()  # offscreen
     window = QWidget()
@@ -74,3 +77,10 @@ def test_splash_gives_way_to_the_window(qtbot: QtBot) -> None:
     splash.show()
     splash.finish(window)
     assert not splash.isVisible()
+
+
+def test_splash_is_the_first_widget_of_a_program() -> None:
+    """It makes the application, which lives as long as it does."""
+    program = "from app.gui.splash import Splash; splash = Splash(); splash.hide(); print(splash.message())"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)  # noqa: S603 - our own program
+    assert (ended.returncode, ended.stdout.strip()) == (0, "svwfs is starting ..."), ended.stderr

@@ -378,7 +378,7 @@ def test_binning_texts(camera: MicroManagerCamera, texts: tuple[str, ...], binni
 
 def test_missing_pymmcore_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pymmcore", None)
-    with pytest.raises(Unsupported, match=r"pip install 'svwfs\[micro-manager\]'"):
+    with pytest.raises(Unsupported, match=r"install the extra svwfs\[micro-manager\]"):
         MicroManagerCamera(MicroManagerSettings(adapter="DemoCamera", device="DCam"))
 
 
