@@ -14,7 +14,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.runtime.compilation import compiled
 from reconstruction.runtime.threads import worker_pool
 
-_SHARED_FROM_PX = 700_000  # below, waking threads takes longer than they save
+_SHARED_FROM_PX = 150_000  # below, waking threads takes longer than they save
 _CHUNK = 20_000  # positions per call, whose arrays fit into the processor's cache
 _POLE = np.sqrt(3.0) - 2.0
 _REACH = 10
