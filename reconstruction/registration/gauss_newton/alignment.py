@@ -28,7 +28,7 @@ _LAST_PX = np.float32(0.04)  # larger steps are never the last one
 _HALVINGS = 4
 _SHRINKS = np.float32(0.3)  # ratio of the second step to the first, if the reference does not show all parameters
 _SHRINKS_UNBENT = np.float32(0.02)  # the same ratio if it does show them, for a small displacement ...
-_SHRINKS_PER_GRADIENT = np.float32(1.5)  # ... and its increase with the displacement's RMS gradient
+_SHRINKS_PER_GRADIENT = np.float32(1.0)  # ... and its increase with the displacement's RMS gradient
 _SHRINKS_LEAST = np.float32(0.15)  # of later steps: one parameter may settle before the others
 _PIVOT = 1e-12  # of the elimination; below it the remaining pixels do not determine the displacement
 
