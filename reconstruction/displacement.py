@@ -29,6 +29,22 @@ class Outcome(IntEnum):
     OFF_CAMERA = 5  # the cell is not entirely on the camera
     EXCLUDED = 6  # by hand
 
+    @property
+    def reason(self) -> str:
+        """Why the lenslet is lost, in the words of every table, window and report; empty if it converged."""
+        return _REASONS[self]
+
+
+_REASONS = {
+    Outcome.CONVERGED: "",
+    Outcome.DARK: "no light",
+    Outcome.SATURATED: "saturated",
+    Outcome.DIVERGED: "no match with the reference",
+    Outcome.LEFT_CELL: "left its cell",
+    Outcome.OFF_CAMERA: "not fully on the camera",
+    Outcome.EXCLUDED: "excluded by hand",
+}
+
 
 class CovarianceSource(Protocol):
     """A covariance that is computed when it is first needed; NaN where not converged."""

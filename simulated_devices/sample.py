@@ -77,8 +77,8 @@ def make_sample(simulation: Simulation, sensor: Sensor, field: Field) -> Sample:
 
     A screen from the seed without `pv_rad` is scaled so that the mean over the views of the piston-removed RMS at
     the lenslet centres, before any drift, is `rms_rad`; with `pv_rad`, the screen itself has that PV and that RMS.
-    If `border_lenslets` or a drift need a larger screen than asked for, it is the same screen in its middle, and its
-    middle has that RMS and PV. A screen from a file is used unchanged; one that is too small is rejected later.
+    If `border_lenslets` or a drift need a larger screen, the requested one is at its centre, and has that RMS and PV. A
+    screen from a file is used unchanged; one that is too small is rejected later.
 
     Raises
     ------

@@ -26,7 +26,8 @@ def fits(taken: Circumstances | None, now: Circumstances) -> bool:
 def doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit: bool) -> str:
     """Return why a dark or reference does not fit the current frames; empty if it does."""
     if taken is None:
-        return f"no {what} yet: the background is a guess"
+        unknown = "the background is a guess" if what == "dark" else "no wavefront can be measured"
+        return f"no {what} yet: {unknown}"
     changed = taken.differs(now, is_lit=is_lit)
     return f"the {what} was taken {changed}: take it again" if changed else ""
 

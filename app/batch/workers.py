@@ -25,7 +25,7 @@ _CONFIGURATION = {
     f"{_ENVIRONMENT}.MALLOC_TRIM_THRESHOLD_": None,  # Dask's maps every array of a frame anew: half the speed
     f"{_ENVIRONMENT}.MALLOC_ARENA_MAX": 1,  # an arena for each thread takes a hundred megabytes more
     f"{_ENVIRONMENT}.PYTHONSAFEPATH": 1,  # no module is imported from the working folder
-    # Dask gives up a worker that is missing this long after it died, also if it is starting again or has died again.
+    # Dask drops a worker that restarts too slowly.
     "distributed.deploy.lost-worker-timeout": "365 days",
 }
 _NO_PAGES: dict[str, list[str]] = {f"distributed.{each}.http.routes": [] for each in ("scheduler", "worker")}

@@ -37,7 +37,7 @@ _PREFIXED = {"m", "s", "A", "m/s"}
 _NUMBER = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\D*)")
 _COMMENT = re.compile(r"^    (\w+): [^#\n]*#\s*(.+)$", re.MULTILINE)
 _UNIONS: dict[str, Any] = {"camera": CameraSettings, "light": LightSettings}
-_OF_LENSLETS = ("sensor", "field")  # sections without useful defaults: their data are on no computer
+_OF_LENSLETS = ("sensor", "field")  # sections without useful defaults
 _ABSURD = (-(10.0**30), 10.0**30)  # beyond all limits, to learn them
 
 Kind = Literal["switch", "choice", "integer", "number", "text", "toml"]

@@ -24,7 +24,7 @@ class _Copied(io.StringIO):
 
 
 def main() -> None:
-    """Run `svwfs live`; what would be the last line in a terminal is shown in a dialog."""
+    """Run `svwfs live` without a terminal: a dialog shows the error message."""
     sys.argv[1:1] = ["live"]
     # Windows starts the program without any stream
     with redirect_stderr(_Copied(sys.stderr)) as errors, redirect_stdout(sys.stdout or _Copied(None)):

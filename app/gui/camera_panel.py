@@ -15,7 +15,6 @@ from app.gui.presentation import percent
 from app.gui.segments import Segments
 from app.gui.situation import Liveness
 from app.gui.widgets import Choice, ElidedLabel, colour_text, column, label, row_of, toggle, unfocused
-from app.gui.wording import LOST_REASONS
 from app.results.frame_statistics import FrameStatistics
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, Outcome
@@ -280,7 +279,7 @@ class CameraPanel(QWidget):
         self._graphics.setToolTip(_HINT)
         if displacement is None or lenslet is None:
             return text
-        name, reason = "row {}, column {}".format(*lenslet), LOST_REASONS[Outcome(int(displacement.outcome[lenslet]))]
+        name, reason = "row {}, column {}".format(*lenslet), Outcome(int(displacement.outcome[lenslet])).reason
         if not reason:
             return f"{text}    lenslet {name}"
         self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")

@@ -96,7 +96,7 @@ class Controller:
         return error if isinstance(error, InputError | RunError) else RunError(self.failure)
 
     def use(self, make_acquisition: Callable[[], Acquisition], begin: Begin, meanwhile: Callable[[], object]) -> None:
-        """Close the devices, as `close` does, and make acquisitions in this way from the next connection on."""
+        """Close the devices, as `close` does; use this factory at the next connection."""
         self.close(meanwhile)
         self._make_acquisition, self._begin = make_acquisition, begin
 

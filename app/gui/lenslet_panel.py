@@ -10,7 +10,6 @@ from app.gui.presentation import number, percent, with_error
 from app.gui.situation import Liveness
 from app.gui.view_grid import Maps, ViewGrid
 from app.gui.widgets import ElidedLabel, button, column, label, row
-from app.gui.wording import LOST_REASONS
 from app.results.lenslet_inspection import LensletInspection
 from reconstruction.arrays import Floats
 from reconstruction.displacement import Outcome
@@ -83,7 +82,7 @@ class LensletPanel(QWidget):
             return
         if (found.row, found.column) != self.lenslet:
             return
-        reason = LOST_REASONS[found.outcome]
+        reason = found.outcome.reason
         self._title(f"lost, {reason}" if reason else "converged")
         self._grey(self._liveness.is_grey)
         self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")

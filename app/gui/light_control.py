@@ -29,7 +29,7 @@ class LightControl:
         controls: ControlsPanel,
         messages: MessageStrip,
     ) -> None:
-        """`send` queues a command for the acquisition; `ask` takes a question, what a yes leads to, and two texts."""
+        """`send(command)` queues it for the acquisition; `ask(question, on_accept, accept_label, cancel_label)`."""
         self._acquisition, self._send, self._ask = acquisition, send, ask
         self._controls, self._messages = controls, messages
         self._switching_off: Future[None] | None = None

@@ -47,7 +47,7 @@ class _Number(QLineEdit):
 
 
 class SettingsDialog(QDialog):
-    """Edits a form; `use` receives the bench and the one before or None, `opened` the file of a saved one."""
+    """Edits a form; calls `use(new_bench, old_bench)`, and `opened(file)` when a bench was saved."""
 
     def __init__(
         self, use: Callable[[Bench, Bench | None], object], opened: Callable[[str], object], parent: QWidget

@@ -19,15 +19,6 @@ from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
-LOST_REASONS = {
-    Outcome.CONVERGED: "",
-    Outcome.DARK: "no light",
-    Outcome.SATURATED: "saturated",
-    Outcome.DIVERGED: "no match with the reference",
-    Outcome.LEFT_CELL: "displaced into a neighbour's cell",
-    Outcome.OFF_CAMERA: "cell not fully on the camera",
-    Outcome.EXCLUDED: "excluded by hand",
-}
 _SLOW_S = 1.0  # a frame shown for longer is explained
 _SATURATED = "saturated"  # in a problem of a frame
 
@@ -184,7 +175,9 @@ def gaps_in_words(gaps: tuple[Gap, ...]) -> str:
 
 def lenslet_summary(displacement: Displacement) -> list[str]:
     """Return one line for each reason why lenslets are lost, and one for the used dynamic range."""
-    counts = [(np.count_nonzero(displacement.outcome == outcome), why) for outcome, why in LOST_REASONS.items() if why]
+    counts = [
+        (np.count_nonzero(displacement.outcome == outcome), outcome.reason) for outcome in Outcome if outcome.reason
+    ]
     used = percent(float(np.nanmax(displacement.range_used, initial=0.0)))
     return [
         *(f"{count} lost: {why}" for count, why in counts if count),

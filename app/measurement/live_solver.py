@@ -4,7 +4,7 @@ A search for layers takes a second or more; it is repeated for as long as frames
 refines: a round takes some tenths of a second. Sample and bias belong together and are replaced together.
 
 If the wavefront has changed much since the bias was found, the old bias would do harm: frames stay uncorrected until
-the next one is found. So they do near a wavefront whose correction worsened the misfit of the modelled displacements.
+the next one is found. A correction that made the misfit of the modelled displacements worse is not used again nearby.
 """
 
 import math

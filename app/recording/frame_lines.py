@@ -88,7 +88,7 @@ def _whole(digits: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class FoundLines:
-    """Positions of the readable lines. A lost disk block takes newlines with it, and later lines come too early."""
+    """Positions of the readable lines. A lost block of the disk shifts all later lines."""
 
     path: Path
     spans: Mapping[int, tuple[int, int]]  # first byte and end of each frame's line

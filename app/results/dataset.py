@@ -128,7 +128,7 @@ def results_in_pieces(
 def stack_frames(
     datasets: Sequence[xr.Dataset], frame_index: Sequence[int], time_s: Sequence[float], bias_age_s: Sequence[float]
 ) -> xr.Dataset:
-    """Stack the results of several frames along a new first dimension `frame`; `InputError` if the settings do."""
+    """Stack results of several frames along a new first dimension `frame`; `InputError` if their settings differ."""
     first = datasets[0]
     for dataset in datasets:
         _require_alike(first.sizes, dataset.sizes)

@@ -8,8 +8,8 @@ from reconstruction.wavefront import Wavefront
 
 _LENSLET = ("lenslet_row", "lenslet_column")
 ROTATES = (
-    "the subimages rotate, which layers cannot make them do: a cylinder lens, different magnifications along x and y,"
-    " or a camera turned since the reference can; keep registration.rotation = true"
+    "the subimages rotate, which thin layers cannot cause: look for a cylinder lens, different magnifications"
+    " along x and y, or a camera turned since the reference; keep registration.rotation = true"
 )
 
 

@@ -1,4 +1,4 @@
-"""Test whether subimages rotate, which thin layers cannot make them do.
+"""Test whether subimages rotate. Thin layers cannot cause this.
 
 Straight rays through layers displace light by the gradient of a potential over the field (docs/layers_and_rotation.md).
 A warp that may rotate also measures the remaining components, the circulation, which must vanish within their errors.

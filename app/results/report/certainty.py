@@ -13,13 +13,13 @@ from reconstruction.displacement import Outcome
 from reconstruction.quality.image_quality import mtf
 from reconstruction.quality.isoplanatism import isoplanatism
 
-_REASONS = {
-    Outcome.DARK: ("dark", "#4d4d4d"),
-    Outcome.SATURATED: ("saturated", "#e69f00"),
-    Outcome.DIVERGED: ("diverged", "#cc3311"),
-    Outcome.LEFT_CELL: ("left its cell", "#0077bb"),
-    Outcome.OFF_CAMERA: ("off the camera", "#aa4499"),
-    Outcome.EXCLUDED: ("excluded", "#44aa99"),
+_COLOURS = {
+    Outcome.DARK: "#4d4d4d",
+    Outcome.SATURATED: "#e69f00",
+    Outcome.DIVERGED: "#cc3311",
+    Outcome.LEFT_CELL: "#0077bb",
+    Outcome.OFF_CAMERA: "#aa4499",
+    Outcome.EXCLUDED: "#44aa99",
 }
 _VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
 
@@ -71,12 +71,12 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
     """Draw the lenslets without a slope and the reason; the more frames, the stronger the colour."""
     colours = np.broadcast_to(_VALID, (*stats.lost.shape, 3)).copy()
     handles = []
-    for code, (name, colour) in _REASONS.items():
-        where = stats.reason == code
+    for outcome, colour in _COLOURS.items():
+        where = stats.reason == outcome
         if where.any():
             part = 0.3 + 0.7 * stats.lost[where, None]
             colours[where] = part * np.array(to_rgb(colour)) + (1 - part) * _VALID
-            handles.append(Patch(color=colour, label=f"{name}: {where.sum()}"))
+            handles.append(Patch(color=colour, label=f"{outcome.reason}: {where.sum()}"))
     axis.imshow(colours)
     rows, columns = stats.lost.shape
     axis.set_xticks(np.arange(columns + 1) - 0.5, labels=[], minor=True)

@@ -138,7 +138,7 @@ def test_lost_lenslet_is_inspected_with_its_reason(window: MainWindow, qtbot: Qt
     click_lenslet(window.camera_panel, 2, 3)
     panel = window.tabs.lenslet
     qtbot.waitUntil(lambda: panel.tiles["Frame"].maps is not None)
-    assert panel.title.text() == "Lenslet row 2, column 3: lost, displaced into a neighbour's cell"
+    assert panel.title.text() == "Lenslet row 2, column 3: lost, left its cell"
     assert panel.tiles["Residual"].maps is None
 
 

@@ -206,7 +206,7 @@ def test_second_page_shows_error_bars_and_lost_lenslets(summary: Summary, mine: 
     np.testing.assert_allclose(np.diff(ends)[:, 0], 2 * summary.statistics.rms_sigma_rad)
     lost = int((summary.statistics.lost > 0).sum())
     assert axis_titled(figure, f"{lost} of 35 lenslets lost, 0 of them always").get_legend() is not None
-    assert f"dark: {lost}" in said(figure)
+    assert f"no light: {lost}" in said(figure)
     assert "frames lost" not in said(figure)
     edit_line(mine, 1, lost=3)
     edit_line(mine, 3, problem="passed over", rms_rad=None)
