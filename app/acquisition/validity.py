@@ -26,8 +26,7 @@ def fits(taken: Circumstances | None, now: Circumstances) -> bool:
 def doubt(what: str, taken: Circumstances | None, now: Circumstances, *, is_lit: bool) -> str:
     """Return why a dark or reference does not fit the current frames; empty if it does."""
     if taken is None:
-        unknown = "the background is a guess" if what == "dark" else "no wavefront can be measured"
-        return f"no {what} yet: {unknown}"
+        return "no dark yet: the background is a guess" if what == "dark" else f"no {what} yet: take one"
     changed = taken.differs(now, is_lit=is_lit)
     return f"the {what} was taken {changed}: take it again" if changed else ""
 
