@@ -18,7 +18,7 @@ from app.gui.recent_files import RecentFiles
 from app.gui.text_field import TextField
 from app.gui.widgets import Choice, ElidedLabel, button, label, row
 from app.progress import counted
-from app.recording.description import describe, name_problem
+from app.recording.folder import describe, name_problem
 from app.recording.recorder import Limit, RecordingState
 from drivers.interface import Range
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -11,6 +12,8 @@ from pathlib import Path
 import cattrs
 import numpy as np
 from numpy.typing import NDArray
+
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 
 _DIGITS = 18  # of whole numbers, so that they fit into 64 bits
 _LATEST_S = 1e11  # camera clocks count 64 bits of ns at most
@@ -146,3 +149,29 @@ def _index_of(text: bytes) -> int | None:
         return FrameLine.from_json(text).index
     except ValueError:
         return None
+
+
+_MOST_LAYERS, _MOST_RATIO = 2, 1e4
+
+
+def sample_line(sample: AssumedSample) -> SampleLine:
+    """Form of a sample in the line of a frame, from which `assumed_sample` restores it exactly."""
+    covariance = None if sample.covariance is None else tuple(map(tuple, sample.covariance.tolist()))
+    return SampleLine(sample.ratios, covariance)
+
+
+def assumed_sample(line: SampleLine) -> AssumedSample:
+    """Sample of a line; `ValueError` if no search can have found it."""
+    if not line.ratios:
+        return FREE
+    numbers, layers = [*line.ratios, *(value for row in line.covariance or () for value in row)], len(line.ratios)
+    is_sound = (
+        layers <= _MOST_LAYERS
+        and len(set(line.ratios)) == layers
+        and all(map(math.isfinite, numbers))
+        and max(map(abs, line.ratios)) <= _MOST_RATIO
+        and (line.covariance is None or [len(row) for row in line.covariance] == [layers] * layers)
+    )
+    if not is_sound:
+        raise ValueError(f"layers at the ratios {', '.join(map(str, line.ratios))} are impossible")
+    return AssumedSample(line.ratios, None if line.covariance is None else np.array(line.covariance))

@@ -17,9 +17,8 @@ from app.bench.imaging_model import BenchModel
 from app.errors import InputError
 from app.measurement.assumptions import mask_sentence
 from app.measurement.calibration import Calibration
-from app.recording.assumed_samples import assumed_sample
 from app.recording.frame_array import DamagedFrame
-from app.recording.frame_lines import FrameLine
+from app.recording.frame_lines import FrameLine, assumed_sample
 from app.recording.reader import Recording
 from reconstruction.arrays import Counts, Floats
 from reconstruction.displacement import Displacement

@@ -18,7 +18,6 @@ from app.errors import InputError, RunError
 from app.files import make_folder, sync
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Gap, LightState, Measurement
-from app.recording.assumed_samples import sample_line
 from app.recording.calibration_files import write_array, write_calibration
 from app.recording.folder import (
     BEFORE,
@@ -35,7 +34,7 @@ from app.recording.folder import (
     lock,
 )
 from app.recording.frame_array import FrameArray
-from app.recording.frame_lines import FrameLine, checksum
+from app.recording.frame_lines import FrameLine, checksum, sample_line
 from app.run_facts import now, software_facts, write_record
 from drivers.interface import Frame
 from reconstruction.arrays import Floats

@@ -18,7 +18,7 @@ from support.window_tools import picture, press
 from app.acquisition.worker import Acquisition, FrameTotals
 from app.gui.main_window import MainWindow
 from app.measurement.measurement import Measurement
-from app.recording.description import describe
+from app.recording.folder import describe
 from app.recording.reader import Recording
 from app.results.replay.player import Player
 

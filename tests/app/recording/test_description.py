@@ -11,7 +11,7 @@ import pytest
 from support.records import make_record, write
 
 from app.errors import InputError
-from app.recording.description import describe, name_problem
+from app.recording.folder import describe, name_problem
 from app.recording.reader import Recording
 
 

@@ -21,7 +21,7 @@ from app.bench.config import write_bench
 from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, Interrupted, RunError
 from app.measurement.measurement import SKIPPED, FrameTotals, Measurement
-from app.recording.assumed_samples import assumed_sample
+from app.recording.frame_lines import assumed_sample
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
 from app.recording.writer import Record, RecordingWriter
