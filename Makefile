@@ -26,7 +26,7 @@ run: setup ## the live window on the simulated bench
 PROCESSES ?= 3
 PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 .venv/bin/python -m pytest -n $(PROCESSES) --dist loadfile
 
-QUICK := tests/reconstruction tests/drivers tests/simulated_devices/detector tests/app/bench \
+QUICK := tests/reconstruction tests/drivers tests/simulated_devices/test_detector.py tests/app/bench \
     --ignore tests/reconstruction/lattice/test_lattice_survey.py --ignore tests/drivers/genicam/test_genicam.py \
     --ignore tests/reconstruction/lattice/test_lattice_refusal.py
 

@@ -15,8 +15,7 @@ from reconstruction.arrays import Floats
 from simulated_devices.clock import Clock
 from simulated_devices.optics.forward_model import OnFraction
 from simulated_devices.playback import Playback
-from simulated_devices.rendering import ImageCache, Renderer, Scene
-from simulated_devices.rendering_ahead import RenderingAhead
+from simulated_devices.rendering import ImageCache, Renderer, RenderingAhead, Scene
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings
 
 PHOTONS_PER_S_M2_A = 1.2e15

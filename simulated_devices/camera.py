@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.interface import Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
 from simulated_devices.connection import PluggedThroughout
-from simulated_devices.detector.emccd import Detector, Exposure
+from simulated_devices.detector import Detector, Exposure
 from simulated_devices.settings import exposure_range_s
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from app.errors import InputError
 from app.evaluation.noise_free import NoiseFreeFrames
 from app.measurement.bench_reconstructor import whole_number
 from reconstruction.arrays import Counts, Floats, Image
-from simulated_devices.detector.emccd import Detector, Exposure
+from simulated_devices.detector import Detector, Exposure
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,13 +17,13 @@ from reconstruction.geometry import Field, Sensor, centered_steps, require
 from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.forward_model import PointField
 from simulated_devices.optics.phase_screen import PhaseScreen, middle_of
-from simulated_devices.optics.phase_unwrapping import unwrapped_phase
 from simulated_devices.optics.propagated_light import (
     LARGEST_STEP_RAD,
     edge_taper,
     fresnel_propagated,
     largest_step_rad,
     margin_m,
+    unwrapped_phase,
 )
 from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.optics.screen_light import ScreenLight

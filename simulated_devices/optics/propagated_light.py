@@ -17,7 +17,6 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import require
 from simulated_devices.optics.field_spline import EDGE, FieldSpline
 from simulated_devices.optics.phase_screen import PhaseScreen
-from simulated_devices.optics.phase_unwrapping import unwrapped_phase
 from simulated_devices.optics.ray_map import RayMap
 
 LARGEST_STEP_RAD = 0.5  # of the phase between samples; the spline then errs by about 1e-4
@@ -156,3 +155,20 @@ def _middle(before: int, count: int, half_width: float) -> slice:
     """Samples about the middle of `count` ones after the first `before`, up to `half_width` and those of the spline."""
     drop = math.floor((count - 1) / 2 - half_width + _ROUNDING) - EDGE
     return slice(before + drop, before + count - drop)
+
+
+def unwrapped_phase(field: NDArray[np.complex128]) -> Floats:
+    """Phase (row, column), rad, of a field (row, column); its differences are right where they are below pi.
+
+    Points of zero intensity, around which the phase winds, make it wrong by multiples of 2 pi. Wrapped differences are
+    integrated by least squares, a Poisson equation with free edges (Ghiglia and Romero, J. Opt. Soc. Am. A 11, 107
+    (1994)), solved by the discrete cosine transform; the result is made congruent with the field's argument.
+    """
+    gradient_y, gradient_x = np.angle(field[1:] * field[:-1].conj()), np.angle(field[:, 1:] * field[:, :-1].conj())
+    divergence = np.diff(gradient_y, axis=0, prepend=0, append=0) + np.diff(gradient_x, axis=1, prepend=0, append=0)
+    rows, columns = (2 * np.cos(np.pi * np.arange(count) / count) - 2 for count in field.shape)
+    eigenvalues = rows[:, None] + columns
+    eigenvalues[0, 0] = 1.0  # of the piston, which is set below
+    phase = fft.idctn(fft.dctn(divergence) / eigenvalues)
+    phase += np.angle(np.mean(field * np.exp(-1j * phase)))
+    return np.asarray(phase + np.angle(field * np.exp(-1j * phase)), np.float64)

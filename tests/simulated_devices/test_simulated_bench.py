@@ -18,8 +18,7 @@ from support.simulated_scene import DRIFTING, LATTICE, STILL, open_bench
 
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.playback import Playback
-from simulated_devices.rendering import ImageCache
-from simulated_devices.rendering_ahead import RenderingAhead, render_missing
+from simulated_devices.rendering import ImageCache, RenderingAhead, render_missing
 from simulated_devices.settings import Screen, SimulatedCameraSettings, SimulatedLightSettings, Simulation, Source
 
 

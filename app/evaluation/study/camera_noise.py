@@ -19,7 +19,7 @@ from reconstruction.frame.noise import CameraNoise
 from reconstruction.pipeline import Reconstructor
 from reconstruction.settings import Warp
 from reconstruction.wavefront import Wavefront
-from simulated_devices.detector.emccd import Detector, Exposure
+from simulated_devices.detector import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings
 
 _PEAKS_E = (100.0, 300.0, 1e3, 3e3, 1e4, 1e5)  # electrons in the frame's brightest pixel

@@ -19,8 +19,7 @@ from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_imag
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.deconvolution.psf_optics import reach_px
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
-from simulated_devices.optics.flat_objects import cells, resolution_target, stars
-from simulated_devices.optics.photograph import PupilField, photographs, true_psf
+from simulated_devices.optics.photograph import PupilField, cells, photographs, resolution_target, stars, true_psf
 from simulated_devices.sample import Sample
 
 # 20 mm behind the mask, so that the point-spread functions of the field have little in common

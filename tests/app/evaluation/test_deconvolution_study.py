@@ -19,8 +19,7 @@ from app.evaluation.study_tables import print_results
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.corrected_image import corrected_image
 from reconstruction.deconvolution.imaging import Imaging
-from simulated_devices.optics.flat_objects import cells
-from simulated_devices.optics.photograph import photographs, true_psf
+from simulated_devices.optics.photograph import cells, photographs, true_psf
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from app.bench.config import load_bench
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.noise import CameraNoise, image_transfer, photon_transfer
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
-from simulated_devices.detector.emccd import Detector, Exposure
+from simulated_devices.detector import Detector, Exposure
 from simulated_devices.settings import SimulatedCameraSettings
 
 ROWS = COLUMNS = 256

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
-from simulated_devices.optics.phase_unwrapping import unwrapped_phase
-from simulated_devices.optics.propagated_light import PropagatedLight, fresnel_propagated
+from simulated_devices.optics.propagated_light import PropagatedLight, fresnel_propagated, unwrapped_phase
 from simulated_devices.optics.ray_map import RayMap
 from simulated_devices.optics.screen_light import ScreenLight, point_field
 

@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import special, stats
 
-from simulated_devices.detector.emccd import Detector, Exposure
-from simulated_devices.detector.pixel_noise import normal
+from simulated_devices.detector import Detector, Exposure, normal
 from simulated_devices.settings import SimulatedCameraSettings
 
 # One electron per count, no read noise, no offset: counts are electrons.

@@ -1,1 +1,0 @@
-"""The EMCCD detector: from photons to counts."""
