@@ -10,10 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, Self, TypeVar
 
-from drivers.device import Device, Property
+from drivers.device import Device, Property, Range
 from drivers.errors import BadValue, Disconnected, Unsupported, WrongState
 from drivers.frame import Frame, Region, check_region
-from drivers.range import Range
 
 CameraState = Literal["stopped", "running", "lost", "closed"]
 Mode = TypeVar("Mode", int, str)

@@ -1,12 +1,17 @@
-"""Common base of all devices: name, properties, connection state."""
+"""Common base of all devices: name, properties, connection state, ranges of settings, and how devices are found.
+
+Each driver offers `discover() -> tuple[DiscoveredDevice, ...]`. It changes nothing, switches nothing on, and raises
+`Unsupported`, naming what is missing, if it cannot search.
+"""
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Self, TypeAlias
+from dataclasses import dataclass, field
+from typing import Literal, Self, TypeAlias
 
-from drivers.errors import Disconnected, WrongState
+from drivers.errors import BadValue, Disconnected, WrongState
 
 Property: TypeAlias = str | float | int | bool
 
@@ -69,3 +74,34 @@ class Device(ABC):
             except Disconnected as error:
                 self._loss = str(error)
                 raise
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Closed interval of allowed values, in the unit of its setting."""
+
+    minimum: float
+    maximum: float
+
+    def check(self, value: float, what: str) -> float:
+        """Return `value` if it is in the interval, else raise `BadValue` naming `what` and the interval."""
+        if not self.minimum <= value <= self.maximum:  # false for NaN, too
+            raise BadValue(f"{what} = {value:g} is outside {self.minimum:g} ... {self.maximum:g}")
+        return value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiscoveredDevice:
+    """A connected device and the bench settings that select it."""
+
+    kind: Literal["camera", "light"]
+    driver: str  # name in a bench
+    description: str  # maker, model and serial number, as far as known without opening it
+    settings: Mapping[str, str | int] = field(default_factory=dict)  # keys of the bench's section
+    is_certain: bool = True  # False for a serial port that could belong to another device
+    missing: str = ""  # what prevents its use, such as a permission or a cable
+
+    @property
+    def name(self) -> str:
+        """Argument for `svwfs devices --check`."""
+        return ":".join([self.driver, *map(str, self.settings.values())])

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from drivers.camera import Camera, CameraCapabilities, CameraState
-from drivers.device import Device, Property
+from drivers.device import Device, Property, Range
 from drivers.errors import (
     REFUSALS,
     BadValue,
@@ -24,7 +24,6 @@ from drivers.errors import (
 )
 from drivers.frame import Frame, Region
 from drivers.light_source import LightSource
-from drivers.range import Range
 from drivers.stage import Stage
 
 __all__ = [

@@ -15,9 +15,8 @@ from weakref import WeakSet
 
 import numpy as np
 
-from drivers.device import Device, Property
+from drivers.device import Device, Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightHeldOff
-from drivers.range import Range
 
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08

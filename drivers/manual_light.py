@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from drivers.device import Range
 from drivers.errors import WrongState
 from drivers.light_source import LightSource
-from drivers.range import Range
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

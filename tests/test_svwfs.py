@@ -27,9 +27,8 @@ from app.acquisition.start_up import knows_sample
 from app.bench.config import Bench
 from app.evaluation.simulated_frames import SimulatedFrames
 from app.images import read_image
-from drivers.dcam.settings import DcamSettings
 from drivers.interface import LightSource
-from drivers.serial_lights.settings import DC4100Settings
+from drivers.settings import DC4100Settings, DcamSettings
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import rms
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from importlib import import_module
 
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice
 from drivers.errors import DeviceError
 
 

@@ -12,14 +12,17 @@ from app.cache import cache_folder
 from app.errors import InputError
 from app.recording.reader import Recording
 from app.recording.recorded_devices import recorded_devices
-from drivers.dcam.settings import DcamSettings
-from drivers.genicam.settings import GenicamSettings
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
 from drivers.manual_light import ManualLight, ManualLightSettings
-from drivers.micro_manager.settings import MicroManagerSettings
-from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
+from drivers.settings import (
+    CoolLEDSettings,
+    DC2200Settings,
+    DC4100Settings,
+    DcamSettings,
+    GenicamSettings,
+    MicroManagerSettings,
+)
 from drivers.stage import ManualStage
-from drivers.usb_lights.settings import DC2200Settings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.clock import Clock

@@ -3,12 +3,15 @@
 from typing import Any, TypeAlias, get_args, get_type_hints
 
 from app.bench.settings import RecordingSettings
-from drivers.dcam.settings import DcamSettings
-from drivers.genicam.settings import GenicamSettings
 from drivers.manual_light import ManualLightSettings
-from drivers.micro_manager.settings import MicroManagerSettings
-from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
-from drivers.usb_lights.settings import DC2200Settings
+from drivers.settings import (
+    CoolLEDSettings,
+    DC2200Settings,
+    DC4100Settings,
+    DcamSettings,
+    GenicamSettings,
+    MicroManagerSettings,
+)
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings
 
 CameraSettings: TypeAlias = (

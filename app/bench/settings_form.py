@@ -13,7 +13,7 @@ from app.bench.config import Bench, parse_bench, write_bench
 from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.bench.settings_words import in_unit
 from app.errors import InputError
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice
 from drivers.frame import Region
 
 _UNITS = {  # by the end of a name; the first that fits

@@ -17,8 +17,7 @@ from drivers.camera import Camera
 from drivers.contract import camera as camera_contract
 from drivers.contract import light as light_contract
 from drivers.contract.device import ContractBroken, describe
-from drivers.device import Property
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice, Property
 from drivers.errors import DeviceError, Disconnected
 from drivers.light_source import LightSource
 

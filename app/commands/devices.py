@@ -16,8 +16,7 @@ from app.commands.device_check import Verdict, check_device, settings_of
 from app.commands.prompt import ask
 from app.errors import InputError, RunError
 from app.run_facts import versions
-from drivers.device import Property
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice, Property
 
 
 def print_devices() -> None:

@@ -27,7 +27,7 @@ from app.errors import InputError, RunError
 from app.files import atomic_write
 from app.gui import theme
 from app.gui.widgets import Choice, ElidedLabel, button, column, label, row
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice
 
 _POLL_MS = 100
 _SIZE = (720, 560)  # px

@@ -12,18 +12,26 @@ from ctypes import byref
 from drivers.camera import Camera, CameraCapabilities
 from drivers.dcam import property_ids as ids
 from drivers.dcam import session
-from drivers.dcam.capabilities import AMPLIFIERS, TRIGGERS, has_em_gain, read_capabilities, read_region, set_region
+from drivers.dcam.capabilities import (
+    AMPLIFIERS,
+    FILTERS,
+    TRIGGERS,
+    has_em_gain,
+    pixel_warnings,
+    read_capabilities,
+    read_region,
+    set_region,
+)
 from drivers.dcam.capture import Capture
 from drivers.dcam.library import DcamLibrary, load_library
-from drivers.dcam.pixel_warnings import FILTERS, pixel_warnings
 from drivers.dcam.properties import Properties
 from drivers.dcam.property_ids import Id
 from drivers.dcam.session import ListedCamera
-from drivers.dcam.settings import DcamSettings
 from drivers.dcam.structures import DeviceOpen, sized
 from drivers.device import Property
 from drivers.errors import REFUSALS, DeviceError, Disconnected, Unsupported, WrongState
 from drivers.frame import Frame, Region
+from drivers.settings import DcamSettings
 
 # A running camera may deny reading these.
 _MODE = (

@@ -9,9 +9,8 @@ from drivers.dcam.errors import Denied, NotThere
 from drivers.dcam.library import DcamLibrary
 from drivers.dcam.property_ids import ALIVE_ONLINE, OPTION_NEXT, TYPE_MASK, TYPE_REAL, Attribute, Id
 from drivers.dcam.structures import PropertyAttribute, PropertyValueText, sized
-from drivers.device import Property
+from drivers.device import Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
-from drivers.range import Range
 
 _TEXT_BYTES = 256
 _KNOWN_ATTRIBUTES = sum(Attribute)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from drivers.dcam.library import DcamLibrary, load_library
 from drivers.dcam.structures import DeviceString, Init, sized
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Disconnected
 
 STRINGS = {

@@ -14,28 +14,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import Camera, CameraCapabilities
-from drivers.device import Property
+from drivers.device import Property, Range
 from drivers.errors import BadValue, DeviceTimeout, FrameLost, Unsupported, undone_if_refused
 from drivers.frame import Frame, Region
 from drivers.genicam.connection import GenicamConnection
-from drivers.genicam.digitiser import FEATURES, set_digitiser
 from drivers.genicam.discovery import choose
-from drivers.genicam.exposure import ExposureTime
-from drivers.genicam.frames import ExposureLog, FrameCount
-from drivers.genicam.geometry import Geometry
-from drivers.genicam.library import STATUS_SUCCESS, load_aravis
-from drivers.genicam.pixel_formats import (
+from drivers.genicam.features import (
+    FEATURES,
+    FRAME_RATE,
+    INTERNAL,
+    RESETS,
+    ExposureTime,
+    reset,
+    set_digitiser,
+    set_trigger,
+    sources,
+    trigger,
+)
+from drivers.genicam.frames import (
     PIXEL_FORMATS,
+    ExposureLog,
+    FrameCount,
     PixelFormat,
     Saturation,
     byte_order_of,
     copied_pixels,
     preferred_format,
 )
-from drivers.genicam.resets import FRAME_RATE, RESETS, reset
-from drivers.genicam.settings import GenicamSettings
-from drivers.genicam.trigger import INTERNAL, set_trigger, sources, trigger
-from drivers.range import Range
+from drivers.genicam.geometry import Geometry
+from drivers.genicam.library import STATUS_SUCCESS, load_aravis
+from drivers.settings import GenicamSettings
 
 _SLICE_S: Final = 0.1  # longest wait for a frame between two checks of the connection
 # properties, if the camera has them

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 
 from drivers.errors import Busy, DeviceError, Disconnected, Unsupported
 from drivers.genicam.library import PACKET_SOCKET_DISABLED, READ_WRITE, SOCKET_BUFFER_FIXED, Aravis
-from drivers.genicam.settings import GenicamSettings
+from drivers.settings import GenicamSettings
 
 PATIENCE_S: Final = 1.1  # three attempts of Aravis: one lost packet is no disconnection
 _OPENING_S: Final = 10.0  # loads the camera's XML description, some 100 kB in packets of 500 bytes

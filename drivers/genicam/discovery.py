@@ -2,7 +2,7 @@
 
 from ipaddress import ip_address
 
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice
 from drivers.errors import BadValue, Disconnected
 from drivers.genicam.connection import PatientCalls
 from drivers.genicam.library import Aravis, load_aravis

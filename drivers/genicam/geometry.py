@@ -6,7 +6,7 @@ from typing import Final
 from drivers.errors import BadValue, Unsupported
 from drivers.frame import Region
 from drivers.genicam.connection import GenicamConnection
-from drivers.genicam.digitiser import trailing_number
+from drivers.genicam.features import trailing_number
 
 _LARGEST_BINNING: Final = 64
 _AXES: Final = ("BinningVertical", "BinningHorizontal")  # in this order: on some, the horizontal one only follows

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import Camera, CameraCapabilities
-from drivers.device import Property
+from drivers.device import Property, Range
 from drivers.errors import (
     DeviceError,
     DeviceTimeout,
@@ -26,8 +26,7 @@ from drivers.errors import (
 )
 from drivers.frame import Frame, Region
 from drivers.micro_manager.core import LABEL, LoadedCamera, load_pymmcore
-from drivers.micro_manager.settings import MicroManagerSettings
-from drivers.range import Range
+from drivers.settings import MicroManagerSettings
 
 _POLL_S: Final = 1e-3  # between two looks for a frame: the core offers no event
 _CHECK_S: Final = 0.1  # between two checks of a silent camera

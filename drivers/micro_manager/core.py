@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice
 from drivers.errors import BadValue, DeviceError, Disconnected, Unsupported
 
 LABEL: Final = "camera"

@@ -10,15 +10,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.device import Property
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceError, Unsupported
 from drivers.light_source import LightSource
-from drivers.range import Range
-from drivers.serial_lights import ports as serial_ports
-from drivers.serial_lights.line import Dialect, SerialLine, Wire
-from drivers.serial_lights.ports import find_port
-from drivers.serial_lights.settings import CoolLEDSettings
+from drivers.serial_lights.line import Dialect, SerialLine, Wire, find_port
+from drivers.serial_lights.line import discover as discover_on_ports
+from drivers.settings import CoolLEDSettings
 
 _DIALECT = Dialect("CoolLED", end=b"\r", baudrate=57600, timeout_s=0.5)
 _MODEL = r"XMODEL[:=\s]*(.*pE-(300|340|4000).*)"
@@ -29,7 +26,7 @@ _ATTEMPTS, _LOAD_POLLS, _PAUSE_S = 5, 20, 0.05
 
 def discover() -> tuple[DiscoveredDevice, ...]:
     """Return the serial ports that may lead to one; sends nothing."""
-    return serial_ports.discover("coolled", "CoolLED pE-300 or pE-4000", ("coolled", "pe-300", "pe-4000"))
+    return discover_on_ports("coolled", "CoolLED pE-300 or pE-4000", ("coolled", "pe-300", "pe-4000"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,15 +12,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.device import Property
-from drivers.discovery import DiscoveredDevice
+from drivers.device import DiscoveredDevice, Property, Range
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, WrongState
 from drivers.light_source import LightSource
-from drivers.range import Range
-from drivers.serial_lights import ports as serial_ports
-from drivers.serial_lights.line import Dialect, SerialLine, Wire
-from drivers.serial_lights.ports import find_port
-from drivers.serial_lights.settings import DC4100Settings
+from drivers.serial_lights.line import Dialect, SerialLine, Wire, find_port
+from drivers.serial_lights.line import discover as discover_on_ports
+from drivers.settings import DC4100Settings
 
 _DIALECT = Dialect("DC4100", end=b"\r\n")
 _MODEL = r".*\b(DC4100|DC4104|LEDD4)\b.*"  # as in Micro-Manager
@@ -31,7 +28,7 @@ _MULTI_SELECTION, _CONSTANT_CURRENT = "0", "0"
 
 def discover() -> tuple[DiscoveredDevice, ...]:
     """Return the serial ports that may lead to one; sends nothing."""
-    return serial_ports.discover("thorlabs_dc4100", "DC4100 or DC4104", ("dc4100", "dc4104", "thorlabs"))
+    return discover_on_ports("thorlabs_dc4100", "DC4100 or DC4104", ("dc4100", "dc4104", "thorlabs"))
 
 
 @dataclass(frozen=True, slots=True)

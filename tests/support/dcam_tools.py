@@ -16,7 +16,7 @@ import pytest
 from drivers.dcam import session
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.library import DcamLibrary, load_library
-from drivers.dcam.settings import DcamSettings
+from drivers.settings import DcamSettings
 from simulated_devices.wires.dcam.build import NoCompiler, build
 from simulated_devices.wires.dcam.stand_in import StandIn
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from drivers.genicam.settings import GenicamSettings
-from drivers.serial_lights.settings import DC4100Settings
+from drivers.settings import DC4100Settings, GenicamSettings
 from support.gui_bench import BENCH, FakeCamera
 
 MANUAL = replace(BENCH, camera=GenicamSettings(), light=DC4100Settings(port="COM1"))

@@ -19,8 +19,8 @@ from app.bench.config import Bench, parse_bench, write_bench
 from app.errors import InputError
 from app.recording.reader import Recording
 from drivers.errors import BadValue, DeviceError, Disconnected, WrongState
-from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import _DIALECT
+from drivers.settings import DC4100Settings
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.dcam.stand_in import StandIn
 from simulated_devices.wires.pseudo_terminal import PtyServer

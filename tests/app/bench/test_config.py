@@ -13,7 +13,7 @@ from app.bench.config import load_bench, parse_bench, write_bench
 from app.bench.earlier_versions import neglected_propagation
 from app.bench.presets import PRESETS
 from app.errors import InputError
-from drivers.genicam.settings import GenicamSettings
+from drivers.settings import GenicamSettings
 
 MINIMAL = (FOREIGN_FRAMES / "bench.toml").read_text().replace("neglect_propagation = true\n", "")
 OF_VERSION_0_2 = MINIMAL.replace("[registration]\n", "[registration]\nconserve_flux = true\n")

@@ -12,9 +12,9 @@ from app.bench.presets import PRESETS
 from app.bench.settings_form import FormField, SettingsForm
 from app.bench.settings_words import in_words
 from app.errors import InputError
-from drivers.discovery import DiscoveredDevice
-from drivers.genicam.settings import GenicamSettings
+from drivers.device import DiscoveredDevice
 from drivers.manual_light import ManualLightSettings
+from drivers.settings import GenicamSettings
 
 
 def fields(form: SettingsForm) -> dict[str, FormField]:

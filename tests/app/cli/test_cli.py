@@ -36,12 +36,15 @@ from app.bench.presets import PRESETS
 from app.cli.application import cli
 from app.errors import Interrupted, RunError
 from app.recording.writer import Record, RecordingWriter
-from drivers.dcam.settings import DcamSettings
-from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Devices, Disconnected, Frame
-from drivers.micro_manager.settings import MicroManagerSettings
-from drivers.serial_lights.settings import CoolLEDSettings, DC4100Settings
-from drivers.usb_lights.settings import DC2200Settings
+from drivers.settings import (
+    CoolLEDSettings,
+    DC2200Settings,
+    DC4100Settings,
+    DcamSettings,
+    GenicamSettings,
+    MicroManagerSettings,
+)
 from reconstruction.wavefront import rms
 from simulated_devices.camera import SimulatedCamera
 

@@ -22,24 +22,19 @@ from app.bench.device_settings import CameraSettings, LightSettings, drivers_of
 from app.commands import devices as device_report
 from app.commands.device_trace import Trace, serial_numbers
 from app.errors import InputError, RunError
-from drivers import discovery
-from drivers.device import Property
+from drivers.device import DiscoveredDevice, Property
 from drivers.errors import BadValue, Disconnected, Unsupported
-from drivers.genicam.settings import GenicamSettings
 from drivers.interface import Camera, Frame, LightSource
-from drivers.micro_manager.settings import MicroManagerSettings
 from drivers.serial_lights import thorlabs_dc4100
-from drivers.serial_lights.settings import DC4100Settings
+from drivers.settings import DC4100Settings, GenicamSettings, MicroManagerSettings
 from simulated_devices.bench import SimulatedBench
 from simulated_devices.camera import SimulatedCamera
 from simulated_devices.light_and_stage import SimulatedLight
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.pseudo_terminal import PtyServer
 
-A_CAMERA = discovery.DiscoveredDevice(
-    kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"}
-)
-A_LIGHT = discovery.DiscoveredDevice(
+A_CAMERA = DiscoveredDevice(kind="camera", driver="dcam", description="C9100-23B S/N 1", settings={"device": "S/N 1"})
+A_LIGHT = DiscoveredDevice(
     kind="light",
     driver="coolled",
     description="CoolLED",

@@ -15,10 +15,8 @@ from app.acquisition.devices import open_camera
 from app.bench.config import Bench, load_bench, write_bench
 from app.commands.trust import confirm_libraries
 from app.errors import InputError
-from drivers.dcam.settings import DcamSettings
 from drivers.errors import Unsupported
-from drivers.micro_manager.settings import MicroManagerSettings
-from drivers.serial_lights.settings import CoolLEDSettings
+from drivers.settings import CoolLEDSettings, DcamSettings, MicroManagerSettings
 
 LIGHT = CoolLEDSettings(port="/dev/nowhere")
 

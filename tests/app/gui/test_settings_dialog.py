@@ -17,9 +17,9 @@ from app.bench.config import Bench, load_bench
 from app.gui.bench_files import BenchFiles
 from app.gui.main_window import MainWindow
 from app.gui.settings_dialog import SettingsDialog
-from drivers.discovery import DiscoveredDevice
-from drivers.genicam.settings import GenicamSettings
+from drivers.device import DiscoveredDevice
 from drivers.manual_light import ManualLightSettings
+from drivers.settings import GenicamSettings
 
 CAMERA = DiscoveredDevice(kind="camera", driver="genicam", description="a camera", settings={"device": "Mako 7"})
 

@@ -31,9 +31,8 @@ from app.measurement.sensor_region import (
     set_area,
 )
 from app.recording.reader import Recording
-from drivers.dcam.settings import DcamSettings
 from drivers.interface import BadValue, CameraCapabilities, Disconnected, Region, WrongState
-from drivers.serial_lights.settings import CoolLEDSettings
+from drivers.settings import CoolLEDSettings, DcamSettings
 from reconstruction.geometry import Lattice
 from simulated_devices.wires.dcam.stand_in import pattern
 

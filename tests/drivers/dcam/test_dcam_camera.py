@@ -11,8 +11,8 @@ from support.dcam_tools import dcam_stand_in, library, open_camera
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
-from drivers.dcam.settings import DcamSettings
 from drivers.interface import BadValue, Range, Region, WrongState
+from drivers.settings import DcamSettings
 from simulated_devices.wires.dcam.stand_in import Plug, StandIn, pattern
 
 SENSOR = Region(0, 0, 512, 512)

@@ -13,8 +13,8 @@ from support.patience import HANG_S, own_time
 
 from drivers.dcam.camera import DcamCamera
 from drivers.dcam.property_ids import Id
-from drivers.dcam.settings import DcamSettings
 from drivers.interface import DeviceError, DeviceTimeout, Disconnected, Frame, FrameLost, Region, WrongState
+from drivers.settings import DcamSettings
 from simulated_devices.wires.dcam.stand_in import Plug, StandIn, pattern
 
 RING = 16

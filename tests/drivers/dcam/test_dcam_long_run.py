@@ -16,8 +16,8 @@ import pytest
 from support.dcam_tools import dcam_stand_in, library, open_camera
 
 from drivers.dcam.camera import DcamCamera
-from drivers.dcam.settings import DcamSettings
 from drivers.interface import DeviceTimeout, Frame, FrameLost, Region
+from drivers.settings import DcamSettings
 from simulated_devices.wires.dcam.stand_in import StandIn, pattern
 
 PERIOD_S = 0.01429  # 70 frames/s

@@ -27,7 +27,7 @@ from drivers.frame import Frame, Region
 from drivers.genicam.camera import GenicamCamera
 from drivers.genicam.discovery import discover
 from drivers.genicam.library import load_aravis
-from drivers.genicam.settings import GenicamSettings
+from drivers.settings import GenicamSettings
 
 NOTICED_S = 2.0  # until a loss must be noticed
 # The fake camera scales its pattern by 1 + log10(exposure / 10 ms): at 10 ms its pixels encode the frame number.
@@ -471,7 +471,7 @@ def test_switched_off_camera_is_not_discovered(peer: Peer) -> None:
 
 HOLDER = """
 from drivers.genicam.camera import GenicamCamera
-from drivers.genicam.settings import GenicamSettings
+from drivers.settings import GenicamSettings
 camera = GenicamCamera(GenicamSettings(device={serial!r}, pixel_pitch_m=5e-6))
 print("open", flush=True)
 input()

@@ -24,9 +24,9 @@ from drivers.contract.camera import (
 from drivers.errors import DeviceError, Unsupported
 from drivers.frame import Region
 from drivers.genicam.camera import GenicamCamera
+from drivers.genicam.frames import PIXEL_FORMATS
 from drivers.genicam.library import load_aravis
-from drivers.genicam.pixel_formats import PIXEL_FORMATS
-from drivers.genicam.settings import GenicamSettings
+from drivers.settings import GenicamSettings
 
 try:
     load_aravis()

@@ -19,7 +19,7 @@ from drivers.genicam.connection import PatientCalls
 from drivers.genicam.discovery import discover
 from drivers.genicam.frames import ExposureLog, FrameCount
 from drivers.genicam.library import Aravis, kinds_of_errors, load_aravis, load_library
-from drivers.genicam.settings import GenicamSettings
+from drivers.settings import GenicamSettings
 
 
 @given(first=st.integers(1, 65535), steps=st.lists(st.integers(1, 1023), max_size=200))

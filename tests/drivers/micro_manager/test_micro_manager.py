@@ -34,7 +34,7 @@ from drivers.interface import (
 )
 from drivers.micro_manager.camera import MicroManagerCamera
 from drivers.micro_manager.core import LoadedCamera, discover
-from drivers.micro_manager.settings import MicroManagerSettings
+from drivers.settings import MicroManagerSettings
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from support.storm import storm_settings
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, Unsupported
 from drivers.serial_lights.coolled import CoolLED
 from drivers.serial_lights.line import Wire
-from drivers.serial_lights.settings import CoolLEDSettings
+from drivers.settings import CoolLEDSettings
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.coolled import CoolLEDWire
 from simulated_devices.wires.serial import FaultKind, LineFault

@@ -13,8 +13,8 @@ from support.storm import storm_settings
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.serial_lights.line import Wire
-from drivers.serial_lights.settings import DC4100Settings
 from drivers.serial_lights.thorlabs_dc4100 import ChannelStatus, ThorlabsDC4100
+from drivers.settings import DC4100Settings
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.dc4100 import DC4100Wire
 from simulated_devices.wires.serial import FaultKind, LineFault

@@ -13,7 +13,7 @@ from support.storm import storm_settings
 from support.usb_stand_in import Bus, Plug
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState
-from drivers.usb_lights.settings import DC2200Settings
+from drivers.settings import DC2200Settings
 from drivers.usb_lights.thorlabs_dc2200 import ThorlabsDC2200, discover
 from simulated_devices.clock import ManualClock
 from simulated_devices.wires.dc2200 import DC2200Wire, header

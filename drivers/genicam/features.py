@@ -1,0 +1,183 @@
+"""Features of a GenICam camera that take more than one value to set: resets, digitiser, exposure time and trigger."""
+
+import re
+from functools import partial
+from typing import Final
+
+from drivers.device import Range
+from drivers.errors import Unsupported
+from drivers.genicam.connection import GenicamConnection
+
+# In this order: the exposure mode, for example, may lock the automatic exposure. The first value that fits is set.
+_OFF: Final = ("false", "Off", "Disabled", "ContrastMode_Off")
+_ONE: Final = ("1", "X1", "Off")
+FRAME_RATE: Final[dict[str, tuple[str, ...]]] = {  # a leftover rate caps the exposure
+    "AcquisitionFrameRateEnable": _OFF,
+    "AcquisitionFrameRateEnabled": _OFF,
+}
+# Switches, some of them selections, that change counts, mix frames or cycle exposures: all names that the public
+# descriptions of 88 cameras have for them.
+_SWITCHES: Final = (
+    *("GammaEnable", "GammaEnabled", "SequencerMode", "SequencerEnable"),
+    *("TestPattern", "TestPatternEnable", "TestImageSelector", "BlackLevelAuto", "pgrExposureCompensationAuto"),
+    *("DefectCorrectStaticEnable", "DefectCorrectionEnable", "DefectCorrectionMode", "DefectPixelCorrectionEnable"),
+    *("DefectMaskEnable", "DefectMaskColumnEnable", "DefectMaskPixelEnable", "VendorDefectPixelCorr", "CorrectionMode"),
+    *("pgrDefectPixelCorrectionEnable", "BslDefectPixelCorrectionMode", "BslStaticDefectPixelCorrectionMode"),
+    *("SharpnessEnabled", "SharpnessAuto", "SharpeningAuto", "SharpeningEnable", "EdgeFilter", "MedianFilter"),
+    *("NoiseReductionEnable", "DenoisingEnable", "ContrastEnable", "ContrastAuto", "ContrastMode"),
+    *("HDREnable", "HDRMode", "HDR_Mode", "pgrHDRModeEnabled", "VignettingCorrectionMode", "LensShadingCorrectionMode"),
+)
+RESETS: Final[dict[str, tuple[str, ...]]] = {
+    "AcquisitionMode": ("Continuous",),
+    "ExposureMode": ("Timed",),
+    "ExposureAuto": _OFF,
+    "GainAuto": _OFF,
+    **FRAME_RATE,
+    "Gamma": ("1",),  # before it is disabled, which may lock it
+    **dict.fromkeys(_SWITCHES, _OFF),
+    "SharpnessEnhancement": ("1",),  # 1 changes nothing
+    "SharpnessEnhancementAbs": ("1",),
+    "BslSharpnessEnhancement": ("1",),
+    "Sharpness": ("0",),
+    "NoiseReduction": ("0", "Off"),
+    "NoiseReductionAbs": ("0",),
+    "BslNoiseReduction": ("0",),
+    "BslContrastMode": ("Linear",),
+    "BslContrast": ("0",),
+    "DigitalShift": ("0",),
+    "ImageCompressionMode": _OFF,  # its frames would be too short
+    "IspEnable": _OFF,  # after what it contains
+    "LUTEnable": _OFF,
+    "DecimationVertical": _ONE,
+    "DecimationHorizontal": _ONE,
+    "BinningVertical": _ONE,
+    "BinningHorizontal": _ONE,
+    "ReverseX": _OFF,
+    "ReverseY": _OFF,
+    "ChunkModeActive": _OFF,
+    "GevSCPSBigEndian": _OFF,
+    "pgrPixelBigEndian": _OFF,
+}
+
+
+def reset(line: GenicamConnection, features: dict[str, tuple[str, ...]]) -> None:
+    """Reset features where they are writable; what the camera refuses stays, and shows in its properties."""
+    for feature, values in features.items():
+        _reset(line, feature, values)
+
+
+def _reset(line: GenicamConnection, feature: str, values: tuple[str, ...]) -> None:
+    """Set a feature to the first of the values that fits its type."""
+    before = line.optional_text(feature)
+    if before is None or before in values or not line.is_writable(feature):
+        return
+    choices = line.attempt(lambda: line.choices(feature))  # None if it is no enumeration
+    fitting = [value for value in values if choices is None or value in choices]
+    if fitting:
+        line.attempt(lambda: line.set_text(feature, fitting[0]))
+
+
+FEATURES: Final = ("AdcBitDepth", "SensorBitDepth", "BslSensorBitDepth", "SensorBits")  # "Bit12", "Bpp12" or "12"
+
+
+def set_digitiser(line: GenicamConnection, wanted_bits: int) -> int | None:
+    """Set the digitiser to the smallest depth that suffices, or to its deepest; return the depth, if it is reported.
+
+    A leftover depth of 8 bits would leave the others of a deeper pixel format empty.
+    """
+    for feature in FEATURES:
+        choices = line.attempt(partial(line.choices, feature)) or ()
+        depths = {bits: choice for choice in choices if (bits := trailing_number(choice))}
+        if depths and line.is_writable(feature):
+            best = depths[min((bits for bits in depths if bits >= wanted_bits), default=max(depths))]
+            if line.optional_text(feature) != best:
+                line.attempt(partial(line.set_text, feature, best))
+        if bits := trailing_number(line.optional_text(feature) or ""):
+            return bits
+    return None
+
+
+def trailing_number(text: str) -> int:
+    """Return the number at the end of a text; 0 if there is none."""
+    found = re.search(r"\d+$", text)
+    return int(found.group()) if found else 0
+
+
+_IN_MICROSECONDS: Final = ("ExposureTime", "ExposureTimeAbs")
+
+
+class ExposureTime:
+    """Exposure time through Aravis, which knows the models, or through an integer feature, which it refuses."""
+
+    def __init__(self, line: GenicamConnection) -> None:
+        self._line = line
+        self._integer = ""
+        if line.attempt(lambda: line.bounds("arv_camera_get_exposure_time_bounds")) is None:
+            self._integer = next(filter(line.has, _IN_MICROSECONDS), "")
+            if not self._integer:
+                raise Unsupported(f"the camera offers no exposure time: neither {' nor '.join(_IN_MICROSECONDS)}")
+
+    def range_s(self) -> Range:
+        """Return the allowed exposures."""
+        if self._integer:
+            shortest_us, longest_us, _ = map(float, self._line.integer_bounds(self._integer))
+        else:
+            shortest_us, longest_us = self._line.bounds("arv_camera_get_exposure_time_bounds")
+        return Range(shortest_us / 1e6, longest_us / 1e6)
+
+    def read_s(self) -> float:
+        """Return the exposure in force."""
+        if self._integer:
+            return self._line.integer(self._integer) / 1e6
+        return float(self._line.call("arv_camera_get_exposure_time")) / 1e6
+
+    def set_s(self, exposure_s: float) -> None:
+        """Change the exposure."""
+        allowed = self.range_s()
+        exposure_us = min(max(round(exposure_s * 1e6, 3), allowed.minimum * 1e6), allowed.maximum * 1e6)
+        if self._integer:
+            self._line.set_text(self._integer, str(round(exposure_us)))
+        else:
+            self._line.call("arv_camera_set_exposure_time", exposure_us)
+
+
+INTERNAL: Final = "internal"
+_OF_FRAMES: Final = ("FrameStart", "FrameBurstStart", "AcquisitionStart", "ExposureStart")  # the first offered is used
+
+
+def sources(line: GenicamConnection) -> tuple[str, ...]:
+    """Return what can start an exposure."""
+    return (INTERNAL, *(source for source in line.choices("TriggerSource") if source != "Software"))
+
+
+def trigger(line: GenicamConnection) -> str:
+    """Return what starts an exposure now."""
+    return line.text("TriggerSource") if line.optional_text("TriggerMode") == "On" else INTERNAL
+
+
+def set_trigger(line: GenicamConnection, source: str) -> None:
+    """Switch off all triggers, and on the one of frames unless they start by themselves.
+
+    Aravis has such a function, too, but that fails if `TriggerSelector` is read-only, as on older Blackfly and Flea3.
+    """
+    selectors = line.choices("TriggerSelector") if line.is_writable("TriggerSelector") else ()
+    for selector in selectors:
+        line.set_text("TriggerSelector", selector)
+        _switch(line, "Off")
+    if not selectors:
+        _switch(line, "Off")
+    if source == INTERNAL:
+        return
+    if selectors:
+        if not (fitting := [selector for selector in _OF_FRAMES if selector in selectors]):
+            raise Unsupported(f"the camera has no trigger for frames, only for {', '.join(selectors)}")
+        line.set_text("TriggerSelector", fitting[0])
+    line.set_text("TriggerSource", source)  # some lock it once the trigger is on
+    if "RisingEdge" in line.choices("TriggerActivation"):
+        line.set_text("TriggerActivation", "RisingEdge")
+    _switch(line, "On")
+
+
+def _switch(line: GenicamConnection, mode: str) -> None:
+    if line.optional_text("TriggerMode") not in {None, mode}:
+        line.set_text("TriggerMode", mode)
